@@ -1,0 +1,49 @@
+# Everything needs only make and Python 3.10 to 3.14; the rest is installed into .venv.
+# ARGS is passed on:  make run ARGS="--duration 10 --seed 2"    make test ARGS="-k spectra -x"
+
+VENV := .venv
+BIN := $(VENV)/bin
+
+# A ROS installation sourced in this shell, or a caller that itself runs from an environment of ROS
+# wheels, would mix its own modules and libraries with those of .venv.
+unexport PYTHONHOME PYTHONPATH RMW_IMPLEMENTATION AMENT_PREFIX_PATH
+ifneq ($(ROS_DISTRO)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
+unexport LD_LIBRARY_PATH
+endif
+unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
+
+.DEFAULT_GOAL := help
+.PHONY: help setup run test lint format lock clean
+
+help:  ## list what make can do here
+	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+setup:  ## make or update .venv, with the command .venv/bin/armimp
+	@scripts/setup.sh
+
+run: setup  ## set up, then run the default experiment (or as ARGS say)
+	@$(BIN)/armimp run $(ARGS)
+
+test: lint  ## set up, check style and types, then run every test
+	$(BIN)/pytest $(ARGS)
+
+lint: setup  ## check style and types only
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	@# Every package may have a conftest.py; one call of mypy takes a module name only once.
+	@for file in $(wildcard ros2_ws/src/*/test/conftest.py); do \
+		$(BIN)/mypy --no-error-summary "$$file" || exit 1; \
+	done
+
+format: setup  ## format the sources and repair what can be repaired
+	$(BIN)/ruff check --fix-only
+	$(BIN)/ruff format
+
+lock:  ## pin the requirements anew (needs the network)
+	scripts/lock.sh --upgrade
+
+clean:  ## remove .venv, builds and caches, but no results
+	rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf ros2_ws/build ros2_ws/install ros2_ws/log ros2_ws/src/*/build ros2_ws/src/*/*.egg-info
+	find ros2_ws tests -type d -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true

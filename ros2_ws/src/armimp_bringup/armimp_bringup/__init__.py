@@ -1,0 +1,1 @@
+"""Orchestrator of the node graph, study runner and the armimp command line."""

@@ -1,0 +1,208 @@
+"""The configuration of an experiment, and the parameters of the nodes that follow from it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import build, explain, flatten
+from armimp_common.versions import git_revision, versions
+from armimp_control.parameters import ControllerParameters
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_sim.parameters import SimulatorParameters
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+
+from armimp_bringup.offline import Rig
+
+Overrides = dict[str, JsonValue]
+
+
+class ExperimentConfig(BaseModel):
+    """What a user decides; everything else has its default in the parameters of the nodes."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    joints: Literal[2, 3] = Field(default=2, description="number of joints of the preset arm")
+    friction: int = Field(default=3, ge=0, le=3, description="friction level")
+    resolution: int = Field(default=3, ge=0, le=3, description="sensor resolution level, Table II")
+    perturbation: int = Field(default=3, ge=1, le=3, description="perturbation level, Table III")
+    duration: float = Field(default=50.0, ge=10.0, le=9000.0, description="of each trial (s)")
+    seed: int = Field(default=1, ge=0, lt=2**63, description="of all random signals")
+    mode: Literal["lockstep"] = Field(default="lockstep", description="how time passes")
+    processes: Literal["composed", "separate"] = Field(
+        default="composed", description="all nodes in one process, or one process for each"
+    )
+    estimators: tuple[str, ...] = Field(
+        default=("welch_siso", "welch_full"), description="estimators of the result"
+    )
+    arm_sim: Overrides = Field(default={}, description="parameters of that node to override")
+    imbic_controller: Overrides = Field(default={}, description="likewise")
+    impedance_estimator: Overrides = Field(default={}, description="likewise")
+
+
+def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConfig:
+    """Read a YAML file, and let the given options prevail.
+
+    Parameters
+    ----------
+    path : Path or None
+        The file; None for defaults.
+    options : mapping
+        Options of the command line; None values are ignored.
+
+    Raises
+    ------
+    ConfigurationError
+        If the file can't be read, or a value is wrong: one line that names it.
+    """
+    values: dict[str, Any] = {}
+    if path is not None:
+        try:
+            loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise ConfigurationError(f"{path}: {error.strerror}") from None
+        except UnicodeDecodeError:
+            raise ConfigurationError(f"{path}: is not a text file") from None
+        except yaml.YAMLError as error:
+            reason = " ".join(str(error).split())
+            raise ConfigurationError(f"{path}: is not YAML: {reason}") from None
+        if loaded is not None and not isinstance(loaded, dict):
+            raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
+        values.update(loaded or {})
+    values.update({name: value for name, value in options.items() if value is not None})
+    try:
+        return ExperimentConfig.model_validate(values)
+    except ValidationError as error:
+        where = f"{path}: " if path is not None else ""
+        raise ConfigurationError(f"{where}{explain(error)}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeParameters:
+    """The parameters of the three nodes."""
+
+    simulator: SimulatorParameters
+    controller: ControllerParameters
+    estimator: EstimatorParameters
+
+    def by_node(self) -> dict[str, BaseModel]:
+        """Parameters by the name of the node."""
+        return {
+            SIM_NODE: self.simulator,
+            CONTROLLER_NODE: self.controller,
+            ESTIMATOR_NODE: self.estimator,
+        }
+
+    def rig(self) -> Rig:
+        """The same experiment for the offline loop."""
+        return Rig(
+            plant=self.simulator.plant_config(),
+            voluntary=self.simulator.voluntary_config(),
+            controller=self.controller.imbic_config(),
+            safety=self.controller.safety_config(),
+            perturbation=self.controller.perturbation_config(),
+            sequence=self.controller.sequence_config(),
+            seed=self.controller.seed,
+        )
+
+
+def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodeParameters:
+    """Parameters of the nodes for an experiment.
+
+    Parameters
+    ----------
+    config : ExperimentConfig
+    directory : Path or None
+        Where the results go.
+
+    Raises
+    ------
+    ConfigurationError
+        If an override names no parameter, or a value is wrong, or the loop would be unstable.
+    """
+    simulator = _overridden(
+        SimulatorParameters.preset(
+            joints=config.joints,
+            friction=config.friction,
+            resolution=config.resolution,
+            seed=config.seed,
+        ),
+        SIM_NODE,
+        config.arm_sim,
+    )
+    plant = simulator.plant_config()
+    controller = _overridden(
+        ControllerParameters.preset(
+            joints=simulator.joints,
+            posture=plant.arm.posture,
+            robot_inertia=plant.robot.mass_matrix(plant.arm.posture),
+            arm_inertia=plant.arm.inertia,
+            perturbation=config.perturbation,
+            duration=config.duration,
+            seed=config.seed,
+        ),
+        CONTROLLER_NODE,
+        config.imbic_controller,
+    )
+    controller.check()
+    controller.perturbation_config()
+    estimator = EstimatorParameters(
+        joints=simulator.joints,
+        estimators=config.estimators,
+        directory="" if directory is None else str(directory),
+        metadata=json.dumps(bag_metadata(config, simulator, controller)),
+    )
+    estimator = _overridden(estimator, ESTIMATOR_NODE, config.impedance_estimator)
+    estimator.bag_metadata()
+    return NodeParameters(simulator=simulator, controller=controller, estimator=estimator)
+
+
+def bag_metadata(
+    config: ExperimentConfig, simulator: SimulatorParameters, controller: ControllerParameters
+) -> dict[str, str]:
+    """What is stored in every bag: configuration, truth, versions."""
+    arm = simulator.human_arm()
+    described = {
+        "experiment": config.model_dump(mode="json"),
+        SIM_NODE: flatten(simulator),
+        CONTROLLER_NODE: flatten(controller),
+        "versions": versions(),
+        "git_revision": git_revision(),
+    }
+    truth = {
+        "M": arm.inertia.tolist(),
+        "B": arm.damping.tolist(),
+        "K": arm.stiffness.tolist(),
+    }
+    return {
+        "schema": "1",
+        "config": json.dumps(described),
+        "seed": json.dumps(config.seed),
+        "joint_names": json.dumps(list(simulator.joints)),
+        "truth": json.dumps(truth),
+    }
+
+
+def _overridden(base: Any, node: str, overrides: Overrides) -> Any:
+    if not overrides:
+        return base
+    try:
+        return build(type(base), {**flatten(base), **_dotted(overrides)})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{node}: {error}") from None
+
+
+def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= _dotted(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found

@@ -1,0 +1,262 @@
+"""The experiment without ROS: plant and law in one compiled loop, many conditions side by side.
+
+The arithmetic is that of the nodes, in the order of the lockstep graph: sample k, command k, one
+period of the plant, sample k + 1. For the same seed the trajectories are equal bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.compiled import compiled_entry
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.trial_status import Phase
+from armimp_control.imbic import MEMORY_ROWS, ImbicConfig, imbic
+from armimp_control.perturbation import PerturbationConfig, perturbation
+from armimp_control.safety import REFUSED, SafetyConfig
+from armimp_control.sequence import SequenceConfig, timetable
+from armimp_sim.kernel import Tag
+from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
+from armimp_sim.sensors import Sampling
+from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rig:
+    """Everything that decides the course of one experiment.
+
+    Parameters
+    ----------
+    plant : arm, robot, friction and sensors
+    voluntary : voluntary torque of the person
+    controller : target impedance and internal model
+    safety : limits of the command
+    perturbation : τ_Δ
+    sequence : phases of the trials
+    seed : of perturbation and voluntary torque
+
+    Raises
+    ------
+    ConfigurationError
+        If the parts disagree in the number of joints or in the period.
+    """
+
+    plant: PlantConfig
+    voluntary: VoluntaryConfig
+    controller: ImbicConfig
+    safety: SafetyConfig
+    perturbation: PerturbationConfig
+    sequence: SequenceConfig
+    seed: int
+
+    def __post_init__(self) -> None:
+        joints = (self.plant.joints, self.controller.joints, len(self.perturbation.peak))
+        if len(set(joints)) != 1:
+            raise ConfigurationError(
+                "offline run: plant, controller and perturbation have {}, {} and {} joints".format(
+                    *joints
+                )
+            )
+        periods = (self.plant.period, self.controller.period, self.perturbation.period)
+        if len(set(periods)) != 1:
+            raise ConfigurationError(
+                "offline run: plant, controller and perturbation have periods of "
+                "{}, {} and {} s".format(*periods)
+            )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OfflineTrial:
+    """What was exchanged during the perturbation of one joint.
+
+    Attributes
+    ----------
+    joint : perturbed joint, 0-based
+    first_tick : tick of the first sample since the start of the experiment
+    position, torque, command, perturbation : (n, N) rad, N·m, N·m, N·m
+    clipped : number of saturated joint commands
+    """
+
+    joint: int
+    first_tick: int
+    position: NDArray[np.float64]
+    torque: NDArray[np.float64]
+    command: NDArray[np.float64]
+    perturbation: NDArray[np.float64]
+    clipped: int
+
+
+@compiled_entry
+def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+    batch: NDArray[np.float64],
+    joints: Tag,
+    lanes: Tag,
+    substeps: int,
+    step: float,
+    interval_mean: bool,
+    resolutions: NDArray[np.float64],
+    position: NDArray[np.float64],
+    torque: NDArray[np.float64],
+    roles: NDArray[np.float64],
+    targets: NDArray[np.float64],
+    models: NDArray[np.float64],
+    scalars: NDArray[np.float64],
+    memory: NDArray[np.float64],
+    tau_delta: NDArray[np.float64],
+    voluntary: NDArray[np.float64],
+    record: NDArray[np.float64],
+    clipped: NDArray[np.int64],
+) -> float:
+    """Run the ticks of a segment.
+
+    Parameters
+    ----------
+    batch, joints, lanes : the batch, as in :mod:`armimp_sim.kernel`
+    substeps, step, interval_mean, resolutions : as for :func:`armimp_sim.plant.tick`
+    position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
+    roles : (lanes, 4, n) from :meth:`armimp_control.imbic.ImbicConfig.role`
+    targets, models : (lanes, n) θ_rd, rad, and (lanes, n, n) M̄, kg·m²
+    scalars : (lanes, 3) Γ, rad/s; L, s; torque limit, N·m
+    memory : (lanes, MEMORY_ROWS, n) of the law, updated
+    tau_delta, voluntary : (ticks, lanes, n) N·m
+    record : (3, lanes, n, ticks), written: positions, torques, commands
+    clipped : (lanes,) numbers of saturated commands, added to
+
+    Returns
+    -------
+    float
+        The worst h·σ0|v|/g(v), NaN if a lane went astray.
+    """
+    n, m = len(joints), len(lanes)
+    command = np.zeros((m, n))
+    worst = 0.0
+    for k in range(tau_delta.shape[0]):
+        for lane in range(m):
+            count = imbic(
+                position[lane],
+                torque[lane],
+                tau_delta[k, lane],
+                roles[lane],
+                targets[lane],
+                models[lane],
+                scalars[lane, 0],
+                scalars[lane, 1],
+                scalars[lane, 2],
+                memory[lane],
+                command[lane],
+            )
+            if count == REFUSED:
+                return np.nan
+            clipped[lane] += count
+            for i in range(n):
+                record[0, lane, i, k] = position[lane, i]
+                record[1, lane, i, k] = torque[lane, i]
+                record[2, lane, i, k] = command[lane, i]
+        ratio = tick(
+            batch,
+            joints,
+            lanes,
+            substeps,
+            step,
+            interval_mean,
+            resolutions,
+            command,
+            voluntary[k],
+            position,
+            torque,
+        )
+        if not ratio <= worst:
+            worst = ratio
+            if not worst < np.inf:
+                return np.nan
+    return worst
+
+
+def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
+    """Run experiments side by side.
+
+    Parameters
+    ----------
+    rigs : one per lane; they must agree in joints, timing and sequence
+
+    Returns
+    -------
+    list of list of OfflineTrial
+        For each rig, its trials in order.
+
+    Raises
+    ------
+    DataError
+        If the sequences differ.
+    IntegrationError
+        If the plant left the stability region of the integrator.
+    """
+    first = rigs[0]
+    if any(rig.sequence != first.sequence for rig in rigs):
+        raise DataError("offline run: all rigs must have the same trial sequence")
+    plant = Plant([rig.plant for rig in rigs])
+    n, lanes = first.plant.joints, len(rigs)
+    memory = np.zeros((lanes, MEMORY_ROWS, n))
+    targets = np.array([rig.controller.target_posture for rig in rigs])
+    models = np.array([rig.controller.model_inertia for rig in rigs])
+    scalars = np.array(
+        [(rig.controller.gamma, rig.controller.period, rig.safety.torque_limit) for rig in rigs]
+    )
+    streams = [
+        VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
+        for rig in rigs
+    ]
+    trials: list[list[OfflineTrial]] = [[] for _ in rigs]
+    for segment in timetable(first.sequence, joints=n, period=first.plant.period):
+        tau_delta = np.zeros((segment.ticks, lanes, n))
+        if segment.phase is Phase.PERTURB:
+            for lane, rig in enumerate(rigs):
+                tau_delta[:, lane, segment.joint] = perturbation(
+                    rig.perturbation,
+                    joint=segment.joint,
+                    trial=segment.trial,
+                    ticks=segment.ticks,
+                    seed=rig.seed,
+                )
+        record = np.empty((3, lanes, n, segment.ticks))
+        clipped = np.zeros(lanes, dtype=np.int64)
+        worst = _run_segment(
+            plant.batch,
+            plant.joint_tag,
+            plant.lane_tag,
+            plant.config.substeps,
+            plant.config.step,
+            plant.config.sensors.sampling is Sampling.INTERVAL_MEAN,
+            plant.resolutions,
+            plant.position,
+            plant.torque,
+            np.array([rig.controller.role(segment.joint) for rig in rigs]),
+            targets,
+            models,
+            scalars,
+            memory,
+            tau_delta,
+            np.stack([stream.take(segment.ticks) for stream in streams], axis=1),
+            record,
+            clipped,
+        )
+        check_ratio(worst, plant.config.step)
+        if segment.phase is not Phase.PERTURB:
+            continue
+        for lane in range(lanes):
+            trials[lane].append(
+                OfflineTrial(
+                    joint=segment.joint,
+                    first_tick=segment.first,
+                    position=record[0, lane].copy(),
+                    torque=record[1, lane].copy(),
+                    command=record[2, lane].copy(),
+                    perturbation=np.ascontiguousarray(tau_delta[:, lane].T),
+                    clipped=int(clipped[lane]),
+                )
+            )
+    return trials

@@ -1,0 +1,263 @@
+"""Runs an experiment: wires the graph, leads it through its life, and watches over it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from armimp_common import contract, qos
+from armimp_common.diagnostics import Level, values_of
+from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.schema import to_params_yaml
+from armimp_common.spin import Spinner
+from armimp_common.trial_status import Phase
+from armimp_estimation.bags import expected_bytes, require_free_space
+from armimp_estimation.conclusion import SUMMARY_FILE
+from armimp_estimation.messages import CONCLUSION_NAME
+from armimp_estimation.results import Summary, read_summary, write_summary
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+
+from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
+
+PARAMETERS_FILE = "parameters.yaml"
+LOGS = "logs"
+_STALL = 30.0
+_PERIOD = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Where an experiment stands, for display; see ``impedance_estimator/progress``."""
+
+    trial: int
+    trials: int
+    joint: int
+    phase: str
+    samples: int
+    planned: int
+    rate: float
+    coherence_motion: float | None
+    coherence_torque: float | None
+
+
+class Supervisor(Node):
+    """Listens to everything that tells how the experiment goes."""
+
+    def __init__(self, graph: GraphContext, on_progress: Callable[[Progress], None]) -> None:
+        super().__init__("armimp", context=graph.context, use_global_arguments=False)
+        self._on_progress = on_progress
+        self.problems: list[str] = []
+        self.concluded = self.finished = False
+        self.last_news = time.monotonic()
+        self.create_subscription(
+            DiagnosticStatus, contract.PROGRESS, self._on_progress_message, qos.PROGRESS
+        )
+        self.create_subscription(DiagnosticStatus, contract.RESULT, self._on_result, qos.LATCHED)
+        self.create_subscription(DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED)
+        self.create_subscription(
+            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+
+    def _on_progress_message(self, message: DiagnosticStatus) -> None:
+        values = values_of(message)
+        progress = Progress(
+            trial=int(values["trial"]),
+            trials=int(values["trials"]),
+            joint=int(values["joint"]),
+            phase=values["phase"],
+            samples=int(values["samples"]),
+            planned=int(values["planned"]),
+            rate=float(values["rate"]),
+            coherence_motion=_optional(values.get("coherence_motion")),
+            coherence_torque=_optional(values.get("coherence_torque")),
+        )
+        if progress.samples:
+            self.last_news = time.monotonic()
+        self._on_progress(progress)
+
+    def _on_result(self, message: DiagnosticStatus) -> None:
+        self.last_news = time.monotonic()
+        if message.name == CONCLUSION_NAME:
+            self.concluded = True
+
+    def _on_trial(self, message: DiagnosticStatus) -> None:
+        if values_of(message).get("phase") in (Phase.DONE.value, Phase.ABORTED.value):
+            self.finished = True
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.level == bytes([Level.ERROR]):
+                problem = f"{status.name}: {status.message}"
+                if problem not in self.problems:
+                    self.problems.append(problem)
+
+
+def run_experiment(
+    config: ExperimentConfig,
+    directory: Path,
+    *,
+    domain_id: int | None = None,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    interrupted: Callable[[], bool] = lambda: False,
+) -> Summary:
+    """Run an experiment through the node graph.
+
+    Parameters
+    ----------
+    config : ExperimentConfig
+    directory : Path
+        New directory for bags and results.
+    domain_id : int, optional
+        ROS domain; by default a free one.
+    on_progress : callable
+        Called a few times per second.
+    interrupted : callable
+        Asked often; once true, the experiment ends in good order, as invalid.
+
+    Returns
+    -------
+    Summary
+        As stored in ``summary.json``.
+
+    Raises
+    ------
+    ConfigurationError
+        If the configuration is wrong.
+    BagError
+        If there is no space for the bags.
+    GraphError
+        If the graph could not be brought up.
+    """
+    directory = directory.absolute()
+    parameters = node_parameters(config, directory)
+    prepare_directory(directory)
+    ticks = round(parameters.controller.sequence.duration * contract.NS_PER_S / contract.PERIOD_NS)
+    n = len(parameters.simulator.joints)
+    require_free_space(directory, n * expected_bytes(ticks, n))
+    parameter_file = directory / PARAMETERS_FILE
+    parameter_file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
+    problems: list[str] = []
+    with GraphContext(domain_id) as graph:
+        supervisor = Supervisor(graph, on_progress)
+        with Spinner([supervisor], context=graph.context) as spinner:
+            nodes: NodeGroup
+            if config.processes == "composed":
+                nodes = ComposedNodes(graph.context, spinner, parameter_file)
+            else:
+                nodes = SeparateNodes(parameter_file, directory / LOGS)
+            try:
+                problems += _lead(supervisor, spinner, nodes, interrupted)
+            finally:
+                nodes.close()
+                spinner.remove_node(supervisor)
+                supervisor.destroy_node()
+    problems += supervisor.problems
+    return _settle(directory, parameters, problems)
+
+
+def prepare_directory(directory: Path) -> None:
+    """Make the output directory; one with anything in it is refused.
+
+    Raises
+    ------
+    ConfigurationError
+        If it exists and is not an empty directory, or can't be made.
+    """
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if any(directory.iterdir()):
+            raise ConfigurationError(f"{directory}: is not empty, nothing is overwritten")
+    except OSError as error:
+        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
+
+
+def _lead(
+    supervisor: Supervisor,
+    spinner: Spinner,
+    nodes: NodeGroup,
+    interrupted: Callable[[], bool],
+) -> list[str]:
+    """Lead the nodes through their life; return what went wrong."""
+    manager = LifecycleManager(
+        supervisor,
+        (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE),
+        spin_until=spinner.spin_until,
+        timeout=60.0,
+    )
+    problems: list[str] = []
+    try:
+        manager.wait_for_nodes()
+        for name in manager.names:
+            manager.configure(name)
+        for name in manager.names:
+            manager.activate(name)
+        supervisor.last_news = time.monotonic()
+        problems += _watch(supervisor, spinner, nodes, interrupted)
+    except GraphError as error:
+        problems.append(nodes.dead() or str(error))
+    if nodes.dead() is None:
+        for name in reversed(manager.names):
+            try:
+                manager.shutdown(name)
+            except GraphError as error:
+                problems.append(str(error))
+    return problems
+
+
+def _watch(
+    supervisor: Supervisor,
+    spinner: Spinner,
+    nodes: NodeGroup,
+    interrupted: Callable[[], bool],
+) -> list[str]:
+    problems: list[str] = []
+
+    def over() -> bool:
+        if interrupted():
+            problems.append("interrupted by the user")
+        elif (dead := nodes.dead()) is not None:
+            problems.append(dead)
+        elif time.monotonic() - supervisor.last_news > _STALL:
+            problems.append(f"nothing happened for {_STALL:g} s")
+        return bool(problems) or (supervisor.concluded and supervisor.finished)
+
+    spinner.spin(over, period=_PERIOD)
+    return problems
+
+
+def _settle(directory: Path, parameters: NodeParameters, problems: list[str]) -> Summary:
+    """Bring together what the estimator stored and what the orchestrator saw."""
+    path = directory / SUMMARY_FILE
+    try:
+        summary = read_summary(path)
+    except ArmimpError as error:
+        metadata = parameters.estimator.bag_metadata()
+        del metadata
+        summary = Summary(
+            config={},
+            joints=len(parameters.simulator.joints),
+            seed=parameters.controller.seed,
+            valid=False,
+            problems=problems or [str(error)],
+            trials=[],
+            estimators={},
+            truth=None,
+        )
+        write_summary(path, summary)
+        return summary
+    new = [problem for problem in problems if problem not in summary.problems]
+    if not new:
+        return summary
+    summary = summary.model_copy(update={"valid": False, "problems": [*new, *summary.problems]})
+    path.unlink()
+    write_summary(path, summary)
+    return summary
+
+
+def _optional(text: str | None) -> float | None:
+    return None if text is None else float(text)

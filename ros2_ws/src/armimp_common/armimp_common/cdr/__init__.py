@@ -1,0 +1,24 @@
+"""Fast, bounds-checked encoding and decoding of the streamed messages, without ROS.
+
+Messages of one stream differ only in their stamp and their numbers, so a layout is parsed once
+and then reused with one comparison and one ``struct`` call.
+"""
+
+from armimp_common.cdr.command import CommandDecoder, CommandEncoder
+from armimp_common.cdr.joint_state import (
+    JointStateDecoder,
+    JointStateEncoder,
+    joint_names_of,
+    stamp_of,
+)
+from armimp_common.cdr.reader import Buffer
+
+__all__ = [
+    "Buffer",
+    "CommandDecoder",
+    "CommandEncoder",
+    "JointStateDecoder",
+    "JointStateEncoder",
+    "joint_names_of",
+    "stamp_of",
+]

@@ -1,0 +1,140 @@
+"""``std_msgs/msg/Float64MultiArray`` as the effort controller takes it: joint torques in order."""
+
+import struct
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.cdr.layout import NO_LAYOUT, Layout
+from armimp_common.cdr.reader import Buffer, CdrReader
+from armimp_common.errors import ConfigurationError, MalformedMessageError
+
+_WHAT: Final = "Float64MultiArray"
+
+
+class CommandEncoder:
+    """Encoder of commands for `n` joints.
+
+    Parameters
+    ----------
+    n
+        Number of joints.
+
+    Raises
+    ------
+    ConfigurationError
+        If `n` is not positive.
+    """
+
+    def __init__(self, n: int) -> None:
+        _check(n)
+        # No dimensions, no data offset, n; then padding, since doubles start on a multiple of 8.
+        self._pack = struct.Struct(f"<4sIII4x{n}d").pack
+        self._n = n
+
+    def encode(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
+        """Encode (n,) joint torques (N·m).
+
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong.
+        """
+        try:
+            return self._pack(b"\0\1\0\0", 0, 0, self._n, *values)
+        except struct.error:
+            raise MalformedMessageError(
+                f"{_WHAT} takes {self._n} numbers, not {list(values)}"
+            ) from None
+
+
+class CommandDecoder:
+    """Decoder of commands for `n` joints; the ``layout`` of the message is ignored.
+
+    Parameters
+    ----------
+    n
+        Number of joints, and so of numbers in every message.
+
+    Raises
+    ------
+    ConfigurationError
+        If `n` is not positive.
+    """
+
+    def __init__(self, n: int) -> None:
+        _check(n)
+        self._n = n
+        self._layout = NO_LAYOUT
+
+    def decode(self, data: Buffer) -> tuple[float, ...]:
+        """Decode one message into n torques (N·m), NaN and infinities passed on as they are.
+
+        Raises
+        ------
+        MalformedMessageError
+            On truncated or foreign bytes, or another number of values.
+        """
+        layout = self._layout
+        if (
+            len(data) != layout.length
+            or int.from_bytes(data, "little") & layout.mask != layout.constant
+        ):
+            layout = self._layout = self._parse(data)
+        return layout.values(layout.unpack(data))
+
+    def decode_many(self, messages: Sequence[Buffer]) -> NDArray[np.float64]:
+        """Decode many messages into an (n, N) C-contiguous array (N·m).
+
+        Raises
+        ------
+        MalformedMessageError
+            As `decode`, with the index of the message.
+        """
+        if messages and self._try_layout(messages[0]):
+            bulk = self._layout.unpack_many(messages)
+            if bulk is not None:
+                return bulk[1]
+        values = np.empty((self._n, len(messages)), np.float64)
+        for index, data in enumerate(messages):
+            try:
+                values[:, index] = self.decode(data)
+            except MalformedMessageError as error:
+                raise MalformedMessageError(f"message {index}: {error}") from None
+        return values
+
+    def _try_layout(self, data: Buffer) -> bool:
+        try:
+            if not self._layout.matches(data):
+                self._layout = self._parse(data)
+        except MalformedMessageError:
+            return False
+        return True
+
+    def _parse(self, data: Buffer) -> Layout:
+        reader = CdrReader(data, _WHAT)
+        for _ in range(reader.count(12)):
+            reader.string()
+            reader.uint32()
+            reader.uint32()
+        reader.uint32()
+        numbers = reader.float64s()
+        reader.finish()
+        count = (numbers[1] - numbers[0]) // 8
+        if count != self._n:
+            raise reader.error(f"has {count} values for {self._n} joints")
+        return Layout(
+            data,
+            byte_order=reader.byte_order,
+            constants=reader.constants,
+            stamp=None,
+            numbers=numbers,
+            order=range(count),
+        )
+
+
+def _check(n: int) -> None:
+    if n < 1:
+        raise ConfigurationError(f"number of joints is not positive: {n}")

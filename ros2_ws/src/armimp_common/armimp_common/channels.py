@@ -1,0 +1,246 @@
+"""Publishers and subscriptions that pass serialised bytes through the fast codecs."""
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import QoSProfile
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from armimp_common import qos
+from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateDecoder, JointStateEncoder
+from armimp_common.contract import ValueField
+from armimp_common.errors import MalformedMessageError
+
+OnMalformed = Callable[[MalformedMessageError], None]
+_POLL = 0.005
+
+
+class JointStatePublisher:
+    """Publisher of JointState messages of one layout.
+
+    Parameters
+    ----------
+    node, topic
+        Where to publish.
+    names, field
+        As for `armimp_common.cdr.JointStateEncoder`.
+    profile
+        Quality of service.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        names: Sequence[str],
+        field: ValueField,
+        *,
+        profile: QoSProfile = qos.SAMPLE,
+    ) -> None:
+        self.publisher: Publisher = node.create_publisher(JointState, topic, profile)
+        self._encode = JointStateEncoder(names, field).encode
+
+    def publish(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
+        """Publish (n,) values with this stamp (ns), and return the bytes sent.
+
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong.
+        """
+        data = self._encode(stamp_ns, values)
+        self.publisher.publish(data)
+        return data
+
+
+class CommandPublisher:
+    """Publisher of commands for `n` joints; see `JointStatePublisher`."""
+
+    def __init__(self, node: Node, topic: str, n: int, *, profile: QoSProfile = qos.SAMPLE) -> None:
+        self.publisher: Publisher = node.create_publisher(Float64MultiArray, topic, profile)
+        self._encode = CommandEncoder(n).encode
+
+    def publish(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
+        """Publish (n,) torques (N·m), and return the bytes sent.
+
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong.
+        """
+        data = self._encode(values)
+        self.publisher.publish(data)
+        return data
+
+
+class RawSubscription:
+    """Subscription that delivers messages as the bytes that came, of any length.
+
+    Parameters
+    ----------
+    node, topic
+        Where to listen.
+    message_type
+        Message class of the topic.
+    callback
+        Called with each message.
+    profile
+        Quality of service.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        message_type: type[Any],
+        callback: Callable[[bytes], None],
+        *,
+        profile: QoSProfile = qos.SAMPLE,
+    ) -> None:
+        self.subscription: Subscription = node.create_subscription(
+            message_type, topic, callback, profile, raw=True
+        )
+
+
+class JointStateSubscription(RawSubscription):
+    """Subscription to JointState messages, decoded in the order of `names`.
+
+    Parameters
+    ----------
+    node, topic
+        Where to listen.
+    names, field
+        As for `armimp_common.cdr.JointStateDecoder`.
+    callback
+        Called with the stamp (ns) and the values; NaN and infinities are passed on.
+    on_malformed
+        Called instead for a message that cannot be decoded. Without it the error is raised and
+        arrives at whoever spins, since dropping such a message silently would not be safe.
+    profile
+        Quality of service.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        names: Sequence[str],
+        field: ValueField,
+        callback: Callable[[int, tuple[float, ...]], None],
+        *,
+        on_malformed: OnMalformed | None = None,
+        profile: QoSProfile = qos.SAMPLE,
+    ) -> None:
+        decode = JointStateDecoder(names, field).decode
+
+        def on_message(data: bytes) -> None:
+            try:
+                stamp_ns, values = decode(data)
+            except MalformedMessageError as error:
+                if on_malformed is None:
+                    raise
+                on_malformed(error)
+            else:
+                callback(stamp_ns, values)
+
+        super().__init__(node, topic, JointState, on_message, profile=profile)
+
+
+class CommandSubscription(RawSubscription):
+    """Subscription to commands for `n` joints; see `JointStateSubscription`."""
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        n: int,
+        callback: Callable[[tuple[float, ...]], None],
+        *,
+        on_malformed: OnMalformed | None = None,
+        profile: QoSProfile = qos.SAMPLE,
+    ) -> None:
+        decode = CommandDecoder(n).decode
+
+        def on_message(data: bytes) -> None:
+            try:
+                values = decode(data)
+            except MalformedMessageError as error:
+                if on_malformed is None:
+                    raise
+                on_malformed(error)
+            else:
+                callback(values)
+
+        super().__init__(node, topic, Float64MultiArray, on_message, profile=profile)
+
+
+class HasPublisher(Protocol):
+    """A publishing channel of this module."""
+
+    publisher: Publisher
+
+
+class HasSubscription(Protocol):
+    """A subscribing channel of this module."""
+
+    subscription: Subscription
+
+
+def unmatched(
+    node: Node,
+    publishers: Iterable[Publisher | HasPublisher] = (),
+    subscriptions: Iterable[Subscription | HasSubscription] = (),
+) -> tuple[str, ...]:
+    """Return the topic names of those publishers and subscriptions that have no peer yet."""
+    lonely: list[str] = []
+    for item in publishers:
+        publisher = item if isinstance(item, Publisher) else item.publisher
+        if publisher.get_subscription_count() == 0:
+            lonely.append(publisher.topic_name)
+    for entry in subscriptions:
+        subscription = entry if isinstance(entry, Subscription) else entry.subscription
+        if _publisher_count(node, subscription) == 0:
+            lonely.append(subscription.topic_name)
+    return tuple(lonely)
+
+
+def wait_until_matched(
+    node: Node,
+    *,
+    publishers: Iterable[Publisher | HasPublisher] = (),
+    subscriptions: Iterable[Subscription | HasSubscription] = (),
+    timeout_s: float,
+) -> tuple[str, ...]:
+    """Wait until every publisher and subscription has at least one peer.
+
+    What is published on a volatile topic before that is lost. Discovery goes on in threads of
+    the middleware, so nothing needs to be spun meanwhile. A peer in another process may still
+    need a moment to see this side: ask on both sides.
+
+    Returns
+    -------
+    tuple of str
+        Topic names of those still without a peer after `timeout_s`; empty on success.
+    """
+    publishers = list(publishers)
+    subscriptions = list(subscriptions)
+    deadline = time.monotonic() + timeout_s
+    while lonely := unmatched(node, publishers, subscriptions):
+        if time.monotonic() >= deadline:
+            return lonely
+        time.sleep(_POLL)
+    return ()
+
+
+def _publisher_count(node: Node, subscription: Subscription) -> int:
+    # Counting the matched ones came to rclpy late; the graph's count may run ahead of matching.
+    if hasattr(subscription, "get_publisher_count"):
+        return int(subscription.get_publisher_count())
+    return int(node.count_publishers(subscription.topic_name))

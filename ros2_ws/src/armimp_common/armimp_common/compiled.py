@@ -1,0 +1,98 @@
+"""numba's ``njit`` with types, and with a cache that notices changes in called functions.
+
+numba keeps machine code on disk and takes it as fresh while the file of the function itself has not
+changed. What the function calls is compiled into it, though, often from other files: after an
+update of those alone, old code would go on running without a word. Here the name of the cache
+folder is a digest of all files that a function is compiled from.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FunctionType, ModuleType
+from typing import Any, TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile a function that only other compiled functions call; they hold its code."""
+    return cast(Function, numba.njit(function))
+
+
+def compiled_entry(function: Function) -> Function:
+    """Compile a function that Python calls; cached on disk, runs without the interpreter's lock.
+
+    Without any folder to write to, it is compiled anew in every process.
+    """
+    folder = _cache_folder(function)
+    config = cast(Any, numba.config)
+    before = config.CACHE_DIR
+    try:
+        config.CACHE_DIR = str(folder or "")
+        return cast(Function, numba.njit(cache=folder is not None, nogil=True)(function))
+    finally:
+        config.CACHE_DIR = before
+
+
+def source_digest(function: Callable[..., Any]) -> str:
+    """Digest of everything that is compiled into ``function``: files and imported constants."""
+    files: set[Path] = set()
+    constants: set[str] = set()
+    _collect(function, files, constants)
+    digest = hashlib.sha256()
+    for part in sorted(file.read_bytes() for file in files):
+        digest.update(hashlib.sha256(part).digest())
+    digest.update("\n".join(sorted(constants)).encode())
+    return digest.hexdigest()[:16]
+
+
+def _collect(function: Callable[..., Any], files: set[Path], constants: set[str]) -> None:
+    """Walk through all functions that ``function`` calls, by the global names that it uses."""
+    plain = _plain(function)
+    files.add(Path(plain.__code__.co_filename))
+    names = set(plain.__code__.co_names)
+    for name, value in _used(names, plain.__globals__):
+        if hasattr(value, "py_func"):
+            _collect(value, files, constants)
+        elif isinstance(value, int | float | str | tuple):
+            constants.add(f"{name} = {value!r}")
+
+
+def _used(names: set[str], namespace: dict[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Values that ``names`` have in a namespace, and in the modules of this project found there."""
+    for name in names & namespace.keys():
+        value = namespace[name]
+        if not isinstance(value, ModuleType):
+            yield name, value
+        elif value.__name__.startswith("armimp_"):
+            yield from _used(names, vars(value))
+
+
+def _plain(function: Callable[..., Any]) -> FunctionType:
+    return cast(FunctionType, getattr(function, "py_func", function))
+
+
+def _cache_folder(function: Callable[..., Any]) -> Path | None:
+    """First folder that can be written to: the user's choice, beside the source, in the home."""
+    plain = _plain(function)
+    name = f"numba-{source_digest(function)}"
+    chosen = str(cast(Any, numba.config).CACHE_DIR)
+    candidates = [Path(chosen)] if chosen else []
+    candidates.append(Path(plain.__code__.co_filename).parent / "__pycache__")
+    candidates.append(Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache") / "armimp")
+    for candidate in candidates:
+        try:
+            folder = candidate.expanduser() / name
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+        except (OSError, RuntimeError):  # RuntimeError: there is no home
+            continue
+        return folder
+    return None

@@ -1,0 +1,49 @@
+"""Names, types and meaning of the topics: the contract between the nodes, bags and drivers.
+
+Topic names without a leading slash are relative, so namespaces and remapping apply to them.
+"""
+
+from typing import Final, Literal
+
+ValueField = Literal["position", "effort"]
+"""The array of a ``sensor_msgs/JointState`` in which a stream carries its numbers."""
+
+NS_PER_S: Final = 1_000_000_000
+PERIOD_NS: Final = 1_000_000
+"""Control and acquisition period (ns)."""
+
+SIM_NODE: Final = "arm_sim"
+CONTROLLER_NODE: Final = "imbic_controller"
+ESTIMATOR_NODE: Final = "impedance_estimator"
+
+JOINT_STATES: Final = "joint_states"
+TORQUE_SENSORS: Final = "torque_sensors"
+COMMANDS: Final = "effort_controller/commands"
+PERTURBATION: Final = "imbic_controller/perturbation"
+TRIAL: Final = "imbic_controller/trial"
+PROGRESS: Final = "impedance_estimator/progress"
+RESULT: Final = "impedance_estimator/result"
+CLOCK: Final = "/clock"
+DIAGNOSTICS: Final = "/diagnostics"
+
+DATA_STREAMS: Final[tuple[str, ...]] = (JOINT_STATES, TORQUE_SENSORS, COMMANDS, PERTURBATION)
+"""The topics with one message in every control period."""
+
+MESSAGE_TYPES: Final[dict[str, str]] = {
+    JOINT_STATES: "sensor_msgs/msg/JointState",
+    TORQUE_SENSORS: "sensor_msgs/msg/JointState",
+    COMMANDS: "std_msgs/msg/Float64MultiArray",
+    PERTURBATION: "sensor_msgs/msg/JointState",
+    TRIAL: "diagnostic_msgs/msg/DiagnosticStatus",
+    PROGRESS: "diagnostic_msgs/msg/DiagnosticStatus",
+    RESULT: "diagnostic_msgs/msg/DiagnosticStatus",
+    CLOCK: "rosgraph_msgs/msg/Clock",
+    DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+}
+
+VALUE_FIELD: Final[dict[str, ValueField]] = {
+    JOINT_STATES: "position",
+    TORQUE_SENSORS: "effort",
+    PERTURBATION: "effort",
+}
+"""Where each JointState stream carries its numbers: encoder angle (rad) or torque (N·m)."""

@@ -1,0 +1,204 @@
+"""Lifecycle transitions: asking for them from outside, and reporting why one failed."""
+
+import functools
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Literal, Protocol, TypeAlias, TypeVar
+
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rclpy.client import Client
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.task import Future
+
+from armimp_common.errors import ArmimpError, GraphError
+
+SpinUntil: TypeAlias = Callable[[Future, float], bool]
+TransitionName: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
+
+_POLL: Final = 0.01
+
+
+class LifecycleManager:
+    """Asks lifecycle nodes, of this process or of others, to change their state.
+
+    A node ends with an exception when it is asked for a transition that its state does not
+    have, so what is possible is always asked first.
+
+    Parameters
+    ----------
+    node
+        A node to ask through; it must be spun by `spin_until`.
+    names
+        Names of the managed nodes, absolute or relative to the namespace of `node`.
+    spin_until
+        Spins until a future is done or a time (s) is over, and tells whether it is done;
+        usually `armimp_common.spin.Spinner.spin_until`. If managed nodes are in the same
+        process it must spin them too.
+    timeout
+        For each answer (s); discovery and a slow configuration count.
+    """
+
+    def __init__(
+        self, node: Node, names: Sequence[str], *, spin_until: SpinUntil, timeout: float = 10.0
+    ) -> None:
+        self._node = node
+        self._spin_until = spin_until
+        self._timeout = timeout
+        self.names = tuple(names)
+        self._clients: dict[tuple[str, str], Client] = {
+            (name, service): node.create_client(kind, f"{name}/{service}")
+            for name in names
+            for service, kind in _SERVICES.items()
+        }
+
+    def wait_for_nodes(self, timeout: float | None = None) -> None:
+        """Wait until the services of all managed nodes are there.
+
+        Raises
+        ------
+        GraphError
+            Naming the nodes that did not appear.
+        """
+        deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
+        while missing := [name for name in self.names if not self._is_there(name)]:
+            if time.monotonic() >= deadline:
+                raise GraphError(f"node did not appear: {', '.join(missing)}")
+            self._spin_until(Future(), _POLL)
+
+    def state(self, name: str) -> str:
+        """Return the state of a node: ``unconfigured``, ``inactive``, ``active``...
+
+        Raises
+        ------
+        GraphError
+            If it does not answer.
+        """
+        answer = self._ask(name, "get_state", GetState.Request(), "get_state")
+        return str(answer.current_state.label)
+
+    def available(self, name: str) -> tuple[str, ...]:
+        """Return the transitions that a node can make now.
+
+        Raises
+        ------
+        GraphError
+            If it does not answer.
+        """
+        return tuple(self._available(name, "get_available_transitions"))
+
+    def configure(self, name: str) -> None:
+        """Configure a node; see `change`."""
+        self.change(name, "configure")
+
+    def activate(self, name: str) -> None:
+        """Activate a node; see `change`."""
+        self.change(name, "activate")
+
+    def deactivate(self, name: str) -> None:
+        """Deactivate a node; see `change`."""
+        self.change(name, "deactivate")
+
+    def cleanup(self, name: str) -> None:
+        """Clean a node up; see `change`."""
+        self.change(name, "cleanup")
+
+    def shutdown(self, name: str) -> None:
+        """Finalise a node, whatever state it is in; see `change`."""
+        self.change(name, "shutdown")
+
+    def change(self, name: str, transition: TransitionName) -> None:
+        """Ask a node for a transition and wait until it is made.
+
+        Raises
+        ------
+        GraphError
+            If the node does not answer, is not in a state that has this transition, or fails
+            to make it; the message names node and transition.
+        """
+        available = self._available(name, transition)
+        if transition not in available:
+            raise GraphError(
+                f"node {name} cannot {transition}: it is {self.state(name)},"
+                f" which allows {', '.join(available) or 'nothing'}"
+            )
+        request = ChangeState.Request(
+            transition=Transition(id=available[transition], label=transition)
+        )
+        answer = self._ask(name, "change_state", request, transition)
+        if not answer.success:
+            raise GraphError(f"node {name} failed to {transition}; its log tells why")
+
+    def _available(self, name: str, purpose: str) -> dict[str, int]:
+        request = GetAvailableTransitions.Request()
+        answer = self._ask(name, "get_available_transitions", request, purpose)
+        return {
+            str(item.transition.label): int(item.transition.id)
+            for item in answer.available_transitions
+        }
+
+    def _is_there(self, name: str) -> bool:
+        return all(self._clients[name, service].service_is_ready() for service in _SERVICES)
+
+    def _ask(self, name: str, service: str, request: Any, purpose: str) -> Any:
+        if (name, service) not in self._clients:
+            raise GraphError(f"node {name} is not managed; managed: {', '.join(self.names)}")
+        client = self._clients[name, service]
+        deadline = time.monotonic() + self._timeout
+        while not client.service_is_ready():
+            if time.monotonic() >= deadline:
+                raise GraphError(f"node {name} is not there to {purpose}")
+            self._spin_until(Future(), _POLL)
+        future = client.call_async(request)
+        if not self._spin_until(future, max(deadline - time.monotonic(), _POLL)):
+            client.remove_pending_request(future)
+            raise GraphError(f"node {name} did not answer to {purpose} in {self._timeout} s")
+        return future.result()
+
+
+class HasTransitionError(Protocol):
+    """A lifecycle node which remembers why its last transition failed."""
+
+    transition_error: str
+
+    def get_logger(self) -> Any:
+        """Return the logger of the node."""
+
+
+NodeT = TypeVar("NodeT", bound=HasTransitionError)
+_Callback: TypeAlias = Callable[[NodeT, LifecycleState], TransitionCallbackReturn]
+
+
+def reported(callback: "_Callback[NodeT]") -> "_Callback[NodeT]":
+    """Decorate an ``on_configure``... method so that errors in it do not vanish.
+
+    rclpy turns every exception in a transition into the state "error processing" and says
+    nothing. Here an `ArmimpError` is logged on one line and fails the transition, so that the
+    node stays as it was; any other exception is logged with its traceback. In both cases
+    ``node.transition_error`` holds the line, otherwise it is empty.
+    """
+
+    @functools.wraps(callback)
+    def wrapper(node: NodeT, state: LifecycleState) -> TransitionCallbackReturn:
+        node.transition_error = ""
+        try:
+            return callback(node, state)
+        except ArmimpError as error:
+            node.transition_error = str(error)
+            node.get_logger().error(f"{callback.__name__}: {error}")
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # noqa: BLE001 (a transition must return, whatever happens)
+            node.transition_error = f"{type(error).__name__}: {error}"
+            node.get_logger().error(f"{callback.__name__}: {traceback.format_exc()}")
+            return TransitionCallbackReturn.ERROR
+
+    return wrapper
+
+
+_SERVICES: Final[dict[str, Any]] = {
+    "change_state": ChangeState,
+    "get_state": GetState,
+    "get_available_transitions": GetAvailableTransitions,
+}

@@ -1,0 +1,176 @@
+"""ROS parameters of a node from its schema: declaring, loading, and guarding against changes."""
+
+from collections.abc import Callable, Iterable
+from typing import Final, TypeVar
+from weakref import WeakKeyDictionary
+
+from pydantic import BaseModel
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from armimp_common import schema
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Leaf, Schema, Value, build, leaves, to_params_yaml
+from armimp_common.schema import flatten as to_ros_parameters
+
+__all__ = ["Schema", "declare", "guard", "load", "to_params_yaml", "to_ros_parameters"]
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+_TYPES: Final = {
+    (bool, False): Parameter.Type.BOOL,
+    (int, False): Parameter.Type.INTEGER,
+    (float, False): Parameter.Type.DOUBLE,
+    (str, False): Parameter.Type.STRING,
+    (bool, True): Parameter.Type.BOOL_ARRAY,
+    (int, True): Parameter.Type.INTEGER_ARRAY,
+    (float, True): Parameter.Type.DOUBLE_ARRAY,
+    (str, True): Parameter.Type.STRING_ARRAY,
+}
+_OWN_OF_ROS: Final = ("use_sim_time", "start_type_description_service")
+_OWN_PREFIX_OF_ROS: Final = "qos_overrides."
+_INT64: Final = (-(2**63), 2**63 - 1)
+
+_schemas: WeakKeyDictionary[Node, type[BaseModel]] = WeakKeyDictionary()
+
+
+def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> ModelT:
+    """Declare the parameters of a schema on a node, with the values given to it from outside.
+
+    Parameters
+    ----------
+    node
+        The node; a node has one schema.
+    model
+        The schema.
+    default
+        Values to use instead of the defaults of the schema.
+
+    Returns
+    -------
+    model
+        The values in force: those from ``--params-file`` and ``-p``, else the defaults.
+
+    Raises
+    ------
+    ConfigurationError
+        If a value from outside has no such parameter (misspelt, or meant for another node: do
+        not put parameters of one node under ``/**``), has a wrong type, or is refused by the
+        schema. Integers may stand for doubles.
+    """
+    known = leaves(model)
+    # rclpy ignores overrides without a parameter, and has no public list of them.
+    overrides: dict[str, Parameter] = node._parameter_overrides
+    given = {
+        name: parameter.value
+        for name, parameter in overrides.items()
+        if not (
+            name in _OWN_OF_ROS
+            or name.startswith(_OWN_PREFIX_OF_ROS)
+            or (node.has_parameter(name) and name not in known)
+        )
+    }
+    values: dict[str, object] = {
+        **(schema.defaults(model) if default is None else to_ros_parameters(default)),
+        **given,
+    }
+    instance = build(model, values)
+    # The type is declared and the value set afterwards, since rclpy would infer the type from
+    # the value and takes an empty array for one of bytes.
+    node.declare_parameters(
+        "",
+        [(leaf.name, _TYPES[leaf.item, leaf.array], _descriptor(leaf)) for leaf in known.values()],
+        ignore_override=True,
+    )
+    result = node.set_parameters_atomically(
+        [_parameter(known[name], value) for name, value in to_ros_parameters(instance).items()]
+    )
+    if not result.successful:
+        raise ConfigurationError(result.reason)
+    _schemas[node] = model
+    return instance
+
+
+def load(node: Node, model: type[ModelT]) -> ModelT:
+    """Return the present values of declared parameters.
+
+    Raises
+    ------
+    ConfigurationError
+        If the schema refuses them; the message names the parameter, its value and the reason.
+    """
+    return build(model, _present(node, model))
+
+
+def guard(
+    node: Node, is_locked: Callable[[], str | None]
+) -> Callable[[list[Parameter]], SetParametersResult]:
+    """Refuse changes while something runs, and at any time values which the schema refuses.
+
+    Parameters
+    ----------
+    node
+        A node whose parameters were declared with `declare`.
+    is_locked
+        Returns why nothing may be changed now, or None if changes are welcome.
+
+    Returns
+    -------
+    callback
+        What was registered, for ``node.remove_on_set_parameters_callback``.
+    """
+    model = _schemas[node]
+    known = leaves(model)
+
+    def check(parameters: list[Parameter]) -> SetParametersResult:
+        reason = is_locked()
+        if reason is not None:
+            names = ", ".join(parameter.name for parameter in parameters)
+            return SetParametersResult(
+                successful=False, reason=f"{names} cannot be changed now: {reason}"
+            )
+        changes = {p.name: p.value for p in parameters if p.name in known}
+        try:
+            build(model, {**_present(node, model), **changes})
+        except ConfigurationError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    node.add_on_set_parameters_callback(check)
+    return check
+
+
+def _present(node: Node, model: type[BaseModel]) -> dict[str, object]:
+    parameters: Iterable[Parameter] = node.get_parameters(list(leaves(model)))
+    return {parameter.name: parameter.value for parameter in parameters}
+
+
+def _parameter(leaf: Leaf, value: Value) -> Parameter:
+    return Parameter(leaf.name, _TYPES[leaf.item, leaf.array], value)
+
+
+def _descriptor(leaf: Leaf) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=leaf.description, read_only=False)
+    if leaf.minimum is None and leaf.maximum is None:
+        return descriptor
+    if leaf.item is float:
+        descriptor.floating_point_range = [
+            FloatingPointRange(
+                from_value=-float("inf") if leaf.minimum is None else leaf.minimum,
+                to_value=float("inf") if leaf.maximum is None else leaf.maximum,
+            )
+        ]
+    if leaf.item is int:
+        descriptor.integer_range = [
+            IntegerRange(
+                from_value=_INT64[0] if leaf.minimum is None else int(leaf.minimum),
+                to_value=_INT64[1] if leaf.maximum is None else int(leaf.maximum),
+            )
+        ]
+    return descriptor

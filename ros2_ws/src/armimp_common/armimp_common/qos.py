@@ -1,0 +1,42 @@
+"""Quality-of-service profiles, one for each role that a topic can have."""
+
+from typing import Final
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from armimp_common import contract
+
+
+def _profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+SAMPLE: Final = _profile(2000)
+"""Data streams: two seconds of depth, since a process that stalls must not lose samples."""
+
+LATCHED: Final = _profile(10, latched=True)
+"""Trial status and results: whoever joins late must still learn the last ones."""
+
+PROGRESS: Final = _profile(10)
+"""Live progress: for people who look now, of no use later."""
+
+CLOCK: Final = _profile(1, reliable=False)
+"""Simulated time: only the newest counts, and a slow reader must not hold the simulator up."""
+
+DIAGNOSTICS: Final = _profile(10)
+"""Diagnostics: what diagnostic aggregators expect."""
+
+PROFILES: Final[dict[str, QoSProfile]] = {
+    **dict.fromkeys(contract.DATA_STREAMS, SAMPLE),
+    contract.TRIAL: LATCHED,
+    contract.RESULT: LATCHED,
+    contract.PROGRESS: PROGRESS,
+    contract.CLOCK: CLOCK,
+    contract.DIAGNOSTICS: DIAGNOSTICS,
+}
+"""The profile of every topic of the contract."""

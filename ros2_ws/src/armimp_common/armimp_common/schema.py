@@ -1,0 +1,322 @@
+"""Declarative parameter schemas: one frozen pydantic model for each node, without ROS.
+
+A field becomes one ROS parameter, the fields of a nested model become dotted names::
+
+    class Law(Schema):
+        gamma: float = Field(default=100.0, gt=0.0, description="velocity feedback gain (rad/s)")
+
+
+    class ControllerParameters(Schema):
+        law: Law = Law()  # parameter "law.gamma"
+        joints: tuple[str, ...] = ("shoulder", "elbow")  # parameter "joints"
+"""
+
+import difflib
+import enum
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Literal, TypeAlias, TypeVar, get_args, get_origin
+
+import annotated_types
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic.fields import FieldInfo
+
+from armimp_common.errors import ConfigurationError
+
+Scalar: TypeAlias = bool | int | float | str
+Value: TypeAlias = Scalar | list[bool] | list[int] | list[float] | list[str]
+ItemType: TypeAlias = type[bool] | type[int] | type[float] | type[str]
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+_TYPE_NAMES: dict[ItemType, str] = {bool: "bool", int: "integer", float: "double", str: "string"}
+
+
+class Schema(BaseModel):
+    """Base for parameter schemas: frozen, no unknown keys, no NaN or infinity anywhere."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leaf:
+    """One parameter of a schema.
+
+    Parameters
+    ----------
+    name
+        Dotted name.
+    item
+        Python type of the value, or of its items.
+    array
+        True if the value is a sequence.
+    description
+        What it means, from the field.
+    minimum, maximum
+        Inclusive hull of the allowed numbers; None where there is no bound.
+    """
+
+    name: str
+    item: ItemType
+    array: bool
+    description: str
+    minimum: float | None
+    maximum: float | None
+
+    @property
+    def type_name(self) -> str:
+        """The type in the words of ROS: ``double``, ``string array``..."""
+        return _TYPE_NAMES[self.item] + (" array" if self.array else "")
+
+    def coerce(self, value: object) -> Value:
+        """Return a value in the type of this parameter; integers may stand for doubles.
+
+        Raises
+        ------
+        ConfigurationError
+            If the value has another type.
+        """
+        if not self.array:
+            return self._scalar(value, value)
+        # ROS cannot tell the type of an empty array and delivers it as "not set".
+        if value is None:
+            return []
+        if isinstance(value, str | bytes) or not isinstance(value, Iterable):
+            raise self._wrong_type(value)
+        items: list[Any] = [self._scalar(item, value) for item in value]
+        return items
+
+    def _scalar(self, item: object, value: object) -> Scalar:
+        if isinstance(item, enum.Enum):
+            item = item.value
+        if self.item is float and isinstance(item, int) and not isinstance(item, bool):
+            return float(item)
+        if not isinstance(item, self.item) or (self.item is int and isinstance(item, bool)):
+            raise self._wrong_type(value)
+        return item
+
+    def _wrong_type(self, value: object) -> ConfigurationError:
+        article = "an" if self.item is int else "a"
+        return ConfigurationError(
+            f"parameter '{self.name}' = {_shown(value)}: should be {article} {self.type_name}"
+        )
+
+
+def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
+    """Return the parameters of a schema by dotted name, in the order of its fields.
+
+    Raises
+    ------
+    TypeError
+        If a field has a type that ROS parameters cannot have.
+    """
+    found: dict[str, Leaf] = {}
+    for key, field in model.model_fields.items():
+        sub_model = _sub_model(field)
+        if sub_model is not None:
+            for leaf in leaves(sub_model).values():
+                name = f"{key}.{leaf.name}"
+                found[name] = replace(leaf, name=name)
+        else:
+            found[key] = _leaf(key, field, model)
+    return found
+
+
+def defaults(model: type[BaseModel]) -> dict[str, Value]:
+    """Return the default values of a schema by dotted name, of those fields that have one."""
+    found: dict[str, Value] = {}
+    known = leaves(model)
+    for key, field in model.model_fields.items():
+        sub_model = _sub_model(field)
+        if field.is_required():
+            values = {} if sub_model is None else defaults(sub_model)
+            found.update({f"{key}.{name}": value for name, value in values.items()})
+            continue
+        default = field.get_default(call_default_factory=True)
+        if isinstance(default, BaseModel):
+            found.update({f"{key}.{name}": value for name, value in flatten(default).items()})
+        else:
+            found[key] = known[key].coerce(default)
+    return found
+
+
+def flatten(instance: BaseModel) -> dict[str, Value]:
+    """Return the values of a schema instance by dotted name; tuples become lists."""
+    return {
+        name: leaf.coerce(_attribute(instance, name))
+        for name, leaf in leaves(type(instance)).items()
+    }
+
+
+def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
+    """Return the instance that has these values, by dotted name, and defaults for the rest.
+
+    Raises
+    ------
+    ConfigurationError
+        On an unknown name, a wrong type, or a value that the schema refuses.
+    """
+    known = leaves(model)
+    check_names(values, known)
+    nested: dict[str, Any] = {}
+    for name, value in values.items():
+        *path, last = name.split(".")
+        branch = nested
+        for key in path:
+            branch = branch.setdefault(key, {})
+        branch[last] = known[name].coerce(value)
+    try:
+        return model.model_validate(nested)
+    except ValidationError as error:
+        raise ConfigurationError(explain(error)) from None
+
+
+def check_names(names: Iterable[str], known: Iterable[str]) -> None:
+    """Check that every name is known.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the first that is not, and the valid name nearest to it.
+    """
+    valid = list(known)
+    for name in names:
+        if name not in valid:
+            # Compared without case, since that is a common slip that costs many characters.
+            by_folded = {other.lower(): other for other in valid}
+            near = difflib.get_close_matches(name.lower(), list(by_folded), n=1, cutoff=0.0)
+            hint = f"; the nearest valid name is '{by_folded[near[0]]}'" if near else ""
+            raise ConfigurationError(f"parameter '{name}' does not exist{hint}")
+
+
+def explain(error: ValidationError) -> str:
+    """Return pydantic's first complaint on one line: the parameter, its value, and why."""
+    first = error.errors(include_url=False)[0]
+    name = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in first["loc"])[1:]
+    reason = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
+    reason = " ".join(reason.split())
+    if first["type"] == "missing":
+        return f"parameter '{name}' is missing"
+    if first["type"] == "extra_forbidden":
+        return f"parameter '{name}' does not exist"
+    if not name:
+        return f"parameters do not fit together: {reason}"
+    if isinstance(first["input"], Mapping | BaseModel):
+        return f"parameters '{name}' do not fit together: {reason}"
+    return f"parameter '{name}' = {_shown(first['input'])}: {reason[:1].lower()}{reason[1:]}"
+
+
+def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
+    """Return the text of a file for ``--params-file``.
+
+    Parameters
+    ----------
+    models
+        Node name, with its namespace if it has one, to values.
+    """
+    lines: list[str] = []
+    for node, model in models.items():
+        lines += [f"{json.dumps(node)}:", "  ros__parameters:"]
+        open_path: list[str] = []
+        for name, value in flatten(model).items():
+            *path, last = name.split(".")
+            shared = 0
+            while shared < len(path) and path[: shared + 1] == open_path[: shared + 1]:
+                shared += 1
+            for depth in range(shared, len(path)):
+                lines.append(f"{'  ' * (depth + 2)}{path[depth]}:")
+            open_path = path
+            lines.append(f"{'  ' * (len(path) + 2)}{last}: {_yaml(value)}")
+        if lines[-1].endswith("ros__parameters:"):
+            lines[-1] += " {}"
+    return "\n".join(lines) + "\n"
+
+
+def _yaml(value: Value) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_yaml(item) for item in value)}]"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
+        # YAML 1.1 takes 1e-05 for a string: it wants a point.
+        mantissa, separator, exponent = repr(value).partition("e")
+        return mantissa + ("" if "." in mantissa else ".0") + separator + exponent
+    if isinstance(value, int):
+        return str(value)
+    return json.dumps(value)
+
+
+def _leaf(key: str, field: FieldInfo, model: type[BaseModel]) -> Leaf:
+    item, array = _item_type(field.annotation, f"{model.__name__}.{key}")
+    bounds = [_bounds(constraint) for constraint in field.metadata]
+    minima = [low for low, _ in bounds if low is not None]
+    maxima = [high for _, high in bounds if high is not None]
+    return Leaf(
+        name=key,
+        item=item,
+        array=array,
+        description=field.description or "",
+        minimum=None if array or not minima else max(minima),
+        maximum=None if array or not maxima else min(maxima),
+    )
+
+
+def _item_type(annotation: Any, where: str) -> tuple[ItemType, bool]:
+    arguments = get_args(annotation)
+    if get_origin(annotation) is tuple and arguments:
+        kinds = {_item_type(item, where) for item in arguments if item is not Ellipsis}
+        if len(kinds) == 1 and not next(iter(kinds))[1]:
+            return next(iter(kinds))[0], True
+    elif get_origin(annotation) is Literal:
+        kinds = {_item_type(type(item), where) for item in arguments}
+        if len(kinds) == 1:
+            return next(iter(kinds))
+    elif isinstance(annotation, type):
+        if issubclass(annotation, enum.Enum):
+            return _item_type(type(next(iter(annotation)).value), where)
+        for item in _TYPE_NAMES:
+            if annotation is item:
+                return item, False
+    raise TypeError(f"{where}: ROS parameters cannot have type {annotation}")
+
+
+def _bounds(constraint: object) -> tuple[float | None, float | None]:
+    if isinstance(constraint, annotated_types.Interval):
+        low = constraint.ge if constraint.ge is not None else constraint.gt
+        high = constraint.le if constraint.le is not None else constraint.lt
+        return _number(low), _number(high)
+    if isinstance(constraint, annotated_types.Ge):
+        return _number(constraint.ge), None
+    if isinstance(constraint, annotated_types.Gt):
+        return _number(constraint.gt), None
+    if isinstance(constraint, annotated_types.Le):
+        return None, _number(constraint.le)
+    if isinstance(constraint, annotated_types.Lt):
+        return None, _number(constraint.lt)
+    return None, None
+
+
+def _number(bound: object) -> float | None:
+    return float(bound) if isinstance(bound, int | float) else None
+
+
+def _sub_model(field: FieldInfo) -> type[BaseModel] | None:
+    annotation = field.annotation
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return None
+
+
+def _attribute(instance: BaseModel, name: str) -> object:
+    value: object = instance
+    for key in name.split("."):
+        value = getattr(value, key)
+    return value
+
+
+def _shown(value: object) -> str:
+    text = json.dumps(value) if isinstance(value, str) else str(value)
+    return text if len(text) <= 80 else f"{text[:77]}..."

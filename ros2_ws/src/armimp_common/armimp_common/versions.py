@@ -1,0 +1,77 @@
+"""What a result was made with: versions of the software and revision of the sources."""
+
+import platform
+import subprocess
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Final
+
+UNKNOWN: Final = "unknown"
+
+_DISTRIBUTIONS: Final = {
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "numba": "numba",
+    "rclpy": "ros-jazzy-rclpy",
+    "rosbags": "rosbags",
+    "mcap": "mcap",
+    "armimp": "armimp_common",
+}
+
+
+def versions() -> dict[str, str]:
+    """Return the version of Python and of every package that can influence a result.
+
+    ``rclpy`` is the version of the PyPI wheel; in a full ROS installation, which has no such
+    distribution, it is that of rclpy itself. What is not installed is ``"unknown"``.
+    """
+    found = {"python": platform.python_version()}
+    for name, distribution in _DISTRIBUTIONS.items():
+        found[name] = _version(distribution)
+    if found["rclpy"] == UNKNOWN:
+        found["rclpy"] = _version("rclpy")
+    return found
+
+
+def git_revision(directory: Path | None = None) -> str:
+    """Return the git revision of the sources.
+
+    Parameters
+    ----------
+    directory
+        Where to ask; by default where this package's sources are.
+
+    Returns
+    -------
+    str
+        The commit hash, with ``+dirty`` after it if tracked files were changed since;
+        ``"unknown"`` if there is no git, no repository or no commit.
+    """
+    where = Path(__file__).resolve().parent if directory is None else directory
+    commit = _git(where, "rev-parse", "--verify", "HEAD")
+    # A virtual environment inside another project's repository must not report that project.
+    if commit is None or (directory is None and _git(where, "ls-files", __file__) in (None, "")):
+        return UNKNOWN
+    changes = _git(where, "status", "--porcelain", "--untracked-files=no")
+    return f"{commit}+dirty" if changes else commit
+
+
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return UNKNOWN
+
+
+def _git(directory: Path, *arguments: str) -> str | None:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(directory), *arguments],
+            capture_output=True,
+            text=True,
+            timeout=10,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

@@ -1,0 +1,162 @@
+"""Float64MultiArray bytes: agreement with rclpy, and refusal of everything else."""
+
+import math
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+
+from armimp_common.cdr import CommandDecoder, CommandEncoder
+from armimp_common.errors import ConfigurationError, MalformedMessageError
+
+
+def labelled(values: list[float], *labels: str) -> Float64MultiArray:
+    dimensions = [
+        MultiArrayDimension(label=label, size=len(values), stride=index)
+        for index, label in enumerate(labels)
+    ]
+    return Float64MultiArray(layout=MultiArrayLayout(dim=dimensions), data=values)
+
+
+@pytest.mark.parametrize("n", range(1, 8))
+def test_encoded_bytes_are_those_of_rclpy_with_zero_padding(n: int) -> None:
+    values = [0.25 * k - 1 for k in range(n)]
+    message = Float64MultiArray(data=values)
+
+    data = CommandEncoder(n).encode(values)
+
+    assert deserialize_message(data, Float64MultiArray) == message
+    serialised = bytearray(serialize_message(message))
+    serialised[16:20] = bytes(4)  # the only padding
+    assert data == bytes(serialised)
+
+
+@pytest.mark.parametrize("n", range(1, 8))
+@pytest.mark.parametrize("labels", [(), ("a",), ("ab", "abcd"), ("", "abc", "x")])
+def test_when_rclpy_serialised_with_any_layout_expect_the_numbers(
+    n: int, labels: tuple[str, ...]
+) -> None:
+    decoder = CommandDecoder(n)
+    for shift in range(3):
+        values = [0.5 * k + shift for k in range(n)]
+        assert decoder.decode(serialize_message(labelled(values, *labels))) == tuple(values)
+
+
+def test_when_big_endian_expect_the_same_values() -> None:
+    data = struct.pack(">4sIII4x2d", b"\0\0\0\0", 0, 0, 2, 1.5, -2.5)
+    decoder = CommandDecoder(2)
+
+    assert decoder.decode(data) == (1.5, -2.5)
+    assert decoder.decode(data) == (1.5, -2.5), "by the cached layout"
+    assert decoder.decode_many([data] * 3).tolist() == [[1.5] * 3, [-2.5] * 3]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_when_a_value_is_not_finite_expect_it_passed_on(value: float) -> None:
+    np.testing.assert_equal(
+        CommandDecoder(2).decode(CommandEncoder(2).encode([1.0, value])), (1.0, value)
+    )
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 7])
+def test_when_the_number_of_values_is_wrong_expect_malformed_message(count: int) -> None:
+    decoder = CommandDecoder(2)
+    decoder.decode(CommandEncoder(2).encode([1.0, 2.0]))
+
+    with pytest.raises(MalformedMessageError, match=f"{count} values for 2 joints"):
+        decoder.decode(serialize_message(Float64MultiArray(data=[1.0] * count)))
+    with pytest.raises(MalformedMessageError, match="takes 2 numbers"):
+        CommandEncoder(2).encode([1.0] * count)
+
+
+def test_when_truncated_at_any_byte_expect_malformed_message() -> None:
+    data = serialize_message(labelled([1.0, 2.0, 3.0], "abc", "d"))
+    decoder = CommandDecoder(3)
+    assert decoder.decode(data) == (1.0, 2.0, 3.0)
+
+    for size in range(len(data)):
+        for piece in (data[:size], memoryview(data)[:size]):
+            with pytest.raises(MalformedMessageError):
+                decoder.decode(piece)
+            with pytest.raises(MalformedMessageError):
+                CommandDecoder(3).decode(piece)
+
+
+@pytest.mark.parametrize("n", [0, -1])
+def test_when_there_are_no_joints_expect_configuration_error(n: int) -> None:
+    with pytest.raises(ConfigurationError, match="not positive"):
+        CommandEncoder(n)
+    with pytest.raises(ConfigurationError, match="not positive"):
+        CommandDecoder(n)
+
+
+@pytest.mark.parametrize("length", [0, 1, 100])
+def test_decode_many_agrees_with_decode(length: int) -> None:
+    numbers = np.random.default_rng(length).normal(size=(length, 3))
+    plain = [CommandEncoder(3).encode(row) for row in numbers]
+    mixed = [
+        data if k % 2 else serialize_message(labelled(row.tolist(), "a"))
+        for k, (data, row) in enumerate(zip(plain, numbers, strict=True))
+    ]
+
+    for messages in (plain, mixed):
+        values = CommandDecoder(3).decode_many(messages)
+        assert values.shape == (3, length)
+        assert values.dtype == np.float64
+        assert values.flags.c_contiguous
+        assert values.T.tolist() == numbers.tolist()
+
+
+def test_when_one_of_many_is_malformed_expect_its_index_named() -> None:
+    messages = [CommandEncoder(1).encode([1.0])] * 5
+    messages[3] = CommandEncoder(2).encode([1.0, 2.0])
+
+    with pytest.raises(MalformedMessageError, match=r"message 3: .*2 values for 1 joints"):
+        CommandDecoder(1).decode_many(messages)
+
+
+@given(values=st.lists(st.floats(), min_size=1, max_size=7))
+def test_any_command_survives_a_round_trip(values: list[float]) -> None:
+    n = len(values)
+    np.testing.assert_equal(CommandDecoder(n).decode(CommandEncoder(n).encode(values)), values)
+
+
+@given(
+    changes=st.lists(st.tuples(st.integers(0, 99), st.integers(0, 255)), max_size=6),
+    cut=st.integers(0, 20),
+)
+def test_when_bytes_are_changed_expect_cached_and_fresh_decoder_to_agree(
+    changes: list[tuple[int, int]], cut: int
+) -> None:
+    original = CommandEncoder(2).encode([1.0, 2.0])
+    mutated = bytearray(original)
+    for place, byte in changes:
+        mutated[place % len(mutated)] = byte
+    del mutated[len(mutated) - cut :]
+    results: list[bytes | str] = []
+    for decoder in (CommandDecoder(2), CommandDecoder(2)):
+        try:
+            results.append(struct.pack("2d", *decoder.decode(bytes(mutated))))
+        except MalformedMessageError as error:
+            results.append(str(error))
+        decoder.decode(original)
+        try:
+            results.append(struct.pack("2d", *decoder.decode(bytes(mutated))))
+        except MalformedMessageError as error:
+            results.append(str(error))
+
+    assert results == [results[0]] * 4
+
+
+@given(data=st.binary(max_size=120))
+def test_random_bytes_raise_nothing_but_malformed_message(data: bytes) -> None:
+    for candidate in (data, b"\0\1\0\0" + data):
+        try:
+            values = CommandDecoder(2).decode(candidate)
+        except MalformedMessageError:
+            continue
+        assert len(values) == 2

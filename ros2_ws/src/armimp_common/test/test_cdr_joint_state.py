@@ -1,0 +1,417 @@
+"""JointState bytes: agreement with rclpy, and refusal of everything that is not a JointState."""
+
+import math
+import struct
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rclpy.serialization import deserialize_message, serialize_message
+from sensor_msgs.msg import JointState
+
+from armimp_common.cdr import JointStateDecoder, JointStateEncoder, joint_names_of, stamp_of
+from armimp_common.contract import ValueField
+from armimp_common.errors import ConfigurationError, MalformedMessageError
+
+STAMP = 1_234_567_890_123_456_789
+NAMES = ["shoulder", "elbow"]
+FIELDS: tuple[ValueField, ...] = ("position", "effort")
+
+# Every residue of the name and frame lengths, so that all paddings occur.
+NAME_LISTS = [
+    [f"{'j' * length}{index}" for index in range(count)]
+    for count in range(1, 8)
+    for length in range(4)
+]
+FRAMES = ["", "a", "ab", "abc", "abcd", "base_link"]
+
+names_lists = st.lists(
+    st.text(
+        st.characters(exclude_characters="\0", exclude_categories=["Cs"]), min_size=1, max_size=9
+    ),
+    min_size=1,
+    max_size=7,
+    unique=True,
+)
+stamps = st.integers(-(2**31) * 10**9, 2**31 * 10**9 - 1)
+
+
+class Writer:
+    """CDR written by the letter of its specification, in either byte order.
+
+    ``mask`` has ones where a byte carries meaning and zeros in the padding.
+    """
+
+    def __init__(self, order: Literal["<", ">"] = "<") -> None:
+        self.order = order
+        self.data = bytearray(b"\0\1\0\0" if order == "<" else b"\0\0\0\0")
+        self.mask = bytearray(b"\xff\xff\0\0")
+
+    def put(self, data: bytes, alignment: int) -> None:
+        padding = -(len(self.data) - 4) % alignment
+        self.data += bytes(padding) + data
+        self.mask += bytes(padding) + b"\xff" * len(data)
+
+    def number(self, kind: str, value: float) -> None:
+        data = struct.pack(self.order + kind, value)
+        self.put(data, len(data))
+
+    def string(self, text: str) -> None:
+        data = text.encode() + b"\0"
+        self.number("I", len(data))
+        self.put(data, 1)
+
+    def doubles(self, values: Sequence[float]) -> None:
+        self.number("I", len(values))
+        for value in values:
+            self.number("d", value)
+
+
+def written(message: JointState, order: Literal["<", ">"] = "<") -> Writer:
+    writer = Writer(order)
+    writer.number("i", message.header.stamp.sec)
+    writer.number("I", message.header.stamp.nanosec)
+    writer.string(message.header.frame_id)
+    writer.number("I", len(message.name))
+    for name in message.name:
+        writer.string(name)
+    writer.doubles(message.position)
+    writer.doubles(message.velocity)
+    writer.doubles(message.effort)
+    return writer
+
+
+def joint_state(names: Sequence[str], frame: str = "", **fields: Sequence[float]) -> JointState:
+    message = JointState(name=list(names), **{key: list(v) for key, v in fields.items()})
+    message.header.frame_id = frame
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(STAMP, 10**9)
+    return message
+
+
+def masked(data: bytes, mask: bytearray) -> bytes:
+    return bytes(byte & bits for byte, bits in zip(data, mask, strict=True))
+
+
+def outcome(decoder: JointStateDecoder, data: bytes) -> tuple[int, bytes] | str:
+    """The result bit by bit (NaN included), or the error's text."""
+    try:
+        stamp, values = decoder.decode(data)
+    except MalformedMessageError as error:
+        return str(error)
+    return stamp, struct.pack(f"{len(values)}d", *values)
+
+
+@pytest.mark.parametrize("field", FIELDS)
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("names", NAME_LISTS, ids=str)
+def test_encoded_bytes_are_those_of_rclpy_with_zero_padding(
+    names: list[str], frame: str, field: ValueField
+) -> None:
+    values = [0.1 * (index + 1) for index in range(len(names))]
+    message = joint_state(names, frame, **{str(field): values})
+    expected = written(message)
+
+    data = JointStateEncoder(names, field, frame).encode(STAMP, values)
+
+    assert data == bytes(expected.data)
+    # serialize_message leaves garbage in the padding and up to eight bytes of it at the end.
+    serialised = serialize_message(message)
+    assert masked(serialised[: len(data)], expected.mask) == data
+    assert len(serialised) - len(data) in (0, 4, 8)
+    assert deserialize_message(data, JointState) == message
+
+
+@pytest.mark.parametrize("frame", FRAMES)
+@pytest.mark.parametrize("names", NAME_LISTS, ids=str)
+def test_when_rclpy_serialised_with_all_fields_filled_expect_the_field_asked_for(
+    names: list[str], frame: str
+) -> None:
+    count = len(names)
+    position, velocity, effort = np.random.default_rng(count).normal(size=(3, count)).tolist()
+    message = joint_state(names, frame, position=position, velocity=velocity, effort=effort)
+    data = serialize_message(message)
+
+    assert JointStateDecoder(names, "position").decode(data) == (STAMP, tuple(position))
+    assert JointStateDecoder(names, "effort").decode(data) == (STAMP, tuple(effort))
+    assert joint_names_of(data) == tuple(names)
+    assert stamp_of(data) == STAMP
+
+
+@pytest.mark.parametrize("names", NAME_LISTS, ids=str)
+def test_when_big_endian_expect_the_same_values(names: list[str]) -> None:
+    position = [1.5 * index - 2 for index in range(len(names))]
+    message = joint_state(names, "frame", position=position, velocity=[9.0] * len(names))
+    data = bytes(written(message, ">").data)
+    decoder = JointStateDecoder(names, "position")
+
+    assert decoder.decode(data) == (STAMP, tuple(position))
+    assert decoder.decode(data) == (STAMP, tuple(position)), "by the cached layout"
+    stamps_many, values_many = decoder.decode_many([data, data])
+    assert stamps_many.tolist() == [STAMP, STAMP]
+    assert values_many.T.tolist() == [position, position]
+    assert joint_names_of(data) == tuple(names)
+    assert stamp_of(data) == STAMP
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_when_names_come_in_another_order_expect_values_in_the_order_asked_for(
+    field: ValueField,
+) -> None:
+    names = ["a", "b", "c", "d"]
+    data = JointStateEncoder(["c", "a", "d", "b"], field).encode(STAMP, [3.0, 1.0, 4.0, 2.0])
+    decoder = JointStateDecoder(names, field)
+
+    assert decoder.decode(data) == (STAMP, (1.0, 2.0, 3.0, 4.0))
+    assert decoder.decode(data) == (STAMP, (1.0, 2.0, 3.0, 4.0)), "by the cached layout"
+
+
+def test_when_layouts_alternate_expect_each_decoded_by_its_own_names() -> None:
+    decoder = JointStateDecoder(NAMES, "position")
+    straight = JointStateEncoder(NAMES, "position")
+    swapped = JointStateEncoder(NAMES[::-1], "position", "base")
+
+    for stamp in range(5):
+        assert decoder.decode(straight.encode(stamp, [1.0, 2.0])) == (stamp, (1.0, 2.0))
+        assert decoder.decode(swapped.encode(stamp, [2.0, 1.0])) == (stamp, (1.0, 2.0))
+
+
+def test_when_padding_and_surplus_hold_garbage_expect_it_ignored() -> None:
+    # Lengths that leave padding before every count and before the numbers.
+    names = ["a", "bcdef"]
+    writer = written(joint_state(names, "xy", position=[1.0, 2.0]))
+    garbage = bytes(
+        byte if bits else 0xA5 for byte, bits in zip(writer.data, writer.mask, strict=True)
+    )
+    assert garbage != bytes(writer.data)
+    decoder = JointStateDecoder(names, "position")
+
+    for data in (bytes(writer.data), garbage, garbage + b"\xa5" * 8, garbage):
+        assert decoder.decode(data) == (STAMP, (1.0, 2.0))
+        assert decoder.decode_many([data])[1].tolist() == [[1.0], [2.0]]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_when_a_value_is_not_finite_expect_it_passed_on(value: float) -> None:
+    data = JointStateEncoder(NAMES, "effort").encode(0, [value, 1.0])
+
+    decoded = JointStateDecoder(NAMES, "effort").decode(data)
+
+    np.testing.assert_equal(decoded, (0, (value, 1.0)))
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_when_truncated_at_any_byte_expect_malformed_message(order: Literal["<", ">"]) -> None:
+    message = joint_state(
+        ["a", "bcdef"], "xy", position=[1.0, 2.0], velocity=[3.0, 4.0], effort=[5.0, 6.0]
+    )
+    data = bytes(written(message, order).data)
+    warm = JointStateDecoder(["a", "bcdef"], "position")
+    assert warm.decode(data) == (STAMP, (1.0, 2.0))
+
+    for size in range(len(data)):
+        # The rest of the message follows in memory, where reading past the end would find it.
+        for piece in (data[:size], memoryview(data)[:size], bytearray(data[:size])):
+            with pytest.raises(MalformedMessageError):
+                warm.decode(piece)
+            with pytest.raises(MalformedMessageError):
+                JointStateDecoder(["a", "bcdef"], "effort").decode(piece)
+            with pytest.raises(MalformedMessageError):
+                joint_names_of(piece)
+            if size < 12:
+                with pytest.raises(MalformedMessageError):
+                    stamp_of(piece)
+            else:
+                assert stamp_of(piece) == STAMP
+
+
+@pytest.mark.parametrize(
+    ("message", "reason"),
+    [
+        (joint_state(["shoulder"], position=[1.0]), "lacks joint 'elbow'"),
+        (joint_state(["shoulder", "wrist"], position=[1.0, 2.0]), "lacks joint 'elbow'"),
+        (joint_state([*NAMES, "wrist"], position=[1.0] * 3), "unknown joint 'wrist'"),
+        (joint_state(["elbow", "elbow"], position=[1.0, 2.0]), "joint twice"),
+        (joint_state([*NAMES, "elbow"], position=[1.0] * 3), "joint twice"),
+        (joint_state([], position=[]), "lacks joint 'shoulder'; it has none"),
+        (joint_state(NAMES, position=[1.0]), "1 position values for 2 joints"),
+        (joint_state(NAMES, position=[1.0] * 3), "3 position values for 2 joints"),
+        (joint_state(NAMES, effort=[1.0, 2.0]), "0 position values for 2 joints"),
+    ],
+)
+def test_when_joints_or_lengths_are_wrong_expect_malformed_message(
+    message: JointState, reason: str
+) -> None:
+    data = serialize_message(message)
+
+    with pytest.raises(MalformedMessageError, match=reason):
+        JointStateDecoder(NAMES, "position").decode(data)
+
+
+def test_when_wrong_message_follows_a_good_one_expect_malformed_message() -> None:
+    decoder = JointStateDecoder(NAMES, "position")
+    good = JointStateEncoder(NAMES, "position").encode(1, [1.0, 2.0])
+    # Same length: only the bytes of one name differ.
+    wrong = JointStateEncoder(["shoulder", "wrist"], "position").encode(1, [1.0, 2.0])
+    assert len(good) == len(wrong)
+    assert decoder.decode(good) == (1, (1.0, 2.0))
+
+    with pytest.raises(MalformedMessageError, match="elbow"):
+        decoder.decode(wrong)
+
+    assert decoder.decode(good) == (1, (1.0, 2.0))
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"", "0 bytes"),
+        (b"\0\1\0", "3 bytes"),
+        (b"\0\2\0\0" + bytes(40), "not plain CDR: header 00020000"),
+        (b"\0\7\0\0" + bytes(40), "not plain CDR"),
+        (b"\0\1\0\0" + bytes(8) + b"\xff\xff\xff\xff" + bytes(40), "4294967295 items"),
+        (b"\0\1\0\0" + bytes(8) + b"\2\0\0\0ab" + bytes(40), "unterminated string"),
+        (b"\0\1\0\0" + bytes(12) + b"\xff\xff\xff\x7f" + bytes(40), "2147483647 items"),
+    ],
+)
+def test_when_bytes_are_foreign_expect_malformed_message(data: bytes, reason: str) -> None:
+    with pytest.raises(MalformedMessageError, match=reason):
+        JointStateDecoder(NAMES, "position").decode(data)
+
+
+def test_when_name_is_not_utf8_expect_malformed_message() -> None:
+    data = JointStateEncoder(["abc"], "position").encode(0, [0.0]).replace(b"abc", b"\xff\xfe\xfd")
+
+    with pytest.raises(MalformedMessageError):
+        JointStateDecoder(["abc"], "position").decode(data)
+    with pytest.raises(MalformedMessageError, match="UTF-8"):
+        joint_names_of(data)
+
+
+def test_when_more_than_rounding_follows_expect_malformed_message() -> None:
+    data = JointStateEncoder(NAMES, "position").encode(0, [1.0, 2.0])
+    decoder = JointStateDecoder(NAMES, "position")
+
+    assert decoder.decode(data + bytes(15)) == (0, (1.0, 2.0))
+    with pytest.raises(MalformedMessageError, match="16 bytes too many"):
+        decoder.decode(data + bytes(16))
+
+
+@pytest.mark.parametrize(
+    ("stamp", "values"),
+    [(0, []), (0, [1.0]), (0, [1.0] * 3), (2**31 * 10**9, [1.0, 2.0]), (-(2**62), [1.0, 2.0])],
+)
+def test_when_values_or_stamp_do_not_fit_expect_error_on_encoding(
+    stamp: int, values: list[float]
+) -> None:
+    with pytest.raises(MalformedMessageError):
+        JointStateEncoder(NAMES, "position").encode(stamp, values)
+
+
+@pytest.mark.parametrize(
+    "names", [[], ["a", "a"], [""], ["a\0b"], ["\ud800"]], ids=["none", "twice", "", "nul", "sur"]
+)
+def test_when_names_are_unusable_expect_configuration_error(names: list[str]) -> None:
+    with pytest.raises(ConfigurationError):
+        JointStateEncoder(names, "position")
+    with pytest.raises(ConfigurationError):
+        JointStateDecoder(names, "effort")
+
+
+@pytest.mark.parametrize("length", [0, 1, 257])
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
+def test_decode_many_agrees_with_decode(length: int, order: list[int]) -> None:
+    names = ["a", "b", "c"]
+    encoder = JointStateEncoder([names[index] for index in order], "effort")
+    numbers = np.random.default_rng(length).normal(size=(length, 3))
+    messages = [encoder.encode(STAMP + k, row) for k, row in enumerate(numbers)]
+    decoder = JointStateDecoder(names, "effort")
+
+    stamps_many, values_many = decoder.decode_many(messages)
+
+    assert stamps_many.dtype == np.int64
+    assert stamps_many.shape == (length,)
+    assert values_many.dtype == np.float64
+    assert values_many.shape == (3, length)
+    assert values_many.flags.c_contiguous
+    for k, message in enumerate(messages):
+        assert (stamps_many[k], tuple(values_many[:, k])) == decoder.decode(message)
+
+
+def test_when_layouts_are_mixed_expect_decode_many_to_agree_with_decode() -> None:
+    numbers = np.random.default_rng(1).normal(size=(30, 2))
+    encoders = [
+        JointStateEncoder(NAMES, "position"),
+        JointStateEncoder(NAMES[::-1], "position"),
+        JointStateEncoder(NAMES, "position", "frame"),
+    ]
+    messages = [encoders[k % 3].encode(k, row) for k, row in enumerate(numbers)]
+    decoder = JointStateDecoder(NAMES, "position")
+
+    stamps_many, values_many = decoder.decode_many(messages)
+
+    expected = numbers.copy()
+    expected[1::3] = numbers[1::3, ::-1]
+    assert stamps_many.tolist() == list(range(30))
+    assert values_many.T.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("place", [0, 7, 19])
+def test_when_one_of_many_is_malformed_expect_its_index_named(place: int) -> None:
+    messages = [JointStateEncoder(NAMES, "position").encode(k, [1.0, 2.0]) for k in range(20)]
+    messages[place] = messages[place][:-1]
+
+    with pytest.raises(MalformedMessageError, match=rf"message {place}: .*truncated"):
+        JointStateDecoder(NAMES, "position").decode_many(messages)
+
+
+@given(names=names_lists, stamp=stamps, data=st.data(), frame=st.sampled_from(FRAMES))
+def test_any_message_survives_a_round_trip(
+    names: list[str], stamp: int, data: st.DataObject, frame: str
+) -> None:
+    values = data.draw(st.lists(st.floats(), min_size=len(names), max_size=len(names)))
+    order = data.draw(st.permutations(range(len(names))))
+    encoded = JointStateEncoder(names, "effort", frame).encode(stamp, values)
+
+    decoded = JointStateDecoder([names[k] for k in order], "effort").decode(encoded)
+
+    np.testing.assert_equal(decoded, (stamp, tuple(values[k] for k in order)))
+    assert joint_names_of(encoded) == tuple(names)
+    assert stamp_of(encoded) == stamp
+
+
+@given(data=st.binary(max_size=200))
+def test_random_bytes_raise_nothing_but_malformed_message(data: bytes) -> None:
+    for candidate in (data, b"\0\1\0\0" + data, b"\0\0\0\0" + data):
+        with pytest.raises(MalformedMessageError):
+            JointStateDecoder(NAMES, "position").decode(candidate)
+
+
+@given(
+    changes=st.lists(st.tuples(st.integers(0, 199), st.integers(0, 255)), max_size=6),
+    cut=st.integers(0, 20),
+    order=st.sampled_from(["<", ">"]),
+)
+def test_when_bytes_are_changed_expect_cached_and_fresh_decoder_to_agree(
+    changes: list[tuple[int, int]], cut: int, order: Literal["<", ">"]
+) -> None:
+    names = ["b", "acdef"]
+    message = joint_state(
+        names[::-1], "xy", position=[2.0, 1.0], velocity=[3.0, 4.0], effort=[6.0, 5.0]
+    )
+    original = bytes(written(message, order).data)
+    mutated = bytearray(original)
+    for place, byte in changes:
+        mutated[place % len(mutated)] = byte
+    del mutated[len(mutated) - cut :]
+
+    for field in FIELDS:
+        warm = JointStateDecoder(names, field)
+        warm.decode(original)
+        assert outcome(warm, bytes(mutated)) == outcome(
+            JointStateDecoder(names, field), bytes(mutated)
+        )
+        # A message that could not be decoded leaves no trace.
+        assert outcome(warm, original) == outcome(JointStateDecoder(names, field), original)

@@ -1,0 +1,200 @@
+"""Lifecycle manager: nodes of this process and of others, refusals, failures, silence."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+from rclpy.context import Context
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+
+from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.lifecycle import LifecycleManager, reported
+from armimp_common.spin import Spinner
+
+PATIENCE = 10.0
+
+
+class Managed(LifecycleNode):
+    def __init__(self, name: str, *, context: Context, namespace: str = "") -> None:
+        super().__init__(name, context=context, namespace=namespace)
+        self.transition_error = ""
+        self.fault: Exception | None = None
+        self.delay = 0.0
+
+    @reported
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        time.sleep(self.delay)
+        if self.fault is not None:
+            raise self.fault
+        return TransitionCallbackReturn.SUCCESS
+
+
+@pytest.fixture
+def managed(context: Context) -> Iterator[Managed]:
+    node = Managed("managed", context=context)
+    yield node
+    node.destroy_node()
+
+
+@pytest.fixture
+def spinner(node: Node, managed: Managed) -> Iterator[Spinner]:
+    with Spinner([node, managed]) as spinner:
+        yield spinner
+
+
+@pytest.fixture
+def manager(node: Node, spinner: Spinner) -> LifecycleManager:
+    return LifecycleManager(node, ["managed"], spin_until=spinner.spin_until, timeout=PATIENCE)
+
+
+def test_node_of_the_same_process_goes_through_all_states(manager: LifecycleManager) -> None:
+    manager.wait_for_nodes()
+    assert manager.state("managed") == "unconfigured"
+    assert manager.available("managed") == ("configure", "shutdown")
+    manager.configure("managed")
+    assert manager.state("managed") == "inactive"
+    manager.activate("managed")
+    assert manager.state("managed") == "active"
+    manager.deactivate("managed")
+    assert manager.state("managed") == "inactive"
+    manager.cleanup("managed")
+    assert manager.state("managed") == "unconfigured"
+    manager.shutdown("managed")
+    assert manager.state("managed") == "finalized"
+
+
+@pytest.mark.parametrize("before", [(), ("configure",), ("configure", "activate")])
+def test_shutdown_works_from_every_state(
+    manager: LifecycleManager, before: tuple[str, ...]
+) -> None:
+    for transition in before:
+        manager.change("managed", transition)  # type: ignore[arg-type]
+
+    manager.shutdown("managed")
+
+    assert manager.state("managed") == "finalized"
+    assert manager.available("managed") == ()
+    with pytest.raises(GraphError, match=r"managed cannot shutdown: it is finalized, which allows"):
+        manager.shutdown("managed")
+
+
+def test_when_state_lacks_the_transition_expect_graph_error_and_node_alive(
+    manager: LifecycleManager,
+) -> None:
+    with pytest.raises(
+        GraphError,
+        match=r"^node managed cannot activate: it is unconfigured,"
+        r" which allows configure, shutdown$",
+    ):
+        manager.activate("managed")
+
+    manager.configure("managed")
+    assert manager.state("managed") == "inactive"
+
+
+def test_when_transition_fails_expect_graph_error_and_the_reason_kept(
+    manager: LifecycleManager, managed: Managed, capfd: pytest.CaptureFixture[str]
+) -> None:
+    managed.fault = ConfigurationError("rate = 0: must be positive")
+
+    with pytest.raises(GraphError, match=r"^node managed failed to configure"):
+        manager.configure("managed")
+
+    assert manager.state("managed") == "unconfigured"
+    assert managed.transition_error == "rate = 0: must be positive"
+    log = capfd.readouterr().err
+    assert "on_configure: rate = 0: must be positive" in log
+    assert "Traceback" not in log
+    managed.fault = None
+    manager.configure("managed")
+    assert managed.transition_error == ""
+
+
+def test_when_transition_has_a_bug_expect_its_traceback_in_the_log(
+    manager: LifecycleManager, managed: Managed, capfd: pytest.CaptureFixture[str]
+) -> None:
+    managed.fault = ZeroDivisionError("a bug")
+
+    with pytest.raises(GraphError, match=r"managed failed to configure"):
+        manager.configure("managed")
+
+    assert managed.transition_error == "ZeroDivisionError: a bug"
+    assert "Traceback" in capfd.readouterr().err
+
+
+def test_when_node_is_absent_expect_graph_error_in_time(node: Node, spinner: Spinner) -> None:
+    manager = LifecycleManager(
+        node, ["managed", "absent"], spin_until=spinner.spin_until, timeout=0.3
+    )
+
+    with pytest.raises(GraphError, match=r"^node did not appear: absent$"):
+        manager.wait_for_nodes()
+    with pytest.raises(GraphError, match=r"node absent is not there to configure"):
+        manager.configure("absent")
+    with pytest.raises(GraphError, match=r"node stranger is not managed; managed: managed, absent"):
+        manager.configure("stranger")
+
+
+def test_when_node_does_not_answer_expect_graph_error_in_time(node: Node, managed: Managed) -> None:
+    with Spinner([node]) as spinner:  # which does not spin the managed node
+        manager = LifecycleManager(node, ["managed"], spin_until=spinner.spin_until, timeout=0.3)
+        manager.wait_for_nodes()
+        with pytest.raises(GraphError, match=r"node managed did not answer to configure in 0.3 s"):
+            manager.configure("managed")
+
+
+def test_when_configuration_is_slow_expect_the_manager_to_wait(
+    manager: LifecycleManager, managed: Managed
+) -> None:
+    managed.delay = 0.5
+
+    manager.configure("managed")
+
+    assert manager.state("managed") == "inactive"
+
+
+def test_names_are_relative_to_the_namespace_of_the_asking_node(context: Context) -> None:
+    asking = Node("asking", context=context, namespace="/left")
+    left = Managed("arm", context=context, namespace="/left")
+    right = Managed("arm", context=context, namespace="/right")
+    with Spinner([asking, left, right]) as spinner:
+        manager = LifecycleManager(asking, ["arm", "/right/arm"], spin_until=spinner.spin_until)
+        manager.wait_for_nodes()
+        manager.configure("arm")
+        assert manager.state("arm") == "inactive"
+        assert manager.state("/right/arm") == "unconfigured"
+    for node in (asking, left, right):
+        node.destroy_node()
+
+
+def test_node_of_another_process_is_managed_and_its_death_noticed(node: Node) -> None:
+    script = """
+from rclpy.lifecycle import LifecycleNode
+from armimp_common.spin import run_node
+
+raise SystemExit(run_node(lambda *, context: LifecycleNode("remote", context=context)))
+"""
+    process = subprocess.Popen([sys.executable, "-c", script])
+    try:
+        with Spinner([node]) as spinner:
+            manager = LifecycleManager(
+                node, ["remote"], spin_until=spinner.spin_until, timeout=20.0
+            )
+            manager.wait_for_nodes()
+            manager.configure("remote")
+            manager.activate("remote")
+            assert manager.state("remote") == "active"
+
+            process.kill()
+            process.wait()
+            impatient = LifecycleManager(
+                node, ["remote"], spin_until=spinner.spin_until, timeout=0.5
+            )
+            with pytest.raises(GraphError, match="remote"):
+                impatient.deactivate("remote")
+    finally:
+        process.kill()
+        process.wait()

@@ -1,0 +1,185 @@
+"""The controller without ROS: samples in, commands and perturbations out, phase after phase."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from armimp_common.contract import PERIOD_NS
+from armimp_common.trial_status import Phase, TrialStatus
+from numpy.typing import NDArray
+
+from armimp_control.imbic import ImbicController
+from armimp_control.parameters import PERIOD, ControllerParameters
+from armimp_control.perturbation import perturbation
+from armimp_control.safety import REFUSED
+from armimp_control.sequence import Segment, timetable
+
+
+class Experiment:
+    """Answers each sample with a command and leads through the trials.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    announce : called with every new status, before the command that it concerns
+
+    Attributes
+    ----------
+    command : (n,) N·m, answer to the last sample
+    tau_delta : (n,) N·m, perturbation of the last sample
+    clipped : number of saturated joint commands in the present trial
+    lost : number of samples that were missing between others in the present trial
+    finished : whether all trials are over, in good order or not
+
+    Raises
+    ------
+    ConfigurationError
+        If the parameters do not fit together or the loop would be unstable.
+    """
+
+    def __init__(
+        self, parameters: ControllerParameters, announce: Callable[[TrialStatus], None]
+    ) -> None:
+        self.margins = parameters.check()
+        self._parameters = parameters
+        self._announce = announce
+        self._perturbation_config = parameters.perturbation_config()
+        self._law = ImbicController(
+            parameters.imbic_config(), torque_limit=parameters.safety_config().torque_limit
+        )
+        n = len(parameters.joints)
+        self._segments = timetable(parameters.sequence_config(), joints=n, period=PERIOD)
+        self._next_segment = 0
+        self._segment: Segment | None = None
+        self._start_ns: int | None = None
+        self._last_stamp_ns: int | None = None
+        self._signal: NDArray[np.float64] = np.zeros(0)
+        self._theta, self._tau_h = np.zeros(n), np.zeros(n)
+        self._tick = 0
+        self._reason = ""
+        self.command, self.tau_delta = self._law.command, np.zeros(n)
+        self.clipped = self.lost = 0
+        self.finished = False
+        self._compile()
+
+    def answer(self, stamp_ns: int, theta: Sequence[float], tau_h: Sequence[float]) -> None:
+        """Compute :attr:`command` and :attr:`tau_delta` for one sample.
+
+        Parameters
+        ----------
+        stamp_ns : of the sample, ns
+        theta : (n,) encoder readings, rad
+        tau_h : (n,) torque on the arm, N·m
+        """
+        if not self.finished:
+            self._check(stamp_ns, theta, tau_h)
+        if not self.finished:
+            self._advance(stamp_ns)
+        if self.finished:
+            self.command[:] = 0.0
+            self.tau_delta[:] = 0.0
+        else:
+            self._control(theta, tau_h)
+        self._tick += 1
+
+    def abort(self, reason: str) -> None:
+        """End the experiment; every further answer is zero torque. The first reason stays."""
+        if self.finished:
+            return
+        self.finished = True
+        self._reason = reason
+        self.command[:] = 0.0
+        self.tau_delta[:] = 0.0
+        self._announce(self._status(Phase.ABORTED))
+
+    def _check(self, stamp_ns: int, theta: Sequence[float], tau_h: Sequence[float]) -> None:
+        for what, values in (("position", theta), ("torque reading", tau_h)):
+            for joint, value in enumerate(values):
+                if not math.isfinite(value):
+                    self.abort(f"{what} of joint {joint + 1} is not finite: {value}")
+                    return
+        last, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
+        if last is None or stamp_ns - last == PERIOD_NS:
+            return
+        if stamp_ns <= last:
+            self.abort(f"stamp {stamp_ns} ns follows {last} ns: samples must move forward")
+            return
+        self.lost += max(round((stamp_ns - last) / PERIOD_NS) - 1, 0)
+        if self.lost:
+            self._reason = f"{self.lost} samples did not arrive"
+
+    def _advance(self, stamp_ns: int) -> None:
+        """Enter the next phase when its first tick has come."""
+        if self._segment is not None and self._tick < self._segment.end:
+            return
+        if self._next_segment == len(self._segments):
+            self.finished = True
+            self._announce(self._status(Phase.DONE))
+            return
+        segment = self._segment = self._segments[self._next_segment]
+        self._next_segment += 1
+        self.tau_delta[:] = 0.0
+        if segment.phase is Phase.SETTLE:
+            self._prepare(segment)
+        elif segment.phase is Phase.PERTURB:
+            self._start_ns = stamp_ns
+        self._announce(self._status(segment.phase))
+
+    def _prepare(self, settle: Segment) -> None:
+        self._law.perturb_joint(settle.joint)
+        self._start_ns = None
+        self._reason = ""
+        self.clipped = self.lost = 0
+        self._signal = perturbation(
+            self._perturbation_config,
+            joint=settle.joint,
+            trial=settle.trial,
+            ticks=self._perturbed_ticks(settle.trial),
+            seed=self._parameters.seed,
+        )
+
+    def _control(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
+        segment = self._segment
+        assert segment is not None
+        if segment.phase is Phase.PERTURB:
+            self.tau_delta[segment.joint] = self._signal[self._tick - segment.first]
+        self._theta[:] = theta
+        self._tau_h[:] = tau_h
+        clipped = self._law.tick(self._theta, self._tau_h, self.tau_delta)
+        if clipped == REFUSED:
+            self.abort("the control law produced a torque that is not finite")
+        elif clipped:
+            self.clipped += clipped
+
+    def _perturbed_ticks(self, trial: int) -> int:
+        return next(
+            segment.ticks
+            for segment in self._segments
+            if segment.trial == trial and segment.phase is Phase.PERTURB
+        )
+
+    def _status(self, phase: Phase) -> TrialStatus:
+        segment = self._segment or self._segments[0]
+        return TrialStatus(
+            phase=phase,
+            trial=segment.trial,
+            trials=self._segments[-1].trial,
+            joint=segment.joint,
+            joint_name=self._parameters.joints[segment.joint],
+            tick=self._tick,
+            start_ns=self._start_ns,
+            ticks=self._perturbed_ticks(segment.trial),
+            seed=self._parameters.seed,
+            valid=not self._reason,
+            reason=self._reason,
+        )
+
+    def _compile(self) -> None:
+        """Have the law compiled before time matters."""
+        n = len(self._parameters.joints)
+        self._law.perturb_joint(0)
+        self._law.tick(np.zeros(n), np.zeros(n), np.zeros(n))
+        self._law.reset()
+        self.command[:] = 0.0

@@ -1,0 +1,209 @@
+"""Parameters of the controller node: the one place of their names, defaults and meaning."""
+
+from __future__ import annotations
+
+import numpy as np
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
+from numpy.typing import NDArray
+from pydantic import Field
+
+from armimp_control import presets
+from armimp_control.imbic import ImbicConfig
+from armimp_control.perturbation import PerturbationConfig
+from armimp_control.safety import SafetyConfig
+from armimp_control.sequence import SequenceConfig
+from armimp_control.stability import StabilityMargins, check_stability
+
+Vector = tuple[float, ...]
+PERIOD = PERIOD_NS / NS_PER_S
+"""Control period L, s."""
+
+
+class TargetParameters(Schema):
+    """Target impedance Y_rd, diagonal (eq. 8); assumptions."""
+
+    posture: Vector = Field(description="θ_rd (rad)")
+    inertia: Vector = Field(description="diagonal of M_rd (kg·m²)")
+    damping: Vector = Field(description="B_rd of a joint while perturbed (N·m·s/rad)")
+    stiffness: Vector = Field(description="K_rd of a joint while perturbed (N·m/rad)")
+    lock_frequency: float = Field(default=100.0, gt=0.0, description="ω of locked joints (rad/s)")
+    lock_damping_ratio: float = Field(default=1.0, gt=0.0, description="ζ of locked joints (–)")
+
+
+class LawParameters(Schema):
+    """Time-delay estimation and ideal-velocity feedback; assumptions."""
+
+    model_inertia: Vector = Field(description="M̄, n×n row by row (kg·m²)")
+    gamma: float = Field(default=100.0, gt=0.0, description="Γ (rad/s)")
+
+
+class KnownParameters(Schema):
+    """What is known of rig and arm beforehand; used by the stability check only."""
+
+    robot_inertia: Vector = Field(description="M_r(θ_0), n×n row by row (kg·m²)")
+    arm_inertia: Vector = Field(description="expected M_h, n×n row by row (kg·m²)")
+
+
+class PerturbationParameters(Schema):
+    """Perturbation τ_Δ."""
+
+    peak: Vector = Field(description="largest torque on each joint (N·m)")
+    cutoff: float = Field(default=15.0, gt=0.0, description="cut-off of the low-pass (Hz)")
+    order: int = Field(default=8, ge=1, le=20, description="order of the Butterworth low-pass")
+
+
+class SequenceParameters(Schema):
+    """Lengths of the phases of every trial."""
+
+    duration: float = Field(default=50.0, gt=0.0, description="perturbation (s)")
+    settle: float = Field(default=0.5, ge=0.05, description="before it (s)")
+    rest: float = Field(default=0.5, ge=0.05, description="after it (s)")
+
+
+class SafetyParameters(Schema):
+    """Safety gate."""
+
+    torque_limit: float = Field(default=80.0, gt=0.0, description="limit of each command (N·m)")
+    watchdog_ticks: int = Field(
+        default=5, ge=1, description="periods without a sample until torque is taken away"
+    )
+    slowest_tick: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=10.0,
+        description="wall time that counts as one period in lockstep, which has no pace (s)",
+    )
+    ramp_time: float = Field(
+        default=0.05, ge=0.0, le=0.05, description="time in which the watchdog does so (s)"
+    )
+
+
+class ControllerParameters(Schema):
+    """All parameters of the node ``imbic_controller``."""
+
+    joints: tuple[str, ...] = Field(description="names of the joints, in the order of commands")
+    seed: int = Field(default=1, ge=0, description="seed of the perturbation")
+    target: TargetParameters
+    law: LawParameters
+    known: KnownParameters
+    perturbation: PerturbationParameters
+    sequence: SequenceParameters = SequenceParameters()
+    safety: SafetyParameters = SafetyParameters()
+
+    @classmethod
+    def preset(
+        cls,
+        *,
+        joints: tuple[str, ...],
+        posture: NDArray[np.float64],
+        robot_inertia: NDArray[np.float64],
+        arm_inertia: NDArray[np.float64],
+        perturbation: int = 3,
+        duration: float = 50.0,
+        seed: int = 1,
+    ) -> ControllerParameters:
+        """Default law for a rig, with the perturbation of a level from 1 to 3.
+
+        Parameters
+        ----------
+        joints : names of the n joints
+        posture : (n,) θ_0, rad
+        robot_inertia, arm_inertia : (n, n) M_r(θ_0) and expected M_h, kg·m²
+        perturbation : level, 1 to 3
+        duration : of every perturbation, s
+        seed : of the perturbation
+        """
+        law = presets.imbic(robot_inertia, posture)
+        return cls(
+            joints=joints,
+            seed=seed,
+            target=TargetParameters(
+                posture=_flat(law.target_posture),
+                inertia=_flat(law.target_inertia),
+                damping=_flat(law.target_damping),
+                stiffness=_flat(law.target_stiffness),
+            ),
+            law=LawParameters(model_inertia=_flat(law.model_inertia)),
+            known=KnownParameters(
+                robot_inertia=_flat(robot_inertia), arm_inertia=_flat(arm_inertia)
+            ),
+            perturbation=PerturbationParameters(
+                peak=presets.perturbation(perturbation, len(joints)).peak
+            ),
+            sequence=SequenceParameters(duration=duration),
+        )
+
+    def imbic_config(self) -> ImbicConfig:
+        """The law."""
+        return ImbicConfig(
+            target_posture=np.array(self.target.posture),
+            target_inertia=np.array(self.target.inertia),
+            target_damping=np.array(self.target.damping),
+            target_stiffness=np.array(self.target.stiffness),
+            lock_frequency=self.target.lock_frequency,
+            lock_damping_ratio=self.target.lock_damping_ratio,
+            model_inertia=self._matrix("law.model_inertia", self.law.model_inertia),
+            gamma=self.law.gamma,
+            period=PERIOD,
+        )
+
+    def perturbation_config(self) -> PerturbationConfig:
+        """The perturbation."""
+        if len(self.perturbation.peak) != len(self.joints):
+            raise ConfigurationError(
+                f"parameter 'perturbation.peak' has {len(self.perturbation.peak)} values for "
+                f"{len(self.joints)} joints"
+            )
+        return PerturbationConfig(
+            peak=self.perturbation.peak,
+            cutoff=self.perturbation.cutoff,
+            order=self.perturbation.order,
+            period=PERIOD,
+        )
+
+    def sequence_config(self) -> SequenceConfig:
+        """The phases."""
+        return SequenceConfig(
+            duration=self.sequence.duration, settle=self.sequence.settle, rest=self.sequence.rest
+        )
+
+    def safety_config(self) -> SafetyConfig:
+        """The gate."""
+        return SafetyConfig(
+            torque_limit=self.safety.torque_limit,
+            watchdog_ticks=self.safety.watchdog_ticks,
+            ramp_time=self.safety.ramp_time,
+        )
+
+    def check(self) -> StabilityMargins:
+        """Check that everything fits together and is stable when sampled.
+
+        Raises
+        ------
+        ConfigurationError
+            If not; the message carries the offending value.
+        """
+        law = self.imbic_config()
+        if law.joints != len(self.joints):
+            raise ConfigurationError(
+                f"parameter 'target.posture' has {law.joints} values for {len(self.joints)} joints"
+            )
+        return check_stability(
+            law,
+            robot_inertia=self._matrix("known.robot_inertia", self.known.robot_inertia),
+            arm_inertia=self._matrix("known.arm_inertia", self.known.arm_inertia),
+        )
+
+    def _matrix(self, name: str, values: Vector) -> NDArray[np.float64]:
+        n = len(self.joints)
+        if len(values) != n * n:
+            raise ConfigurationError(
+                f"parameter '{name}' has {len(values)} values, needs {n * n} for {n} joints"
+            )
+        return np.array(values).reshape(n, n)
+
+
+def _flat(values: NDArray[np.float64]) -> Vector:
+    return tuple(float(value) for value in values.ravel())

@@ -1,0 +1,1 @@
+"""Impedance from spectra, bags of trials, reports, and the estimator node."""

@@ -1,0 +1,398 @@
+"""Joining the streams of a trial into a record, with an account of every sample.
+
+The bag reader and the live estimator node both come here with raw messages in order of arrival,
+so that both get bit-identical arrays from the same messages.
+
+A sample belongs to the control period that its stamp names. Positions, torque readings and
+perturbation of one period carry exactly the same stamp. The periods that should be there are
+counted from the stamps of all streams together, so a sample that only one stream lost shows as
+well as one that all of them lost.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common import contract
+from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import DataError
+from armimp_common.trial_status import TrialStatus
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.sample_ledger import SampleLedger, StreamCount
+from armimp_estimation.trial_streams import Stream, TrialStreams, decode_streams
+from armimp_estimation.trial_windows import (
+    TrialWindow,
+    infer_windows,
+    tick_numbers,
+    windows_from_statuses,
+)
+
+RATE: float = contract.NS_PER_S / PERIOD_NS
+"""Samples per second of a record, Hz."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AssembledTrial:
+    """A trial, or what could be had of it.
+
+    Parameters
+    ----------
+    window : TrialWindow
+        What the trial was meant to be.
+    record : TrialRecord or None
+        The samples, if there is one for every control period and all are finite. Duplicates
+        are dropped (the first one stays) and the order is that of the stamps.
+    segments : tuple of TrialRecord
+        The longest runs of periods without a gap, in their order; the record is the only one
+        where there is a record.
+    ledger : SampleLedger
+        The account of the samples.
+    problem : str
+        Why the trial should not be estimated; empty if nothing speaks against it.
+    source : str
+        Where the trial comes from, for messages.
+    """
+
+    window: TrialWindow
+    record: TrialRecord | None
+    segments: tuple[TrialRecord, ...]
+    ledger: SampleLedger
+    problem: str
+    source: str = ""
+
+    @property
+    def trial(self) -> int:
+        """Number of the trial, 1-based."""
+        return self.window.trial
+
+    @property
+    def shortfall(self) -> int:
+        """Planned samples that are not there because the recording, or the trial, ended early."""
+        return self.window.ticks - self.ledger.streams[contract.PERTURBATION].expected
+
+    @property
+    def note(self) -> str:
+        """What a user should know of a trial that is estimated all the same; mostly empty."""
+        if not self.shortfall:
+            return ""
+        ticks = self.window.ticks
+        return f"trial {self.trial} is cut short: {ticks - self.shortfall} of {ticks} samples"
+
+    def require(self) -> TrialRecord:
+        """Return the record of a trial without a problem.
+
+        Raises
+        ------
+        DataError
+            If there is a problem; the message names the source and the trial.
+        """
+        if self.problem or self.record is None:
+            where = f"{self.source}: " if self.source else ""
+            raise DataError(f"{where}trial {self.trial}: {self.problem or 'no record'}")
+        return self.record
+
+
+def assemble_trials(
+    joint_names: Sequence[str],
+    messages: Mapping[str, Sequence[bytes]],
+    statuses: Sequence[TrialStatus],
+    *,
+    source: str = "",
+) -> tuple[AssembledTrial, ...]:
+    """Assemble every trial in a recording, or in what a node has received.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        Order of the joints in the records.
+    messages : mapping of str to sequence of bytes
+        By topic of the contract, the serialised messages in order of arrival. All streams must
+        begin with the same control period.
+    statuses : sequence of TrialStatus
+        The trial statuses in order. Without any, the trials are inferred from the perturbation,
+        as `infer_windows` says.
+    source : str
+        Where the messages come from, for the messages of errors.
+
+    Returns
+    -------
+    tuple of AssembledTrial
+        Empty if there are statuses, but none of a perturbation. Trials that were over before
+        the first sample are left out.
+
+    Raises
+    ------
+    DataError
+        If a stream is missing or foreign, or the trials cannot be inferred.
+    """
+    streams = decode_streams(joint_names, messages)
+    if statuses:
+        windows = windows_from_statuses(statuses)
+    else:
+        perturbation = streams.stamped[contract.PERTURBATION]
+        windows = infer_windows(perturbation.stamps, perturbation.values)
+    began_ns = min(int(stream.stamps.min()) for stream in streams.stamped.values())
+    return tuple(
+        assemble_trial(window, streams, source=source)
+        for window in windows
+        # A latched topic repeats the statuses of trials that were over before the recording.
+        if window.start_ns + window.ticks * PERIOD_NS > began_ns
+    )
+
+
+def assemble_trial(
+    window: TrialWindow, streams: TrialStreams, *, source: str = ""
+) -> AssembledTrial:
+    """Join the streams of one trial.
+
+    Parameters
+    ----------
+    window : TrialWindow
+        When the trial took place.
+    streams : TrialStreams
+        Everything that was received; other trials may be in it, too.
+    source : str
+        Where it comes from, for messages.
+    """
+    kept = {topic: _Kept(stream, window.start_ns) for topic, stream in streams.stamped.items()}
+    stamps = _union([one.stamps for one in kept.values()])
+    numbers = tick_numbers(stamps)
+    if stamps.size:
+        numbers += (stamps[0] - window.start_ns + PERIOD_NS // 2) // PERIOD_NS
+    for one in kept.values():
+        one.number(stamps, numbers)
+    span = _span(window, kept)
+    inside = int(np.searchsorted(numbers, span))
+    last_ns = int(stamps[inside - 1]) if inside else window.start_ns
+
+    counts = {topic: one.count(span, last_ns) for topic, one in kept.items()}
+    counts[contract.COMMANDS] = _count_commands(streams, kept[contract.PERTURBATION], span)
+    ledger = SampleLedger(
+        streams={topic: counts[topic] for topic in contract.DATA_STREAMS if topic in counts}
+    )
+    usable = np.ones(span, np.bool_)
+    for one in kept.values():
+        usable &= one.finite(span)
+    problem = _problem(window, kept, ledger, stamps[:inside], numbers[:inside], usable)
+    joint = _joint_index(window, streams.joint_names)
+    segments: tuple[TrialRecord, ...] = ()
+    if joint is None:
+        known = ", ".join(streams.joint_names)
+        name = window.joint_name or f"joint {window.joint + 1}"
+        problem = f"perturbed joint is not among the joints {known}: {name}"
+    else:
+        segments = tuple(
+            _record(window, joint, streams.joint_names, kept, start, stop)
+            for start, stop in _runs(usable)
+        )
+        if segments and not any(segment.perturbation[joint].any() for segment in segments):
+            problem = problem or "the perturbation is zero throughout"
+    whole = bool(segments) and bool(usable.all())
+    return AssembledTrial(
+        window=window,
+        record=segments[0] if whole else None,
+        segments=segments,
+        ledger=ledger,
+        problem=" ".join(problem.split()),
+        source=source,
+    )
+
+
+class _Kept:
+    """The messages of one stream from the start of the trial on, without repetitions.
+
+    Attributes
+    ----------
+    stream : Stream
+        All messages.
+    start_ns : int
+        Stamp of the first sample of the trial.
+    order : ndarray
+        Index into them of each kept one, in the order of the stamps.
+    stamps, numbers : ndarray
+        Stamp and number of the control period of each kept one.
+    """
+
+    def __init__(self, stream: Stream, start_ns: int) -> None:
+        self.stream = stream
+        self.start_ns = start_ns
+        if (np.diff(stream.stamps) > 0).all():
+            self.stamps: NDArray[np.int64] = stream.stamps
+            self.order: NDArray[np.intp] = np.arange(stream.stamps.size)
+            self._orderly = True
+        else:
+            self.stamps, self.order = np.unique(stream.stamps, return_index=True)
+            self._orderly = False
+        first = int(np.searchsorted(self.stamps, start_ns))
+        self.stamps = self.stamps[first:]
+        self.order = self.order[first:]
+        self.numbers: NDArray[np.int64] = np.empty(0, np.int64)
+
+    def number(self, stamps: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+        """Take the period numbers from those of all stamps, and keep one message for each."""
+        self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
+        single = np.diff(self.numbers, prepend=-1) > 0
+        if not single.all():
+            self.stamps, self.order = self.stamps[single], self.order[single]
+            self.numbers = self.numbers[single]
+            self._orderly = False
+
+    def inside(self, span: int) -> int:
+        """How many of the kept messages are within the span."""
+        return int(np.searchsorted(self.numbers, span))
+
+    def count(self, span: int, last_ns: int) -> StreamCount:
+        """Make up the account of the periods before `span`, the last stamp of which is given."""
+        distinct = self.inside(span)
+        received, reordered = distinct, 0
+        if not self._orderly:
+            stamps = self.stream.stamps
+            received = int(((stamps >= self.start_ns) & (stamps <= last_ns)).sum())
+            arrived = stamps[np.sort(self.order[:distinct])]
+            reordered = int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum())
+        return StreamCount(
+            expected=span,
+            received=received,
+            lost=span - distinct,
+            duplicated=received - distinct,
+            reordered=reordered,
+        )
+
+    def finite(self, span: int) -> NDArray[np.bool_]:
+        """Whether each period of the span has a sample, and one that is finite."""
+        inside = self.inside(span)
+        values = self.stream.values[:, self.order[:inside]]
+        finite = np.zeros(span, np.bool_)
+        finite[self.numbers[:inside]] = np.isfinite(values).all(axis=0)
+        return finite
+
+    def values(self, start: int, stop: int) -> NDArray[np.float64]:
+        """(n, stop - start) values of a run of periods, all of which are there."""
+        first = int(np.searchsorted(self.numbers, start))
+        chosen = self.order[first : first + stop - start]
+        return np.ascontiguousarray(self.stream.values[:, chosen])
+
+    def stamp(self, number: int) -> int:
+        return int(self.stamps[np.searchsorted(self.numbers, number)])
+
+
+def _union(stamps: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    if all(np.array_equal(stamps[0], other) for other in stamps[1:]):
+        return stamps[0]
+    return np.unique(np.concatenate(stamps))
+
+
+def _span(window: TrialWindow, kept: Mapping[str, _Kept]) -> int:
+    """Number of control periods that should be there."""
+    if not all(one.numbers.size for one in kept.values()):
+        # The recording broke off before every stream had a sample of the trial.
+        return window.ticks if window.ended and not window.fault else 0
+    span = window.ticks
+    if not window.ended or window.fault:
+        # Cut while the last period was being recorded: it does not count as lost.
+        span = min(span, *(int(one.numbers[-1]) + 1 for one in kept.values()))
+    if window.fault:
+        # From the moment of the fault on the perturbation is zero.
+        perturbation = kept[contract.PERTURBATION]
+        inside = perturbation.inside(span)
+        values = perturbation.stream.values[:, perturbation.order[:inside]]
+        active = np.flatnonzero(values.any(axis=0))
+        span = int(perturbation.numbers[active[-1]]) + 1 if active.size else 0
+    return span
+
+
+def _count_commands(streams: TrialStreams, perturbation: _Kept, span: int) -> StreamCount:
+    """Count commands by their ordinal number, as every one goes with one perturbation."""
+    before = int((streams.stamped[contract.PERTURBATION].stamps < perturbation.start_ns).sum())
+    received = min(max(streams.commands - before, 0), span)
+    return StreamCount(expected=span, received=received, lost=span - received)
+
+
+def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:
+    if window.joint_name:
+        names = list(joint_names)
+        return names.index(window.joint_name) if window.joint_name in names else None
+    return window.joint if window.joint < len(joint_names) else None
+
+
+def _runs(usable: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Start and end of each run of at least two true values."""
+    edges = np.flatnonzero(np.diff(usable.astype(np.int8), prepend=0, append=0)).tolist()
+    return [
+        (start, stop)
+        for start, stop in zip(edges[::2], edges[1::2], strict=True)
+        if stop - start > 1
+    ]
+
+
+def _record(
+    window: TrialWindow,
+    joint: int,
+    joint_names: tuple[str, ...],
+    kept: Mapping[str, _Kept],
+    start: int,
+    stop: int,
+) -> TrialRecord:
+    return TrialRecord(
+        trial=window.trial,
+        perturbed_joint=joint,
+        rate=RATE,
+        joint_names=joint_names,
+        perturbation=kept[contract.PERTURBATION].values(start, stop),
+        position=kept[contract.JOINT_STATES].values(start, stop),
+        torque=kept[contract.TORQUE_SENSORS].values(start, stop),
+        start_ns=kept[contract.PERTURBATION].stamp(start),
+        seed=window.seed,
+    )
+
+
+def _problem(
+    window: TrialWindow,
+    kept: Mapping[str, _Kept],
+    ledger: SampleLedger,
+    stamps: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+    usable: NDArray[np.bool_],
+) -> str:
+    """Say in one line what speaks against estimating the trial; nothing if nothing does."""
+    if not usable.size:
+        return window.fault or "no samples of it were recorded"
+    steps = np.diff(stamps)
+    if steps.size > 1 and np.median(steps) > 1.5 * PERIOD_NS:
+        return f"samples are {np.median(steps) / 1e6:.6g} ms apart, not {PERIOD_NS / 1e6:.6g} ms"
+    parts = [window.fault] if window.fault else []
+    close = np.flatnonzero(np.diff(numbers) == 0)
+    if close.size:
+        first, second = stamps[close[0]], stamps[close[0] + 1]
+        parts.append(
+            f"{close.size} stamps do not agree, the first {second - first} ns from its neighbour"
+        )
+    parts += _tallies(kept, ledger, usable)
+    return "; ".join(parts)
+
+
+def _tallies(
+    kept: Mapping[str, _Kept], ledger: SampleLedger, usable: NDArray[np.bool_]
+) -> list[str]:
+    parts: list[str] = []
+    for kind in ("lost", "duplicated", "reordered"):
+        counts = {topic: getattr(ledger.streams[topic], kind) for topic in kept}
+        if any(counts.values()):
+            listing = ", ".join(f"{topic} {count}" for topic, count in counts.items() if count)
+            parts.append(f"samples {kind}: {listing} of {usable.size}")
+    for topic, one in kept.items():
+        if one.stream.malformed and ledger.streams[topic].lost:
+            parts.append(f"{one.stream.malformed} malformed of {topic}: {one.stream.defect}")
+        bad = (
+            ledger.streams[topic].expected
+            - ledger.streams[topic].lost
+            - int(one.finite(usable.size).sum())
+        )
+        if bad:
+            parts.append(f"not finite: {topic} in {bad} of {usable.size} samples")
+    if parts and not usable.all():
+        first = int(np.flatnonzero(~usable)[0])
+        parts[-1] += f" (first gap at {first * PERIOD_NS / 1e9:.3f} s)"
+    return parts

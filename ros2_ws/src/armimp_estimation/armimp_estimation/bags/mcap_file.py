@@ -1,0 +1,277 @@
+"""Writing of an MCAP file in small chunks that reach the operating system in bounded time.
+
+The writer of the mcap package spends about 5 µs on every message and hands on its chunks when
+they are full. Here messages are packed directly, and chunks are closed by count and by time as
+well, so that a killed process loses little. All other records are those of the mcap package.
+"""
+
+import struct
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final, Protocol
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+MAGIC: Final = b"\x89MCAP0\r\n"
+
+FLUSH_INTERVAL_NS: Final = 50_000_000
+"""A chunk is closed when it spans this much log time (ns)."""
+
+FLUSH_MESSAGES: Final = 256
+"""A chunk is closed at this many messages: 64 ticks of four streams, whatever the log times."""
+
+FLUSH_BYTES: Final = 1 << 18
+"""A chunk is closed when its messages take more bytes than this."""
+
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""Head of a message record: opcode, length, channel, sequence, log time, publish time."""
+
+# Level 1: on these streams it compresses as well as level 3 in less than half of the time.
+_LEVEL: Final = 1
+
+
+class _Record(Protocol):
+    def write(self, stream: RecordBuilder) -> None: ...
+
+
+class McapFile:
+    """An MCAP file open for writing.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which must not exist.
+    library : str
+        Name of the writing software, for the header.
+
+    Raises
+    ------
+    OSError
+        From every method, if the file cannot be written.
+    """
+
+    def __init__(self, path: Path, *, library: str) -> None:
+        self._file = path.open("xb", buffering=0)
+        self._position = 0
+        self._compress: Callable[[bytes], bytes] = zstandard.ZstdCompressor(level=_LEVEL).compress
+        self._pack = MESSAGE_HEAD.pack
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._chunks: list[ChunkIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._counts: dict[int, int] = {}
+        self._first_ns: int | None = None
+        self._last_ns = 0
+        self._chunk = bytearray()
+        self._pending = 0
+        self._deadline_ns = 0
+        # Log time and offset of each message of the chunk in turn, by channel.
+        self._index: dict[int, list[int]] = {}
+        self._write(MAGIC + _encoded(Header(profile="ros2", library=library)))
+
+    @property
+    def counts(self) -> Mapping[int, int]:
+        """Number of messages of each channel."""
+        return self._counts
+
+    @property
+    def time_range(self) -> tuple[int, int]:
+        """Earliest and latest log time (ns) of what was flushed; zeros if nothing was."""
+        return self._first_ns or 0, self._last_ns
+
+    def add_schema(self, name: str, definition: str) -> int:
+        """Write the definition of a message type and return its number."""
+        schema = Schema(
+            id=len(self._schemas) + 1, name=name, encoding="ros2msg", data=definition.encode()
+        )
+        self._schemas.append(schema)
+        self._write(_encoded(schema))
+        return schema.id
+
+    def add_channel(self, topic: str, schema: int, metadata: Mapping[str, str]) -> int:
+        """Write a channel for CDR messages of a topic and return its number."""
+        channel = Channel(
+            id=len(self._channels) + 1,
+            topic=topic,
+            message_encoding="cdr",
+            schema_id=schema,
+            metadata=dict(metadata),
+        )
+        self._channels.append(channel)
+        self._counts[channel.id] = 0
+        self._index[channel.id] = []
+        self._write(_encoded(channel))
+        return channel.id
+
+    def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Write a metadata record."""
+        record = _encoded(Metadata(name=name, metadata=dict(values)))
+        self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
+        self._write(record)
+
+    def add_message(self, channel: int, log_time_ns: int, data: bytes) -> None:
+        """Append a message to the current chunk, and flush the chunk when it is due.
+
+        Raises
+        ------
+        struct.error
+            If the log time is negative or beyond 64 bits; nothing is written then.
+        """
+        chunk = self._chunk
+        head = self._pack(5, 22 + len(data), channel, 0, log_time_ns, log_time_ns)
+        offset = len(chunk)
+        if not offset:
+            self._deadline_ns = log_time_ns + FLUSH_INTERVAL_NS
+        chunk += head
+        chunk += data
+        self._index[channel] += (log_time_ns, offset)
+        self._pending += 1
+        if (
+            log_time_ns >= self._deadline_ns
+            or self._pending >= FLUSH_MESSAGES
+            or offset > FLUSH_BYTES
+        ):
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand everything added so far to the operating system, where a kill cannot reach it."""
+        if not self._pending:
+            return
+        messages = bytes(self._chunk)
+        start_ns = min(min(entries[::2]) for entries in self._index.values() if entries)
+        end_ns = max(max(entries[::2]) for entries in self._index.values() if entries)
+        compressed = self._compress(messages)
+        record = _encoded(
+            Chunk(
+                compression="zstd",
+                data=compressed,
+                message_start_time=start_ns,
+                message_end_time=end_ns,
+                uncompressed_crc=zlib.crc32(messages),
+                uncompressed_size=len(messages),
+            )
+        )
+        output = bytearray(record)
+        offsets: dict[int, int] = {}
+        for channel, entries in self._index.items():
+            if entries:
+                offsets[channel] = self._position + len(output)
+                output += _message_index(channel, entries)
+                self._counts[channel] += len(entries) // 2
+                entries.clear()
+        self._chunks.append(
+            ChunkIndex(
+                chunk_start_offset=self._position,
+                chunk_length=len(record),
+                compression="zstd",
+                compressed_size=len(compressed),
+                uncompressed_size=len(messages),
+                message_start_time=start_ns,
+                message_end_time=end_ns,
+                message_index_offsets=offsets,
+                message_index_length=len(output) - len(record),
+            )
+        )
+        self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
+        self._last_ns = max(self._last_ns, end_ns)
+        self._chunk.clear()
+        self._pending = 0
+        self._write(output)
+
+    def finish(self) -> None:
+        """Write the summary and close the file."""
+        try:
+            self.flush()
+            self._write(_encoded(DataEnd(data_section_crc=0)))
+            self._write(self._summary())
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Close the file as it is, without a summary."""
+        self._file.close()
+
+    def _summary(self) -> bytes:
+        first_ns, last_ns = self.time_range
+        statistics = Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()),
+            message_start_time=first_ns,
+            message_end_time=last_ns,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+        groups: list[tuple[Opcode, list[_Record]]] = [
+            (Opcode.SCHEMA, list(self._schemas)),
+            (Opcode.CHANNEL, list(self._channels)),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, list(self._chunks)),
+            (Opcode.METADATA_INDEX, list(self._metadata)),
+        ]
+        start = self._position
+        summary = bytearray()
+        offsets = bytearray()
+        for opcode, records in groups:
+            data = b"".join(_encoded(record) for record in records)
+            if data:
+                offsets += _encoded(
+                    SummaryOffset(
+                        group_opcode=opcode,
+                        group_start=start + len(summary),
+                        group_length=len(data),
+                    )
+                )
+            summary += data
+        offsets_start = start + len(summary)
+        summary += offsets
+        # The checksum covers the footer, too, up to itself.
+        summary += struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
+        crc = zlib.crc32(summary)
+        footer = _encoded(
+            Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc)
+        )
+        return bytes(summary[:-25]) + footer + MAGIC
+
+    def _write(self, data: bytes | bytearray) -> None:
+        view = memoryview(data)
+        try:
+            while view:
+                written = self._file.write(view)
+                self._position += written
+                view = view[written:]
+        except OSError:
+            # Nothing may follow a record that is not whole.
+            self._file.close()
+            raise
+
+
+def _encoded(record: _Record) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    data: bytes = builder.end()
+    return data
+
+
+def _message_index(channel: int, entries: list[int]) -> bytes:
+    size = 8 * len(entries)
+    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel, size)
+    return head + struct.pack(f"<{len(entries)}Q", *entries)

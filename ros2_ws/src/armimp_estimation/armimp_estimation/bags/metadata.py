@@ -1,0 +1,234 @@
+"""``metadata.yaml`` of a rosbag2 directory: written as Jazzy does, read from any version."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+from armimp_common import contract
+from armimp_common.errors import BagError
+from armimp_estimation.bags.definitions import message_definition
+
+FILE_NAME: Final = "metadata.yaml"
+VERSION: Final = 9
+"""Version of the metadata that rosbag2 writes in Jazzy."""
+
+_ROOT: Final = "rosbag2_bagfile_information"
+_INFINITE: Final = {"sec": 9223372036, "nsec": 854775807}
+# Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
+_LOADER: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+_DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+# Depth, reliability, durability of the publishers; armimp_common.qos, which needs rclpy, has
+# the same numbers.
+_SAMPLE: Final = (2000, "reliable", "volatile")
+_LATCHED: Final = (10, "reliable", "transient_local")
+_QOS: Final[dict[str, tuple[int, str, str]]] = {
+    **dict.fromkeys(contract.DATA_STREAMS, _SAMPLE),
+    contract.TRIAL: _LATCHED,
+    contract.RESULT: _LATCHED,
+    contract.PROGRESS: (10, "reliable", "volatile"),
+    contract.CLOCK: (1, "best_effort", "volatile"),
+    contract.DIAGNOSTICS: (10, "reliable", "volatile"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class BagSummary:
+    """What ``metadata.yaml`` says about the recorded messages.
+
+    Parameters
+    ----------
+    file_name : str
+        The storage file within the directory.
+    topics : mapping of str to tuple of str and int
+        Name of each topic in the bag, to its name in the contract and its number of messages.
+    start_ns, duration_ns : int
+        Log time of the first message, and from there to the last one (ns).
+    custom : mapping of str to str
+        The ``custom_data``.
+    """
+
+    file_name: str
+    topics: Mapping[str, tuple[str, int]]
+    start_ns: int
+    duration_ns: int
+    custom: Mapping[str, str]
+
+
+def qos_profiles(topic: str) -> list[dict[str, Any]]:
+    """Offered QoS of the publisher of a topic of the contract, as rosbag2 writes it."""
+    depth, reliability, durability = _QOS[topic]
+    return [
+        {
+            "history": "keep_last",
+            "depth": depth,
+            "reliability": reliability,
+            "durability": durability,
+            "deadline": dict(_INFINITE),
+            "lifespan": dict(_INFINITE),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_INFINITE),
+            "avoid_ros_namespace_conventions": False,
+        }
+    ]
+
+
+def dump(value: object) -> str:
+    """Serialise a document to YAML, in block style and with its keys in their order."""
+    text: str = yaml.dump(
+        value,
+        Dumper=_DUMPER,
+        sort_keys=False,
+        default_flow_style=False,
+        allow_unicode=True,
+        width=1_000_000,
+    )
+    return text
+
+
+def bag_information(summary: BagSummary) -> dict[str, Any]:
+    """Return the content of ``metadata.yaml`` below its root, in the order of rosbag2."""
+    count = sum(messages for _, messages in summary.topics.values())
+    start = {"nanoseconds_since_epoch": summary.start_ns}
+    duration = {"nanoseconds": summary.duration_ns}
+    return {
+        "version": VERSION,
+        "storage_identifier": "mcap",
+        "duration": dict(duration),
+        "starting_time": dict(start),
+        "message_count": count,
+        "topics_with_message_count": [
+            {
+                "topic_metadata": {
+                    "name": name,
+                    "type": contract.MESSAGE_TYPES[topic],
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": qos_profiles(topic),
+                    "type_description_hash": message_definition(
+                        contract.MESSAGE_TYPES[topic]
+                    ).type_hash,
+                },
+                "message_count": messages,
+            }
+            for name, (topic, messages) in summary.topics.items()
+        ],
+        "compression_format": "",
+        "compression_mode": "",
+        "relative_file_paths": [summary.file_name],
+        "files": [
+            {
+                "path": summary.file_name,
+                "starting_time": dict(start),
+                "duration": dict(duration),
+                "message_count": count,
+            }
+        ],
+        "custom_data": dict(summary.custom),
+        "ros_distro": "jazzy",
+    }
+
+
+def write_metadata(directory: Path, information: Mapping[str, Any]) -> None:
+    """Write ``metadata.yaml``, replacing an existing one at once.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    target = directory / FILE_NAME
+    temporary = directory / f".{FILE_NAME}.tmp"
+    temporary.write_text(dump({_ROOT: dict(information)}), encoding="utf-8")
+    temporary.replace(target)
+
+
+def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
+    """Read what is needed from a ``metadata.yaml`` of any version.
+
+    Returns
+    -------
+    files : list of Path
+        The storage files, in their order.
+    custom : dict of str to str
+        The ``custom_data``; empty if there is none.
+
+    Raises
+    ------
+    BagError
+        If the file is not the metadata of a bag.
+    """
+    try:
+        document = _parse(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise BagError(f"{file}: cannot be read: {_reason(error)}") from None
+    except _BROKEN as error:
+        raise BagError(f"{file}: not valid YAML: {_yaml_reason(error)}") from None
+    information = document.get(_ROOT) if isinstance(document, dict) else None
+    if not isinstance(information, dict):
+        raise BagError(f"{file}: not the metadata of a bag: {_ROOT} is missing")
+    paths = information.get("relative_file_paths")
+    if (
+        not isinstance(paths, list)
+        or not paths
+        or not all(isinstance(path, str) and Path(path).name for path in paths)
+    ):
+        raise BagError(f"{file}: lists no storage files in relative_file_paths")
+    # Old versions wrote the path from the parent directory; the files are always beside.
+    return [file.parent / Path(path).name for path in paths], _custom(information)
+
+
+def parse_custom_data(text: str) -> dict[str, str]:
+    """Extract ``custom_data`` from the metadata that rosbag2 stores inside the storage file.
+
+    Text that cannot be read gives an empty result, since this copy is only a convenience.
+    """
+    try:
+        document = _parse(text)
+    except _BROKEN:
+        return {}
+    if not isinstance(document, dict):
+        return {}
+    inner = document.get(_ROOT, document)
+    return _custom(inner) if isinstance(inner, dict) else {}
+
+
+# Deep nesting exhausts the stack before the parser objects.
+_BROKEN: Final = (yaml.YAMLError, RecursionError, ValueError)
+
+
+def _parse(text: str) -> Any:
+    return yaml.load(text, Loader=_LOADER)
+
+
+def _custom(information: Mapping[str, Any]) -> dict[str, str]:
+    custom = information.get("custom_data")
+    if not isinstance(custom, dict):
+        return {}
+    return {str(key): value for key, value in custom.items() if isinstance(value, str)}
+
+
+def _reason(error: Exception) -> str:
+    return error.strerror or "unknown reason" if isinstance(error, OSError) else "not UTF-8 text"
+
+
+def _yaml_reason(error: Exception) -> str:
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        return f"{error.problem} in line {error.problem_mark.line + 1}"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def topic_names(topics: Sequence[str], namespace: str) -> dict[str, str]:
+    """Full name in the bag of each topic of the contract, under a namespace.
+
+    Parameters
+    ----------
+    topics : sequence of str
+        Names of the contract; those with a leading slash stay as they are.
+    namespace : str
+        E.g. ``/rig``; empty or ``/`` for the root.
+    """
+    prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
+    return {topic: topic if topic.startswith("/") else prefix + topic for topic in topics}

@@ -1,0 +1,187 @@
+"""Reading of bags, recorded here or elsewhere, into trials and messages."""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from armimp_common import contract
+from armimp_common.cdr import joint_names_of
+from armimp_common.errors import BagError, ConfigurationError, DataError, MalformedMessageError
+from armimp_common.trial_status import TrialStatus
+from armimp_estimation.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.bags.raw import RawMessages, one_line
+from armimp_estimation.bags.statuses import decode_trial_statuses
+from armimp_estimation.bags.storage import read_storage
+from armimp_estimation.bags.topics import is_contract_topic, require_topics, resolve_topics
+from armimp_estimation.record import TrialRecord
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BagContent:
+    """What a bag holds.
+
+    Parameters
+    ----------
+    path : Path
+        The bag.
+    metadata : mapping of str to str
+        Metadata of the recording; empty for bags recorded elsewhere.
+    joint_names : tuple of str
+        Order of the joints in the records.
+    trials : tuple of AssembledTrial
+        At least one; each says whether it can be estimated.
+    topics : mapping of str to str
+        Name in the bag of each topic of the contract that is in it.
+    notes : tuple of str
+        What a user should know of the bag, one line each: a cut, damaged messages.
+    """
+
+    path: Path
+    metadata: Mapping[str, str]
+    joint_names: tuple[str, ...]
+    trials: tuple[AssembledTrial, ...]
+    topics: Mapping[str, str]
+    notes: tuple[str, ...]
+    _raw: RawMessages
+    _contract_names: Mapping[int, str]
+
+    def records(self) -> tuple[TrialRecord, ...]:
+        """Return the records of all trials.
+
+        Raises
+        ------
+        DataError
+            If one of the trials must not be estimated; the message names bag and trial.
+        """
+        return tuple(trial.require() for trial in self.trials)
+
+    def messages(self) -> Iterator[tuple[str, int, bytes]]:
+        """Iterate over the messages of the contract in recorded order.
+
+        Yields
+        ------
+        topic : str
+            Name in the contract.
+        log_time_ns : int
+            Time of reception, ns.
+        raw : bytes
+            The serialised message.
+        """
+        return _messages(self._raw, self._contract_names)
+
+
+def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
+    """Read a bag with everything that an estimate needs.
+
+    Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
+    MCAP or SQLite3 files, compressed or not, whole or cut. Topics may be under a namespace, and
+    the joints of every message in any order. Where there is no trial status, the trials are
+    inferred from the perturbation, as `infer_windows` says.
+
+    Parameters
+    ----------
+    path : Path
+        Directory or file.
+    namespace : str, optional
+        Of the topics, where a bag holds those of several rigs.
+
+    Raises
+    ------
+    BagError
+        If the path is not a readable bag, or the bag lacks something; the message is one line
+        that names the file. A trial that is there but spoiled raises only in `records`.
+    """
+    raw, found = _read(path, namespace)
+    require_topics(found, bag=str(path))
+    by_index = raw.by_topic()
+    messages = {
+        topic: by_index.get(found[topic], []) if topic in found else []
+        for topic in (*contract.DATA_STREAMS, contract.TRIAL)
+    }
+    statuses, defect = decode_trial_statuses(messages[contract.TRIAL])
+    try:
+        joint_names = _joint_names(raw.metadata, messages[contract.PERTURBATION])
+        trials = assemble_trials(joint_names, messages, statuses, source=str(path))
+    except (DataError, ConfigurationError, MalformedMessageError) as error:
+        cut = f" (the file {raw.cut})" if raw.cut else ""
+        raise BagError(f"{path}: {one_line(error)}{cut}") from None
+    if not trials:
+        raise BagError(f"{path}: no trial in it; {_last_words(statuses)}")
+    notes = [f"{path}: {raw.cut}"] if raw.cut else []
+    if defect:
+        notes.append(f"{path}: damaged messages of {contract.TRIAL}: {one_line(defect)}")
+    notes += [f"{path}: {trial.note}" for trial in trials if trial.note]
+    return BagContent(
+        path=path,
+        metadata=raw.metadata,
+        joint_names=joint_names,
+        trials=trials,
+        topics={topic: raw.topics[index][0] for topic, index in found.items()},
+        notes=tuple(notes),
+        _raw=raw,
+        _contract_names={index: topic for topic, index in found.items()},
+    )
+
+
+def iterate_messages(
+    path: Path, *, namespace: str | None = None
+) -> Iterator[tuple[str, int, bytes]]:
+    """Iterate over the messages of the contract in a bag, in recorded order.
+
+    Nothing is required of the content: there need not be a trial in it.
+
+    Parameters
+    ----------
+    path : Path
+        As for `read_bag`.
+    namespace : str, optional
+        As for `read_bag`.
+
+    Returns
+    -------
+    iterator
+        Of name in the contract, log time (ns) and serialised message.
+
+    Raises
+    ------
+    BagError
+        At the call, if the path is not a readable bag.
+    """
+    raw, found = _read(path, namespace)
+    return _messages(raw, {index: topic for topic, index in found.items()})
+
+
+def _read(path: Path, namespace: str | None) -> tuple[RawMessages, dict[str, int]]:
+    raw = read_storage(path, is_contract_topic)
+    if not raw.payloads:
+        cut = f"; the file {raw.cut}" if raw.cut else ""
+        raise BagError(f"{path}: no messages of an experiment in it{cut}")
+    return raw, resolve_topics(raw.topics, bag=str(path), namespace=namespace)
+
+
+def _messages(raw: RawMessages, names: Mapping[int, str]) -> Iterator[tuple[str, int, bytes]]:
+    for index, log_time_ns, payload in raw:
+        if index in names:
+            yield names[index], log_time_ns, payload
+
+
+def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> tuple[str, ...]:
+    """Joint order: that of the recording's metadata, else that of the controller."""
+    try:
+        names = json.loads(metadata.get("joint_names", "null"))
+    except (ValueError, RecursionError):
+        names = None
+    if isinstance(names, list) and names and all(isinstance(name, str) for name in names):
+        return tuple(names)
+    defect: MalformedMessageError | None = None
+    for message in perturbation:
+        try:
+            return joint_names_of(message)
+        except MalformedMessageError as error:
+            defect = defect or error
+    raise defect or DataError(f"no messages of {contract.PERTURBATION}")
+
+
+def _last_words(statuses: Sequence[TrialStatus]) -> str:
+    return f"the last status is: {one_line(statuses[-1].sentence)}"

@@ -1,0 +1,255 @@
+"""Recording of raw messages into a rosbag2 directory with one MCAP file."""
+
+import shutil
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+from armimp_common import contract
+from armimp_common.errors import BagError, ConfigurationError
+from armimp_estimation.bags.definitions import message_definition
+from armimp_estimation.bags.mcap_file import McapFile
+from armimp_estimation.bags.metadata import (
+    BagSummary,
+    bag_information,
+    dump,
+    qos_profiles,
+    topic_names,
+    write_metadata,
+)
+
+METADATA_RECORD: Final = "armimp"
+"""Name of the MCAP metadata record with the metadata, for files that lost their directory."""
+
+_HEAD_BYTES: Final = 64_000
+_MESSAGE_BYTES: Final = 200
+_JOINT_BYTES: Final = 40
+
+
+class BagWriter:
+    """Writes the messages of the contract into a new bag.
+
+    A process that is killed loses at most the messages since the last chunk: 50 ms of log time
+    or 256 messages, whichever is less. What it leaves behind is opened by `read_bag` as it is.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of the bag, which must not exist; parent directories are made.
+    metadata : mapping of str to str
+        Stored as ``custom_data`` of ``metadata.yaml`` and as MCAP metadata record ``armimp``.
+    namespace : str
+        Prefix of the topic names in the bag.
+
+    Raises
+    ------
+    BagError
+        If the path exists or cannot be written.
+    ConfigurationError
+        If a metadata value is not a string.
+    """
+
+    def __init__(self, path: Path, *, metadata: Mapping[str, str], namespace: str = "") -> None:
+        for key, value in metadata.items():
+            if not isinstance(key, str) or not isinstance(value, str):
+                raise ConfigurationError(f"bag metadata {key!r} is not a string: {value!r}")
+        self._path = path
+        self._custom = dict(metadata)
+        self._names = topic_names(list(contract.MESSAGE_TYPES), namespace)
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._closed = False
+        self._failed = False
+        self._file_name = f"{path.name}_0.mcap"
+        _make_directory(path)
+        try:
+            self._file = McapFile(path / self._file_name, library="armimp")
+        except OSError as error:
+            raise self._error(error) from None
+        try:
+            self._file.add_metadata(METADATA_RECORD, self._custom)
+            # A killed recording keeps this one; it lists all topics, since players make their
+            # publishers from the list.
+            write_metadata(path, bag_information(self._summary(provisional=True)))
+        except OSError as error:
+            self._file.abandon()
+            raise self._error(error) from None
+        self._add_message = self._file.add_message
+
+    @property
+    def path(self) -> Path:
+        """Directory of the bag."""
+        return self._path
+
+    def write(self, topic: str, raw: bytes, log_time_ns: int) -> None:
+        """Append one message.
+
+        Parameters
+        ----------
+        topic : str
+            Name in the contract.
+        raw : bytes
+            The serialised message (CDR with its encapsulation header).
+        log_time_ns : int
+            Time of reception (ns), not negative.
+
+        Raises
+        ------
+        BagError
+            If the message cannot be written: disk full, bag closed, unknown topic, bad time.
+        """
+        if self._closed:
+            raise BagError(f"{self._path}: cannot be written: the bag is closed")
+        channel = self._channels.get(topic)
+        if channel is None:
+            channel = self._register(topic)
+        try:
+            self._add_message(channel, log_time_ns, raw)
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
+        except struct.error:
+            raise BagError(
+                f"{self._path}: log time of {topic} is out of range: {log_time_ns}"
+            ) from None
+
+    def flush(self) -> None:
+        """Hand everything written so far to the operating system.
+
+        Call it from a timer where messages may stop while the process lives on.
+
+        Raises
+        ------
+        BagError
+            If that fails.
+        """
+        try:
+            self._file.flush()
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
+
+    def close(self) -> None:
+        """Finish the file and replace the provisional ``metadata.yaml``; harmless if repeated.
+
+        Where writing failed before, the file is only released, as it is.
+
+        Raises
+        ------
+        BagError
+            If something could not be written; the bag stays readable up to there.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        if self._failed:
+            self._file.abandon()
+            return
+        try:
+            self._file.flush()
+            information = bag_information(self._summary(provisional=False))
+            self._file.add_metadata("rosbag2", {"serialized_metadata": dump(information)})
+            self._file.finish()
+            write_metadata(self._path, information)
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
+        finally:
+            self._file.abandon()
+
+    def __enter__(self) -> "BagWriter":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _register(self, topic: str) -> int:
+        if topic not in self._names:
+            raise BagError(f"{self._path}: topic is not part of the contract: {topic!r}")
+        definition = message_definition(contract.MESSAGE_TYPES[topic])
+        try:
+            if definition.type not in self._schemas:
+                self._schemas[definition.type] = self._file.add_schema(
+                    definition.type, definition.text
+                )
+            channel = self._file.add_channel(
+                self._names[topic],
+                self._schemas[definition.type],
+                {
+                    "offered_qos_profiles": dump(qos_profiles(topic)),
+                    "topic_type_hash": definition.type_hash,
+                },
+            )
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
+        self._channels[topic] = channel
+        return channel
+
+    def _summary(self, *, provisional: bool) -> BagSummary:
+        topics = self._names if provisional else self._channels
+        first_ns, last_ns = self._file.time_range
+        return BagSummary(
+            file_name=self._file_name,
+            topics={self._names[topic]: (topic, self._count(topic)) for topic in topics},
+            start_ns=first_ns,
+            duration_ns=last_ns - first_ns,
+            custom=self._custom,
+        )
+
+    def _count(self, topic: str) -> int:
+        return self._file.counts[self._channels[topic]] if topic in self._channels else 0
+
+    def _error(self, error: Exception) -> BagError:
+        self._failed = True
+        reason = error.strerror if isinstance(error, OSError) else "the bag is closed"
+        return BagError(f"{self._path}: cannot be written: {reason}")
+
+
+def expected_bytes(ticks: int, joints: int) -> int:
+    """Upper bound of the size of a bag, for `require_free_space`.
+
+    Parameters
+    ----------
+    ticks : int
+        Control periods to record.
+    joints : int
+        Number of joints.
+    """
+    return _HEAD_BYTES + ticks * len(contract.DATA_STREAMS) * (
+        _MESSAGE_BYTES + _JOINT_BYTES * joints
+    )
+
+
+def require_free_space(path: Path, bytes_needed: int) -> None:
+    """Check that the file system on which a path is, or will be made, has room.
+
+    Raises
+    ------
+    BagError
+        If fewer than `bytes_needed` bytes are free, or that cannot be found out.
+    """
+    place = path.absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    try:
+        free = shutil.disk_usage(place).free
+    except OSError as error:
+        raise BagError(f"{path}: free space cannot be found out: {error.strerror}") from None
+    if free < bytes_needed:
+        raise BagError(
+            f"{path}: {bytes_needed / 1e6:.1f} MB of disk space needed, {free / 1e6:.1f} MB free"
+        )
+
+
+def _make_directory(path: Path) -> None:
+    try:
+        path.mkdir(parents=True)
+    except FileExistsError:
+        raise BagError(f"{path}: exists already, nothing is overwritten") from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise BagError(f"{path}: cannot be made: {reason}") from None

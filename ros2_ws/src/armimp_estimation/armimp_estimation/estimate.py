@@ -1,0 +1,130 @@
+"""What an estimator of the impedance matrix takes and gives."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_estimation.trial import TrialData
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def confidence_radius(variance: FloatArray, averages: float, level: float = 0.95) -> FloatArray:
+    """Radius of the circle about each complex estimate that holds the truth with a probability.
+
+    The error is circular complex normal and its variance was itself estimated with
+    ``m = averages - 1`` degrees of freedom, so ``|error|² / variance`` follows F(2, 2m), whose
+    quantile is ``m ((1 - level)^(-1/m) - 1)``.
+
+    Parameters
+    ----------
+    variance : ndarray
+        Variance of the complex values.
+    averages : float
+        Number of independent averages behind them, above 1.
+    level : float
+        Probability, between 0 and 1.
+
+    Returns
+    -------
+    ndarray
+        Radius, in the units of the estimate, same shape as `variance`.
+
+    Raises
+    ------
+    ConfigurationError
+        If the level is not a probability.
+    """
+    if not 0.0 < level < 1.0:
+        raise ConfigurationError(f"confidence level must lie between 0 and 1, got {level!r}")
+    freedom = averages - 1.0
+    quantile = freedom * ((1.0 - level) ** (-1.0 / freedom) - 1.0)
+    radius: FloatArray = np.sqrt(quantile * variance)
+    return radius
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImpedanceColumn:
+    """Column k of the impedance matrix: what one trial alone tells.
+
+    Attributes
+    ----------
+    joint : int
+        Joint k, 0-based.
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    Z : ndarray, shape (n, n_freq)
+        Impedance from the angle of joint k to the torques of all joints, N·m/rad.
+    variance : ndarray, shape (n, n_freq)
+        Variance of each complex value, (N·m/rad)².
+    """
+
+    joint: int
+    f: FloatArray
+    Z: ComplexArray
+    variance: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImpedanceEstimate:
+    """The impedance matrix over frequency.
+
+    Attributes
+    ----------
+    name : str
+        Name of the estimator.
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    Z : ndarray, shape (n, n, n_freq)
+        Impedance, N·m/rad.
+    variance : ndarray, shape (n, n, n_freq)
+        Variance of each complex value, (N·m/rad)²; real and imaginary part have half each.
+    bin_correlation : ndarray, shape (lags,)
+        Correlation of the errors at frequencies 0, 1, 2... places apart; 1 at lag 0.
+    averages : float
+        Number of independent averages behind each value and its variance.
+    T, R : ndarray, shape (n, n, n_freq)
+        Responses of torques and of angles (rad/(N·m)) to the perturbation.
+    """
+
+    name: str
+    f: FloatArray
+    Z: ComplexArray
+    variance: FloatArray
+    bin_correlation: FloatArray
+    averages: float
+    T: ComplexArray
+    R: ComplexArray
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return int(self.Z.shape[0])
+
+    def confidence_radius(self, level: float = 0.95) -> FloatArray:
+        """Radius of the confidence circle of each value, N·m/rad, shape (n, n, n_freq)."""
+        return confidence_radius(self.variance, self.averages, level)
+
+
+class Estimator(Protocol):
+    """A way to get the impedance matrix from the trials of one decomposition."""
+
+    @property
+    def name(self) -> str:
+        """Name in tables, files and on the command line."""
+        ...
+
+    def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
+        """Estimate from n trials in any order, one for each joint.
+
+        Raises
+        ------
+        DataError
+            If a joint has no trial (the message names it) or the data cannot be estimated.
+        """
+        ...

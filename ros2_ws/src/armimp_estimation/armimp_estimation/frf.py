@@ -1,0 +1,211 @@
+"""Frequency responses from the perturbation to angles and torques, by averaged spectra.
+
+Kang & Zhang, eq. 15-16: ``R_ik = G_{τΔk θi} / G_{τΔk τΔk}``, ``T_ik = G_{τΔk τi} / G_{τΔk τΔk}``.
+The perturbation is known exactly, so both are unbiased by any disturbance in the loop.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+from armimp_estimation.trial import TrialData, TrialSpectra
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrfColumn:
+    """Column k of the frequency response matrices, from the trial that perturbed joint k.
+
+    Attributes
+    ----------
+    joint : int
+        Joint k, 0-based.
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    R : ndarray, shape (n, n_freq)
+        Response of the angles, rad/(N·m).
+    T : ndarray, shape (n, n_freq)
+        Response of the torques on the arm, N·m/(N·m).
+    R_variance, T_variance : ndarray, shape (n, n_freq)
+        Variance of each complex value, from the power that is not coherent with the perturbation.
+    """
+
+    joint: int
+    f: FloatArray
+    R: ComplexArray
+    T: ComplexArray
+    R_variance: FloatArray
+    T_variance: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrfMatrix:
+    """All columns of the frequency responses.
+
+    Attributes
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    R, T : ndarray, shape (n, n, n_freq)
+        Responses of angles (rad/(N·m)) and torques; first index the responding, second the
+        perturbed joint.
+    R_variance, T_variance : ndarray, shape (n, n, n_freq)
+        Variance of each complex value.
+    """
+
+    f: FloatArray
+    R: ComplexArray
+    T: ComplexArray
+    R_variance: FloatArray
+    T_variance: FloatArray
+
+
+def noise_gain(trial: TrialSpectra) -> FloatArray:
+    """Variance of a response per unit of residual power density, shape (n_freq,).
+
+    A response is estimated as ``G_xy / G_xx``. If e is what the perturbation x does not explain,
+    its variance is ``G_ee_true / (n_d G_xx)`` with n_d independent averages. The residual that is
+    computed after estimation has lost the part that x explains by chance, one of the n_d degrees
+    of freedom: ``E[G_ee] = G_ee_true (n_d - 1) / n_d``. Together: ``1 / ((n_d - 1) G_xx)``.
+
+    Leakage, where there is nothing else, is counted too high, by a factor of about two: the ends
+    of overlapping segments cancel in part, unlike noise.
+
+    Raises
+    ------
+    DataError
+        If the trial has too few segments, or the perturbation has no power in the band.
+    """
+    averages = trial.spectra.effective_averages
+    where = f"trial of joint {trial.perturbed_joint + 1}"
+    if not averages > 1.0:
+        raise DataError(
+            f"{where}: {trial.spectra.segments} segment gives no measure of noise, "
+            "at least 2 are needed"
+        )
+    power = trial.input_power
+    if not (power > 0.0).all():
+        raise DataError(f"{where}: no perturbation at {trial.f[power <= 0.0][0]:.4g} Hz")
+    return 1.0 / ((averages - 1.0) * power)
+
+
+def residual_power(trial: TrialSpectra, coefficients: ComplexArray) -> FloatArray:
+    """Power density of ``e = Σ_c a_c x_c`` over the channels c of a trial.
+
+    ``G_ee = Σ_cd conj(a_c) a_d G_cd``, never below what rounding alone would leave.
+
+    Parameters
+    ----------
+    trial : TrialSpectra
+        Spectra of the channels.
+    coefficients : ndarray, shape (2n + 1, n_freq)
+        Coefficient of each channel at each frequency.
+
+    Returns
+    -------
+    ndarray, shape (n_freq,)
+        Power density of e.
+    """
+    matrix = trial.spectra.matrix
+    power = np.einsum("cf,cdf,df->f", np.conj(coefficients), matrix, coefficients).real
+    terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, matrix).real
+    floored: FloatArray = np.maximum(power, np.finfo(np.float64).eps * terms)
+    return floored
+
+
+def frf_column(trial: TrialSpectra) -> FrfColumn:
+    """Column k of R and T from the spectra of the trial that perturbed joint k.
+
+    Raises
+    ------
+    DataError
+        If the trial has fewer than two segments or no perturbation in the band.
+    """
+    gain = noise_gain(trial)
+    n = trial.joints
+    response = trial.spectra.matrix[0, 1:] / trial.input_power
+    variance = np.empty(response.shape)
+    for row in range(2 * n):
+        coefficients = np.zeros((2 * n + 1, trial.f.size), dtype=np.complex128)
+        coefficients[0] = -response[row]
+        coefficients[1 + row] = 1.0
+        variance[row] = gain * residual_power(trial, coefficients)
+    return FrfColumn(
+        joint=trial.perturbed_joint,
+        f=trial.f,
+        R=response[:n].copy(),
+        T=response[n:].copy(),
+        R_variance=variance[:n].copy(),
+        T_variance=variance[n:].copy(),
+    )
+
+
+def frf_matrix(trials: Sequence[TrialSpectra]) -> FrfMatrix:
+    """Gather the columns of trials which :func:`order_trials` has put in order.
+
+    Raises
+    ------
+    DataError
+        As :func:`frf_column`.
+    """
+    columns = [frf_column(trial) for trial in trials]
+    return FrfMatrix(
+        f=columns[0].f,
+        R=np.stack([column.R for column in columns], axis=1),
+        T=np.stack([column.T for column in columns], axis=1),
+        R_variance=np.stack([column.R_variance for column in columns], axis=1),
+        T_variance=np.stack([column.T_variance for column in columns], axis=1),
+    )
+
+
+def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
+    """Sort trials by perturbed joint, and check that they make a whole decomposition.
+
+    Raises
+    ------
+    DataError
+        If a joint has no trial or several, if the trials are of different arms, rates or
+        frequencies, or if a trial perturbs other joints too.
+    """
+    if not trials:
+        raise DataError("no trial to estimate from")
+    first = trials[0]
+    names = first.record.joint_names
+    for trial in trials:
+        record = trial.record
+        if record.joint_names != names:
+            raise DataError(
+                f"trial {record.trial} has joints {', '.join(record.joint_names)}, "
+                f"trial {first.record.trial} has {', '.join(names)}"
+            )
+        if record.rate != first.record.rate:
+            raise DataError(
+                f"trial {record.trial} has {record.rate} samples per second, "
+                f"trial {first.record.trial} has {first.record.rate}"
+            )
+        if not np.array_equal(trial.spectra.f, first.spectra.f):
+            raise DataError(
+                f"trials {first.record.trial} and {record.trial} have spectra at different "
+                "frequencies"
+            )
+        for joint, name in enumerate(names):
+            if joint != trial.joint and record.perturbation[joint].any():
+                raise DataError(
+                    f"trial {record.trial} perturbs {name} as well as {names[trial.joint]}: "
+                    "decomposition needs one joint at a time"
+                )
+    for joint, name in enumerate(names):
+        numbers = [trial.record.trial for trial in trials if trial.joint == joint]
+        if not numbers:
+            raise DataError(f"no trial perturbs joint {joint + 1} ({name})")
+        if len(numbers) > 1:
+            raise DataError(
+                f"{len(numbers)} trials perturb joint {joint + 1} ({name}), expected one: "
+                f"trials {', '.join(map(str, numbers))}"
+            )
+    return tuple(sorted(trials, key=lambda trial: trial.joint))

@@ -1,0 +1,58 @@
+"""The second-order impedance model of the arm."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MBK:
+    """Inertia, viscosity and stiffness matrices of ``Z(s) = M s² + B s + K``.
+
+    The matrices are general: they need not be symmetric.
+
+    Parameters
+    ----------
+    M : ndarray, shape (n, n)
+        Inertia, kg·m².
+    B : ndarray, shape (n, n)
+        Viscosity, N·m·s/rad.
+    K : ndarray, shape (n, n)
+        Stiffness, N·m/rad.
+
+    Raises
+    ------
+    ConfigurationError
+        If they are not square matrices of one size, or not finite.
+    """
+
+    M: FloatArray
+    B: FloatArray
+    K: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("M", "B", "K"):
+            values: FloatArray = np.array(getattr(self, name), dtype=np.float64, order="C")
+            n = len(self.M)
+            if values.shape != (n, n):
+                raise ConfigurationError(f"{name} has shape {values.shape}, expected ({n}, {n})")
+            if not np.isfinite(values).all():
+                raise ConfigurationError(f"{name} is not finite: {values.tolist()}")
+            object.__setattr__(self, name, values)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.M)
+
+    def impedance(self, f: FloatArray) -> ComplexArray:
+        """Impedance at frequencies in Hz, N·m/rad, shape (n, n, n_freq)."""
+        omega = 2.0 * np.pi * f
+        real = self.K[:, :, None] - self.M[:, :, None] * omega**2
+        return real + 1j * (self.B[:, :, None] * omega)

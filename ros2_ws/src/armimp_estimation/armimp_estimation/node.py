@@ -1,0 +1,234 @@
+"""The estimator node: ROS around recording, assembling and identifying."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from armimp_common import contract, qos
+from armimp_common.channels import RawSubscription, wait_until_matched
+from armimp_common.diagnostics import values_of
+from armimp_common.errors import ArmimpError, DataError, GraphError, MalformedMessageError
+from armimp_common.lifecycle import reported
+from armimp_common.parameters import declare, guard, load
+from armimp_common.spin import run_node
+from armimp_common.trial_status import Phase, TrialStatus
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from armimp_estimation.conclusion import FinishedTrial, conclude
+from armimp_estimation.messages import (
+    column_message,
+    conclusion_message,
+    failed_trial_message,
+    progress_message,
+)
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.recording import Recording
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import TrialData
+from armimp_estimation.welch import WelchSiso
+
+_MATCH_TIMEOUT = 10.0
+_MESSAGE_CLASSES = {
+    "sensor_msgs/msg/JointState": JointState,
+    "std_msgs/msg/Float64MultiArray": Float64MultiArray,
+}
+
+
+class ImpedanceEstimatorNode(LifecycleNode):
+    """Records every trial, estimates each as it ends, and the whole matrix after the last."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(contract.ESTIMATOR_NODE, **kwargs)
+        self.transition_error = ""
+        self._active = False
+        declare(self, EstimatorParameters)
+        guard(self, lambda: "a trial is being recorded" if self._active else None)
+
+    @reported
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._parameters = load(self, EstimatorParameters)
+        self._metadata = self._parameters.bag_metadata()
+        self._reset()
+        self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
+        self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
+        self._streams = [
+            RawSubscription(
+                self,
+                topic,
+                _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]],
+                partial(self._on_message, topic),
+            )
+            for topic in contract.DATA_STREAMS
+        ]
+        self._trial = self.create_subscription(
+            DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED
+        )
+        self._timer = self.create_timer(
+            self._parameters.progress_period, self._on_timer, autostart=False
+        )
+        return TransitionCallbackReturn.SUCCESS
+
+    @reported
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        lonely = wait_until_matched(
+            self, subscriptions=[*self._streams, self._trial], timeout_s=_MATCH_TIMEOUT
+        )
+        if lonely:
+            raise GraphError(f"nobody publishes {', '.join(lonely)}")
+        self._active = True
+        self._timer.reset()
+        return super().on_activate(state)
+
+    @reported
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._stop("the estimator was stopped before all trials were over")
+        self._reset()
+        return super().on_deactivate(state)
+
+    @reported
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self.destroy_timer(self._timer)
+        self.destroy_subscription(self._trial)
+        for stream in self._streams:
+            self.destroy_subscription(stream.subscription)
+        self.destroy_publisher(self._progress)
+        self.destroy_publisher(self._result)
+        return TransitionCallbackReturn.SUCCESS
+
+    @reported
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        if self._active:
+            self._stop("the estimator was shut down before all trials were over")
+        return TransitionCallbackReturn.SUCCESS
+
+    def _reset(self) -> None:
+        directory = self._parameters.directory
+        self._directory = Path(directory) if directory else None
+        self._finished: list[FinishedTrial] = []
+        self._problems: list[str] = []
+        self._concluded = False
+        self._recording = Recording(
+            self._parameters.joints,
+            self._directory if self._parameters.record else None,
+            self._metadata,
+            self._on_finished,
+        )
+
+    def _stop(self, reason: str) -> None:
+        self._active = False
+        self._timer.cancel()
+        self._recording.stop()
+        self._conclude(reason)
+
+    def _on_message(self, topic: str, message: bytes) -> None:
+        if not self._active:
+            return
+        try:
+            self._recording.add(topic, message)
+        except MalformedMessageError as error:
+            self._note(f"{topic}: {error}")
+        except ArmimpError as error:
+            self._give_up(str(error))
+
+    def _on_trial(self, message: DiagnosticStatus) -> None:
+        if not self._active:
+            return
+        try:
+            status = TrialStatus.from_values(values_of(message))
+            if status.reason:
+                self._note(f"trial {status.trial}: {status.reason}")
+            self._recording.add_status(status)
+        except ArmimpError as error:
+            self._give_up(str(error))
+            return
+        if status.phase is Phase.ABORTED:
+            self._conclude("")
+        elif status.phase is Phase.DONE and self._recording.status is None:
+            self._conclude("")
+
+    def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
+        if trial is None:
+            self._note(problem)
+            return
+        self._finished.append(trial)
+        assembled = trial.assembled
+        try:
+            record = assembled.require()
+            data = TrialData.from_record(record, WelchConfig.for_samples(record.samples))
+            column = WelchSiso().column(data.spectra)
+        except DataError as error:
+            self._result.publish(failed_trial_message(assembled, str(error)))
+        else:
+            self._result.publish(column_message(assembled, data.spectra, column))
+        if len(self._finished) == len(self._parameters.joints):
+            self._conclude("")
+
+    def _conclude(self, problem: str) -> None:
+        """Publish and store the result, once; without any trial there is none."""
+        if self._concluded:
+            return
+        self._concluded = True
+        if problem:
+            self._note(problem)
+        conclusion = conclude(
+            self._finished,
+            metadata=self._metadata,
+            joints=len(self._parameters.joints),
+            estimators=self._parameters.estimators,
+            problems=self._problems,
+        )
+        if self._directory is not None:
+            try:
+                self._directory.mkdir(parents=True, exist_ok=True)
+                conclusion.write(self._directory)
+            except (ArmimpError, OSError) as error:
+                self.get_logger().error(f"result not stored: {error}")
+        self._result.publish(conclusion_message(conclusion))
+
+    def _note(self, problem: str) -> None:
+        if problem not in self._problems:
+            self._problems.append(problem)
+            self.get_logger().error(problem)
+
+    def _give_up(self, problem: str) -> None:
+        """Recording failed: keep what there is, and say so."""
+        self._note(problem)
+        self._active = False
+        self._timer.cancel()
+        try:
+            self._recording.close()
+        except ArmimpError as error:
+            self._note(str(error))
+        self._conclude("")
+
+    def _on_timer(self) -> None:
+        status = self._recording.status
+        if not self._active or status is None:
+            return
+        self._progress.publish(
+            progress_message(
+                trial=status.trial,
+                trials=status.trials,
+                joint=status.joint,
+                phase=status.phase.value,
+                samples=self._recording.samples,
+                planned=status.ticks,
+                rate=self._recording.rate,
+                coherence=self._recording.update(),
+            )
+        )
+
+
+def main() -> int:
+    """Run the estimator node as a process."""
+    return run_node(ImpedanceEstimatorNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

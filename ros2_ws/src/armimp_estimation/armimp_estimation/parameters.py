@@ -1,0 +1,57 @@
+"""Parameters of the estimator node: the one place of their names, defaults and meaning."""
+
+from __future__ import annotations
+
+import json
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
+from pydantic import Field
+
+from armimp_estimation.registry import estimator_names
+
+
+class EstimatorParameters(Schema):
+    """All parameters of the node ``impedance_estimator``."""
+
+    joints: tuple[str, ...] = Field(
+        default=("shoulder", "elbow"), description="names of the joints, in the order of results"
+    )
+    estimators: tuple[str, ...] = Field(
+        default=("welch_siso", "welch_full"), description="estimators of the final result"
+    )
+    record: bool = Field(default=True, description="write one bag for each trial")
+    directory: str = Field(
+        default="", description="where bags/, summary.json and frf.npz go; empty: nowhere"
+    )
+    metadata: str = Field(
+        default="{}",
+        description="JSON object of strings to store in the bags: configuration, truth, versions",
+    )
+    progress_period: float = Field(
+        default=0.2, ge=0.05, le=10.0, description="time between progress messages (s)"
+    )
+
+    def bag_metadata(self) -> dict[str, str]:
+        """The metadata as a dictionary.
+
+        Raises
+        ------
+        ConfigurationError
+            If it is not a JSON object of strings, or an estimator does not exist.
+        """
+        for name in self.estimators:
+            if name not in estimator_names():
+                raise ConfigurationError(
+                    f"parameter 'estimators': there is no {name!r}, only "
+                    f"{', '.join(estimator_names())}"
+                )
+        try:
+            values = json.loads(self.metadata)
+        except ValueError:
+            values = None
+        if not isinstance(values, dict) or not all(isinstance(v, str) for v in values.values()):
+            raise ConfigurationError(
+                f"parameter 'metadata' is not a JSON object of strings: {self.metadata[:60]!r}"
+            )
+        return values

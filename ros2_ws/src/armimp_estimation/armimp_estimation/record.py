@@ -1,0 +1,98 @@
+"""The record of one trial as arrays: what every estimator starts from."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrialRecord:
+    """One trial: what was commanded as perturbation and what the sensors read.
+
+    The three arrays are converted to C-contiguous float64, so that the estimates do not
+    depend on how the caller happened to lay them out.
+
+    Parameters
+    ----------
+    trial : int
+        Number of the trial, 1-based.
+    perturbed_joint : int
+        The joint that was perturbed, 0-based.
+    rate : float
+        Samples per second, Hz.
+    joint_names : tuple of str
+        One name for each of the n joints, in the order of the rows.
+    perturbation : ndarray, shape (n, N)
+        Perturbation torque ``tau_delta`` of each joint, N·m.
+    position : ndarray, shape (n, N)
+        Joint angles as the encoders read them, rad.
+    torque : ndarray, shape (n, N)
+        Torques applied to the arm as the transducers read them, N·m.
+    start_ns : int
+        Stamp of the first sample, ns.
+    seed : int or None
+        Seed of the perturbation, if known.
+
+    Raises
+    ------
+    DataError
+        If shapes disagree or a sample is not finite; the message names the joint and sample.
+    """
+
+    trial: int
+    perturbed_joint: int
+    rate: float
+    joint_names: tuple[str, ...]
+    perturbation: FloatArray
+    position: FloatArray
+    torque: FloatArray
+    start_ns: int
+    seed: int | None
+
+    def __post_init__(self) -> None:
+        n = len(self.joint_names)
+        where = f"trial {self.trial}"
+        if n == 0 or len(set(self.joint_names)) != n:
+            raise DataError(f"{where}: joint names must be distinct, got {self.joint_names!r}")
+        if not 0 <= self.perturbed_joint < n:
+            raise DataError(f"{where}: no joint {self.perturbed_joint + 1} among {n} joints")
+        if not (math.isfinite(self.rate) and self.rate > 0.0):
+            raise DataError(f"{where}: sampling rate must be positive, got {self.rate!r} Hz")
+        for name in ("perturbation", "position", "torque"):
+            values: FloatArray = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            if values.ndim != 2 or values.shape[0] != n:
+                raise DataError(f"{where}: {name} has shape {values.shape}, expected ({n}, N)")
+            if values.shape != np.shape(self.perturbation):
+                raise DataError(
+                    f"{where}: {name} has {values.shape[1]} samples, "
+                    f"perturbation has {np.shape(self.perturbation)[1]}"
+                )
+            finite = np.isfinite(values)
+            if not finite.all():
+                row, sample = np.argwhere(~finite)[0]
+                raise DataError(
+                    f"{where}: {name} of {self.joint_names[row]} is "
+                    f"{values[row, sample]} at sample {sample}"
+                )
+            object.__setattr__(self, name, values)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return len(self.joint_names)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples N."""
+        return int(self.perturbation.shape[1])
+
+    @property
+    def duration(self) -> float:
+        """Length of the record, s."""
+        return self.samples / self.rate

@@ -1,0 +1,155 @@
+"""From live messages to finished trials: collecting, recording, assembling. No ROS in here."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from armimp_common.contract import NS_PER_S, PERIOD_NS, TRIAL
+from armimp_common.errors import ArmimpError, DataError
+from armimp_common.trial_status import Phase, TrialStatus
+
+from armimp_estimation.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.bags import BagWriter
+from armimp_estimation.bags.statuses import encode_trial_status
+from armimp_estimation.collector import CollectedTrial, TrialCollector
+from armimp_estimation.conclusion import FinishedTrial
+from armimp_estimation.progress import RunningCoherence
+
+BAGS = "bags"
+
+
+class Recording:
+    """Records each trial into its own bag and hands it over when it is complete.
+
+    Parameters
+    ----------
+    joint_names : tuple of str
+        Names of the n joints.
+    directory : Path or None
+        Where ``bags/`` is made; None records nothing.
+    metadata : mapping of str to str
+        Stored in every bag.
+    on_finished : callable
+        Called with each trial, and with the reason if no trial could be made of it.
+    """
+
+    def __init__(
+        self,
+        joint_names: tuple[str, ...],
+        directory: Path | None,
+        metadata: Mapping[str, str],
+        on_finished: Callable[[FinishedTrial | None, str], None],
+    ) -> None:
+        self._joint_names = joint_names
+        self._directory = directory
+        self._metadata = metadata
+        self._on_finished = on_finished
+        self._collector = TrialCollector(self._write, self._on_complete)
+        self._writer: BagWriter | None = None
+        self._bag: Path | None = None
+        self._running: RunningCoherence | None = None
+        self._began = 0.0
+        self._last_ns = 0
+        self._statuses_written = 0
+        self.add = self._collector.add
+
+    @property
+    def status(self) -> TrialStatus | None:
+        """Last status of the present trial; None between trials."""
+        return self._collector.status
+
+    @property
+    def samples(self) -> int:
+        """Number of complete samples of the present trial so far."""
+        return min(len(messages) for messages in self._collector.messages.values())
+
+    @property
+    def rate(self) -> float:
+        """Samples per second of wall time in the present trial, Hz."""
+        return self.samples / (time.monotonic() - self._began) if self._began else 0.0
+
+    def add_status(self, status: TrialStatus) -> None:
+        """Take a trial status.
+
+        Raises
+        ------
+        BagError
+            If the bag of a new trial can't be written.
+        """
+        before = self._collector.status
+        if before is None and status.phase in (Phase.SETTLE, Phase.PERTURB):
+            self._open(status)
+        self._collector.add_status(status)
+
+    def update(self) -> tuple[float, float] | None:
+        """Running coherence (motion, torque) of the present trial, see `RunningCoherence`."""
+        status = self._collector.status
+        if status is None:
+            return None
+        if self._running is None:
+            rate = NS_PER_S / PERIOD_NS
+            self._running = RunningCoherence(
+                self._joint_names, status.joint, rate=rate, planned=status.ticks
+            )
+        return self._running.update(self._collector.messages)
+
+    def stop(self) -> None:
+        """Finish the present trial with what there is, and close its bag."""
+        self._collector.finish()
+        self.close()
+
+    def close(self) -> None:
+        """Close the bag of the present trial, complete or not."""
+        if self._writer is not None:
+            writer, self._writer = self._writer, None
+            writer.close()
+
+    def _open(self, status: TrialStatus) -> None:
+        self.close()
+        self._running = None
+        self._began = 0.0
+        self._statuses_written = 0
+        if self._directory is not None:
+            self._bag = self._directory / BAGS / f"trial_{status.trial}_joint_{status.joint + 1}"
+            self._writer = BagWriter(self._bag, metadata=self._metadata)
+
+    def _write(self, topic: str, message: bytes, time_ns: int) -> None:
+        if self._statuses_written == 0:
+            self._began = time.monotonic()
+            self._write_statuses(self._collector.statuses, time_ns)
+        if self._writer is not None:
+            self._writer.write(topic, message, time_ns)
+        self._last_ns = time_ns
+
+    def _write_statuses(self, statuses: Sequence[TrialStatus], time_ns: int) -> None:
+        """Statuses have no stamp: they get that of the sample beside them."""
+        new = statuses[self._statuses_written :]
+        self._statuses_written = len(statuses)
+        if self._writer is not None:
+            for status in new:
+                self._writer.write(TRIAL, encode_trial_status(status), time_ns)
+
+    def _on_complete(self, collected: CollectedTrial) -> None:
+        elapsed = time.monotonic() - self._began
+        try:
+            if self._statuses_written:
+                self._write_statuses(collected.statuses, self._last_ns)
+            self.close()
+            assembled = self._assemble(collected)
+        except ArmimpError as error:
+            self._on_finished(None, str(error))
+            return
+        duration = assembled.window.ticks * PERIOD_NS / NS_PER_S
+        bag = None if self._bag is None else str(self._bag)
+        self._on_finished(
+            FinishedTrial(assembled=assembled, bag=bag, rtf=duration / elapsed), ""
+        )
+
+    def _assemble(self, collected: CollectedTrial) -> AssembledTrial:
+        trials = assemble_trials(self._joint_names, collected.messages, collected.statuses)
+        if len(trials) != 1:
+            number = collected.statuses[0].trial
+            raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")
+        return trials[0]

@@ -1,0 +1,312 @@
+"""Files of a result: ``summary.json`` for the figures, ``frf.npz`` for the curves."""
+
+import math
+import os
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
+
+from armimp_common.errors import DataError
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.identify import EstimatorResult, Identification
+from armimp_estimation.mbk import MBK
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def _nan_for_null(value: object) -> object:
+    return math.nan if value is None else value
+
+
+# JSON has no NaN or infinity: both are written as null, and null is read as NaN.
+Number = Annotated[float, BeforeValidator(_nan_for_null)]
+Vector = list[Number]
+Matrix = list[Vector]
+
+
+class _Model(BaseModel):
+    """Unknown keys are an error: they would be lost when the file is written again."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class TrialSummary(_Model):
+    """One trial: ``k`` is the perturbed joint, 1-based; ``lost`` the samples that are missing."""
+
+    k: int
+    bag: str | None
+    ticks: int
+    lost: int
+    lock_ratio: Vector
+    bias_bound: Vector
+    rtf: Number = math.nan
+    """Times real time at which the trial ran; null if it was not run live."""
+
+
+class EstimatorSummary(_Model):
+    """Result of one estimator; matrices are lists of rows, SI units, VAF in %."""
+
+    M: Matrix
+    B: Matrix
+    K: Matrix
+    M_se: Matrix
+    B_se: Matrix
+    K_se: Matrix
+    vaf: Matrix | None
+    r2: Matrix
+    coherence_derived: Matrix
+    coherence_torque: Matrix
+    coherence_motion: Vector
+
+    @classmethod
+    def of(cls, result: EstimatorResult) -> "EstimatorSummary":
+        """Summary of the result of one estimator."""
+        fit = result.fit
+        return cls(
+            M=fit.mbk.M.tolist(),
+            B=fit.mbk.B.tolist(),
+            K=fit.mbk.K.tolist(),
+            M_se=fit.M_se.tolist(),
+            B_se=fit.B_se.tolist(),
+            K_se=fit.K_se.tolist(),
+            vaf=None if result.vaf is None else result.vaf.tolist(),
+            r2=fit.r2.tolist(),
+            coherence_derived=result.coherence_derived.tolist(),
+            coherence_torque=result.coherence_torque.tolist(),
+            coherence_motion=result.coherence_motion.tolist(),
+        )
+
+
+class TruthSummary(_Model):
+    """True matrices, SI units."""
+
+    M: Matrix
+    B: Matrix
+    K: Matrix
+
+    @classmethod
+    def of(cls, truth: MBK) -> "TruthSummary":
+        """Summary of true matrices."""
+        return cls(M=truth.M.tolist(), B=truth.B.tolist(), K=truth.K.tolist())
+
+    def mbk(self) -> MBK:
+        """Matrices as arrays."""
+        return MBK(M=np.array(self.M), B=np.array(self.B), K=np.array(self.K))
+
+
+class Summary(_Model):
+    """Content of ``summary.json``."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    config: dict[str, JsonValue]
+    joints: int
+    seed: int | None
+    valid: bool
+    problems: list[str]
+    trials: list[TrialSummary]
+    estimators: dict[str, EstimatorSummary]
+    truth: TruthSummary | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialLedger:
+    """What is known of a trial besides its samples.
+
+    Parameters
+    ----------
+    bag : str or None
+        Bag that holds it.
+    ticks : int
+        Samples of the trial.
+    lost : int
+        Samples found missing.
+    rtf : float
+        Times real time at which it ran; NaN if it was not run live.
+    """
+
+    bag: str | None
+    ticks: int
+    lost: int = 0
+    rtf: float = math.nan
+
+
+def summarise(
+    identification: Identification,
+    ledgers: Mapping[int, TrialLedger],
+    *,
+    config: Mapping[str, JsonValue],
+    seed: int | None,
+    problems: tuple[str, ...] = (),
+) -> Summary:
+    """Put an identification into the form of ``summary.json``.
+
+    Parameters
+    ----------
+    identification : Identification
+        Result.
+    ledgers : mapping of int to TrialLedger
+        For each perturbed joint, 0-based.
+    config : mapping
+        Full configuration of the run.
+    seed : int or None
+        Seed of the run.
+    problems : tuple of str
+        Problems of the run itself, which come first and make the result invalid.
+
+    Raises
+    ------
+    DataError
+        If a trial has no ledger.
+    """
+    trials = []
+    for trial in identification.trials:
+        if trial.joint not in ledgers:
+            raise DataError(f"nothing known about the trial of joint {trial.joint + 1}")
+        ledger = ledgers[trial.joint]
+        trials.append(
+            TrialSummary(
+                k=trial.joint + 1,
+                bag=ledger.bag,
+                ticks=ledger.ticks,
+                lost=ledger.lost,
+                lock_ratio=trial.lock_ratio.tolist(),
+                bias_bound=trial.bias_bound.tolist(),
+                rtf=ledger.rtf,
+            )
+        )
+    everything = [*problems, *identification.problems]
+    return Summary(
+        config=dict(config),
+        joints=len(identification.joint_names),
+        seed=seed,
+        valid=not everything,
+        problems=everything,
+        trials=trials,
+        estimators={
+            name: EstimatorSummary.of(result) for name, result in identification.estimators.items()
+        },
+        truth=None if identification.truth is None else TruthSummary.of(identification.truth),
+    )
+
+
+def write_summary(path: Path, summary: Summary) -> None:
+    """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
+
+    Raises
+    ------
+    DataError
+        If the file exists already or cannot be written.
+    """
+    text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
+    _write_new(path, lambda part: part.write_text(text, encoding="utf-8"))
+
+
+def read_summary(path: Path) -> Summary:
+    """Read ``summary.json``.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or is not a summary of schema 1; the message names file and place.
+    """
+    try:
+        return Summary.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "content"
+        raise DataError(f"{path}: not a summary: {where}: {first['msg']}") from error
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImpedanceCurve:
+    """Impedance over frequency as ``frf.npz`` holds it.
+
+    Attributes
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    Z : ndarray, shape (n, n, n_freq)
+        Impedance, N·m/rad.
+    variance : ndarray, shape (n, n, n_freq)
+        Variance of each complex value.
+    """
+
+    f: FloatArray
+    Z: ComplexArray
+    variance: FloatArray
+
+
+def write_frf(path: Path, estimates: Mapping[str, ImpedanceEstimate]) -> None:
+    """Write ``frf.npz``: ``f``, and ``Z_<name>``, ``var_<name>`` for each estimator.
+
+    ``f`` is the grid of the first estimator; one with another grid has its own ``f_<name>``.
+
+    Raises
+    ------
+    DataError
+        If there is no estimate, or the file exists already or cannot be written.
+    """
+    if not estimates:
+        raise DataError(f"{path}: no estimate to write")
+    common = next(iter(estimates.values())).f
+    arrays: dict[str, FloatArray | ComplexArray] = {"f": common}
+    for name, estimate in estimates.items():
+        if not np.array_equal(estimate.f, common):
+            arrays[f"f_{name}"] = estimate.f
+        arrays[f"Z_{name}"] = estimate.Z
+        arrays[f"var_{name}"] = estimate.variance
+
+    def save(part: Path) -> None:
+        with part.open("wb") as file:
+            np.savez(file, allow_pickle=False, **arrays)
+
+    _write_new(path, save)
+
+
+def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
+    """Read ``frf.npz``: the curves by name of the estimator.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or lacks an array.
+    """
+    try:
+        # Opened here, as numpy leaves a file that it cannot read open.
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            names = [key[2:] for key in file.files if key.startswith("Z_")]
+            return {
+                name: ImpedanceCurve(
+                    f=file[f"f_{name}" if f"f_{name}" in file.files else "f"],
+                    Z=file[f"Z_{name}"],
+                    variance=file[f"var_{name}"],
+                )
+                for name in names
+            }
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        reason = " ".join(str(error).split())
+        raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
+
+
+def _write_new(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file beside its place and move it there, so that no half-written one can be seen."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        if path.exists():
+            raise DataError(f"{path}: exists already")
+        try:
+            write(part)
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(f"{path}: cannot write: {error.strerror}") from error

@@ -1,0 +1,188 @@
+"""Measures of how far an estimate can be trusted; all over the band of the spectra.
+
+Means over the band are plain means over its frequencies.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.frf import FrfMatrix
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import CrossSpectra
+from armimp_estimation.trial import TrialSpectra
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+def vaf(estimate: ImpedanceEstimate, truth: MBK) -> FloatArray:
+    """Variance accounted for, of each element against the true impedance, %.
+
+    ``VAF_ij = 100 (1 - Σ_f |Z_ij - Ẑ_ij|² / Σ_f |Z_ij|²)``; NaN where the true element is zero.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+    """
+    true = truth.impedance(estimate.f)
+    error = np.sum(np.abs(true - estimate.Z) ** 2, axis=2)
+    power = np.sum(np.abs(true) ** 2, axis=2)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(power > 0.0, error / power, np.nan)
+    accounted: FloatArray = 100.0 * (1.0 - share)
+    return accounted
+
+
+def coherence(spectra: CrossSpectra, x: int, y: int) -> FloatArray:
+    """Ordinary coherence ``γ² = |G_xy|² / (G_xx G_yy)`` of two channels, shape (n_freq,).
+
+    A channel without any power is coherent with nothing: 0.
+    """
+    power = spectra.power(x) * spectra.power(y)
+    common = np.abs(spectra.matrix[x, y]) ** 2
+    ratio = np.divide(common, power, out=np.zeros_like(power), where=power > 0.0)
+    bounded: FloatArray = np.minimum(ratio, 1.0)  # rounding may lift full coherence above 1
+    return bounded
+
+
+def derived_coherence(
+    trial: TrialSpectra, joint: int, f: FloatArray, impedance: ComplexArray
+) -> FloatArray:
+    """Coherence between the angle of joint k and the torque of a joint, seen without the loop.
+
+    ``|Ẑ|² G_θθ / (|Ẑ|² G_θθ + G_nn)`` with ``G_nn = (1 - γ²(θ_k, τ_i)) G_ττ``. It says how much of
+    the torque the impedance explains, and stays near 1 even if other joints were not held still.
+
+    Parameters
+    ----------
+    trial : TrialSpectra
+        Spectra of the trial that perturbed joint k.
+    joint : int
+        Joint i of the torque, 0-based.
+    f : ndarray, shape (m,)
+        Frequencies of the impedance, Hz; other than those of the spectra are interpolated.
+    impedance : ndarray, shape (m,)
+        Estimate of ``Z_ik``, N·m/rad.
+
+    Returns
+    -------
+    ndarray, shape (n_freq,)
+        At the frequencies of the spectra.
+    """
+    angle = trial.position_channel(trial.perturbed_joint)
+    torque = trial.torque_channel(joint)
+    values = impedance if np.array_equal(f, trial.f) else np.interp(trial.f, f, impedance)
+    explained = np.abs(values) ** 2 * trial.spectra.power(angle)
+    noise = (1.0 - coherence(trial.spectra, angle, torque)) * trial.spectra.power(torque)
+    total = explained + noise
+    return np.divide(explained, total, out=np.zeros_like(total), where=total > 0.0)
+
+
+def coherence_significance(averages: float, alpha: float = 0.05) -> float:
+    """Coherence which independent signals exceed with probability alpha: ``1 - α^{1/(n_d - 1)}``.
+
+    Parameters
+    ----------
+    averages : float
+        Number n_d of independent averages (not of overlapped segments).
+    alpha : float
+        Probability, between 0 and 1.
+
+    Returns
+    -------
+    float
+        Level of γ²; 1 if a single average makes any coherence meaningless.
+
+    Raises
+    ------
+    ConfigurationError
+        If alpha is not a probability.
+    """
+    if not 0.0 < alpha < 1.0:
+        raise ConfigurationError(f"significance must lie between 0 and 1, got {alpha!r}")
+    return float(1.0 - alpha ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
+
+
+def lock_ratio(record: TrialRecord) -> FloatArray:
+    """Motion of each joint relative to that of the perturbed one: ``rms(θ_i) / rms(θ_k)``.
+
+    The rms is of the deviation from the mean. The perturbed joint itself has 1.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+
+    Raises
+    ------
+    DataError
+        If the perturbed joint did not move at all.
+    """
+    motion = np.std(record.position, axis=1)
+    k = record.perturbed_joint
+    if np.ptp(record.position[k]) == 0.0:  # the deviation is not quite zero, by rounding
+        raise DataError(
+            f"trial {record.trial}: {record.joint_names[k]} is perturbed but does not move"
+        )
+    ratio: FloatArray = motion / motion[k]
+    return ratio
+
+
+def bias_bound(frf: FrfMatrix) -> FloatArray:
+    """Bias of ``T_ik / R_kk`` that motion of locked joints may cause, relative to it.
+
+    For a locked joint i it is the band mean of ``|Ẑ_ii R_ik / T_ik|``: the share of its torque
+    that is due to its own motion. For the perturbed joint itself, of which that says nothing, it is
+    the band mean of ``Σ_j |Ẑ_kj R_jk / T_kk|`` over the locked joints j. ``Ẑ_ij = T_ij / R_jj``.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Row i is the locked, column k the perturbed joint.
+    """
+    n = frf.R.shape[0]
+    bound = np.zeros((n, n))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i in range(n):
+            for k in range(n):
+                moving = [i] if i != k else [j for j in range(n) if j != k]
+                for j in moving:
+                    share = np.abs(frf.T[i, j] / frf.R[j, j] * frf.R[j, k] / frf.T[i, k])
+                    bound[i, k] += np.mean(share)
+    return bound
+
+
+def mean_coherence_torque(trials: Sequence[TrialSpectra]) -> FloatArray:
+    """Band mean of ``γ²(τΔ_k, τ_i)``, shape (n, n): row i, column k; trials in order of k."""
+    return np.array(
+        [
+            [float(np.mean(coherence(t.spectra, 0, t.torque_channel(i)))) for t in trials]
+            for i in range(len(trials))
+        ]
+    )
+
+
+def mean_coherence_motion(trials: Sequence[TrialSpectra]) -> FloatArray:
+    """Band mean of ``γ²(τΔ_k, θ_k)``, shape (n,); trials in order of k."""
+    return np.array(
+        [
+            float(np.mean(coherence(t.spectra, 0, t.position_channel(t.perturbed_joint))))
+            for t in trials
+        ]
+    )
+
+
+def mean_coherence_derived(
+    trials: Sequence[TrialSpectra], estimate: ImpedanceEstimate
+) -> FloatArray:
+    """Band mean of :func:`derived_coherence`, shape (n, n); trials in order of k."""
+    n = len(trials)
+    mean = np.empty((n, n))
+    for i in range(n):
+        for k, trial in enumerate(trials):
+            mean[i, k] = np.mean(derived_coherence(trial, i, estimate.f, estimate.Z[i, k]))
+    return mean

@@ -1,0 +1,128 @@
+"""Records of a linear arm under closed-loop control with known truth, to check estimators with.
+
+No physics engine: the loop is solved in the frequency domain over one period of a periodic
+perturbation, so the only errors of an estimate are those of the estimator.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+TWO_JOINT_ARM = MBK(
+    M=np.array([[0.187, 0.084], [0.079, 0.060]]),
+    B=np.array([[0.651, 0.239], [0.236, 0.407]]),
+    K=np.array([[7.967, 3.187], [1.663, 6.901]]),
+)
+"""Arm of Table I of Kang & Zhang."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SyntheticConfig:
+    """Controlled arm and disturbances of a synthetic trial.
+
+    Parameters
+    ----------
+    rate : float
+        Samples per second, Hz.
+    samples : int
+        Samples of the record, which is one period.
+    perturbation : float
+        Rms of the perturbation torque, N·m.
+    bandwidth : float
+        Frequency up to which the perturbation has power, Hz (8th-order fall-off above).
+    inertia, viscosity, stiffness : float
+        Impedance that the controller gives to the perturbed joint, SI units.
+    lock_stiffness : float
+        Stiffness of locked joints, N·m/rad; they give way to the torque of the arm.
+    voluntary : float
+        Rms of the voluntary torque of each joint, N·m; it moves the arm through the loop.
+    voluntary_bandwidth : float
+        Frequency up to which the voluntary torque has power, Hz (first-order fall-off).
+    torque_noise, position_noise : float
+        Rms of white sensor noise, N·m and rad, outside the loop.
+    """
+
+    rate: float = 1000.0
+    samples: int = 50_000
+    perturbation: float = 3.0
+    bandwidth: float = 15.0
+    inertia: float = 0.2
+    viscosity: float = 2.0
+    stiffness: float = 10.0
+    lock_stiffness: float = 1e9
+    voluntary: float = 0.0
+    voluntary_bandwidth: float = 2.0
+    torque_noise: float = 0.0
+    position_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.samples < 2 or not self.rate > 0.0:
+            raise ConfigurationError(
+                f"a record needs samples and a rate, got {self.samples} at {self.rate!r} Hz"
+            )
+
+
+def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) -> TrialRecord:
+    """Simulate the trial that perturbs one joint.
+
+    The loop is ``(Y + Z) θ = x e_k - d``, where Y is the diagonal impedance that the controller
+    gives to each joint, and the torque on the arm is ``τ = Z θ + d``.
+
+    Parameters
+    ----------
+    arm : MBK
+        True impedance.
+    joint : int
+        Joint to perturb, 0-based.
+    config : SyntheticConfig
+        Loop and disturbances.
+    seed : int
+        Seed of all random signals.
+    """
+    n, samples = arm.joints, config.samples
+    rng = np.random.default_rng((seed, joint))
+    f: FloatArray = np.asarray(np.fft.rfftfreq(samples, 1.0 / config.rate), dtype=np.float64)
+    s = 2j * np.pi * f
+    impedance = np.moveaxis(arm.impedance(f), -1, 0)
+    control = np.zeros(impedance.shape, dtype=np.complex128)
+    for i in range(n):
+        control[:, i, i] = config.lock_stiffness
+    control[:, joint, joint] = config.inertia * s**2 + config.viscosity * s + config.stiffness
+
+    force = np.zeros((n, f.size), dtype=np.complex128)
+    shape = 1.0 / np.sqrt(1.0 + (f / config.bandwidth) ** 16)
+    force[joint] = _noise(rng, samples, shape, config.perturbation)
+    shape = 1.0 / np.sqrt(1.0 + (f / config.voluntary_bandwidth) ** 2)
+    voluntary = np.stack([_noise(rng, samples, shape, config.voluntary) for _ in range(n)])
+
+    angles = np.linalg.solve(control + impedance, (force - voluntary).T[:, :, None])
+    torques = (impedance @ angles)[:, :, 0].T + voluntary
+    position = np.fft.irfft(angles[:, :, 0].T, samples, axis=1)
+    torque = np.fft.irfft(torques, samples, axis=1)
+    return TrialRecord(
+        trial=joint + 1,
+        perturbed_joint=joint,
+        rate=config.rate,
+        joint_names=tuple(f"joint_{i + 1}" for i in range(n)),
+        perturbation=np.fft.irfft(force, samples, axis=1),
+        position=position + config.position_noise * rng.standard_normal((n, samples)),
+        torque=torque + config.torque_noise * rng.standard_normal((n, samples)),
+        start_ns=0,
+        seed=seed,
+    )
+
+
+def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float) -> ComplexArray:
+    """Spectrum of a zero-mean uniform random signal, filtered by `shape`, of the given rms."""
+    spectrum = np.fft.rfft(rng.uniform(-1.0, 1.0, samples)) * shape
+    spectrum[0] = 0.0
+    actual = float(np.std(np.fft.irfft(spectrum, samples)))
+    return spectrum * (rms / actual)

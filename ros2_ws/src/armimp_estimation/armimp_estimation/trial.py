@@ -1,0 +1,150 @@
+"""Spectra of one trial, and the trial as estimators take it: record plus spectra."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrialSpectra:
+    """Cross-spectra of the channels ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` of a trial.
+
+    Attributes
+    ----------
+    perturbed_joint : int
+        Joint k, 0-based.
+    spectra : CrossSpectra
+        Spectra of the 2n + 1 channels, in SI units (N·m and rad).
+    """
+
+    perturbed_joint: int
+    spectra: CrossSpectra
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return (len(self.spectra.matrix) - 1) // 2
+
+    @property
+    def f(self) -> FloatArray:
+        """Frequencies, Hz, shape (n_freq,)."""
+        return self.spectra.f
+
+    @property
+    def input_power(self) -> FloatArray:
+        """Power density of the perturbation, (N·m)²/Hz, shape (n_freq,)."""
+        return self.spectra.power(0)
+
+    def position_channel(self, joint: int) -> int:
+        """Channel of the angle of a joint (0-based)."""
+        return 1 + joint
+
+    def torque_channel(self, joint: int) -> int:
+        """Channel of the torque of a joint (0-based)."""
+        return 1 + self.joints + joint
+
+
+class TrialAccumulator:
+    """Gathers the spectra of one trial while its samples arrive.
+
+    Parameters
+    ----------
+    joints : int
+        Number of joints n.
+    perturbed_joint : int
+        Joint k, 0-based.
+    rate : float
+        Samples per second, Hz.
+    config : WelchConfig
+        Segments and band.
+    """
+
+    def __init__(
+        self, joints: int, perturbed_joint: int, rate: float, config: WelchConfig | None = None
+    ) -> None:
+        self._joint = perturbed_joint
+        self._accumulator = SpectralAccumulator(2 * joints + 1, rate, config)
+
+    @property
+    def samples(self) -> int:
+        """Number of samples pushed so far."""
+        return self._accumulator.samples
+
+    @property
+    def segments(self) -> int:
+        """Number of complete segments so far."""
+        return self._accumulator.segments
+
+    def push(self, perturbation: FloatArray, position: FloatArray, torque: FloatArray) -> None:
+        """Append a block of m samples; each array has shape (n, m), in N·m, rad and N·m.
+
+        Raises
+        ------
+        DataError
+            If shapes disagree or a sample is not finite.
+        """
+        if not perturbation.shape == position.shape == torque.shape:
+            raise DataError(
+                f"block shapes differ: perturbation {perturbation.shape}, "
+                f"position {position.shape}, torque {torque.shape}"
+            )
+        k = self._joint
+        self._accumulator.push(np.concatenate((perturbation[k : k + 1], position, torque)))
+
+    def result(self) -> TrialSpectra:
+        """Spectra of the samples so far.
+
+        Raises
+        ------
+        DataError
+            If there is no complete segment yet.
+        """
+        return TrialSpectra(perturbed_joint=self._joint, spectra=self._accumulator.result())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrialData:
+    """A finished trial: its record and its spectra, which belong together."""
+
+    record: TrialRecord
+    spectra: TrialSpectra
+
+    def __post_init__(self) -> None:
+        if (self.record.perturbed_joint, self.record.joints) != (
+            self.spectra.perturbed_joint,
+            self.spectra.joints,
+        ):
+            raise DataError(
+                f"trial {self.record.trial}: the record is of joint "
+                f"{self.record.perturbed_joint + 1} of {self.record.joints}, its spectra of joint "
+                f"{self.spectra.perturbed_joint + 1} of {self.spectra.joints}"
+            )
+
+    @classmethod
+    def from_record(cls, record: TrialRecord, config: WelchConfig | None = None) -> "TrialData":
+        """Compute the spectra of a whole record; bit-identical to gathering them live.
+
+        Raises
+        ------
+        DataError
+            If the record is shorter than one segment.
+        """
+        accumulator = TrialAccumulator(record.joints, record.perturbed_joint, record.rate, config)
+        accumulator.push(record.perturbation, record.position, record.torque)
+        try:
+            return cls(record=record, spectra=accumulator.result())
+        except DataError as error:
+            raise DataError(f"trial {record.trial}: {error}") from error
+
+    @property
+    def joint(self) -> int:
+        """The perturbed joint, 0-based."""
+        return self.record.perturbed_joint

@@ -1,0 +1,108 @@
+"""The streams of a recording, decoded in the order in which their messages arrived."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common import contract
+from armimp_common.cdr import JointStateDecoder
+from armimp_common.errors import DataError, MalformedMessageError
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Stream:
+    """Decoded messages of one topic with stamps.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Header stamps (ns) in order of arrival.
+    values : ndarray, shape (n, N)
+        Numbers of the joints, in SI units.
+    malformed : int
+        Messages that were left out because they could not be decoded.
+    defect : str
+        What is wrong with the first of those.
+    """
+
+    stamps: NDArray[np.int64]
+    values: NDArray[np.float64]
+    malformed: int = 0
+    defect: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrialStreams:
+    """What a trial is assembled from.
+
+    Parameters
+    ----------
+    joint_names : tuple of str
+        Order of the rows of all values.
+    stamped : mapping of str to Stream
+        Positions (rad), torque readings and perturbation (N·m), by topic of the contract.
+    commands : int
+        Number of command messages.
+    """
+
+    joint_names: tuple[str, ...]
+    stamped: Mapping[str, Stream]
+    commands: int
+
+
+def decode_streams(
+    joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]
+) -> TrialStreams:
+    """Decode the raw messages of a recording.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        Order of the joints; messages may have any other.
+    messages : mapping of str to sequence of bytes
+        By topic of the contract, the serialised messages in order of arrival. All streams must
+        begin with the same control period.
+
+    Raises
+    ------
+    DataError
+        If a stream has no message that can be decoded.
+    """
+    return TrialStreams(
+        joint_names=tuple(joint_names),
+        stamped={
+            topic: _decode(topic, JointStateDecoder(joint_names, field), messages.get(topic, ()))
+            for topic, field in contract.VALUE_FIELD.items()
+        },
+        commands=len(messages.get(contract.COMMANDS, ())),
+    )
+
+
+def _decode(topic: str, decoder: JointStateDecoder, messages: Sequence[bytes]) -> Stream:
+    if not messages:
+        raise DataError(f"no messages of {topic}")
+    try:
+        stamps, values = decoder.decode_many(messages)
+    except MalformedMessageError:
+        return _decode_one_by_one(topic, decoder, messages)
+    return Stream(stamps=stamps, values=values)
+
+
+def _decode_one_by_one(topic: str, decoder: JointStateDecoder, messages: Sequence[bytes]) -> Stream:
+    decoded: list[tuple[int, tuple[float, ...]]] = []
+    defect = ""
+    for message in messages:
+        try:
+            decoded.append(decoder.decode(message))
+        except MalformedMessageError as error:
+            defect = defect or str(error)
+    if not decoded:
+        raise DataError(f"{topic}: none of {len(messages)} messages can be decoded: {defect}")
+    return Stream(
+        stamps=np.array([stamp for stamp, _ in decoded], np.int64),
+        values=np.ascontiguousarray(np.array([values for _, values in decoded], np.float64).T),
+        malformed=len(messages) - len(decoded),
+        defect=defect,
+    )

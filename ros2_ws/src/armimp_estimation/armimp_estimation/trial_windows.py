@@ -1,0 +1,191 @@
+"""When each trial of a recording took place, and which joint was perturbed in it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import DataError
+from armimp_common.trial_status import Phase, TrialStatus
+
+PAUSE_NS: Final = 250_000_000
+"""Zero perturbation for this long (ns) separates two trials where no status tells them apart."""
+
+
+MOST_TICKS: Final = 10_000_000
+"""Samples of the longest trial that is believed: almost three hours."""
+
+_LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialWindow:
+    """The part of a recording that is one trial.
+
+    Parameters
+    ----------
+    trial : int
+        Number of the trial, 1-based.
+    joint : int
+        Perturbed joint, 0-based, in the order of the controller.
+    joint_name : str
+        Its name, which prevails over the number; may be empty.
+    start_ns : int
+        Stamp of the first perturbed sample (ns).
+    ticks : int
+        Planned number of samples.
+    seed : int or None
+        Seed of the experiment, if known.
+    ended : bool
+        Whether the recording goes on after the trial, so that all of its samples should be
+        there; else it may end within the trial.
+    fault : str
+        What spoiled the trial, according to the controller; empty if nothing did.
+
+    Raises
+    ------
+    DataError
+        If start or number of samples are beyond reason.
+    """
+
+    trial: int
+    joint: int
+    joint_name: str
+    start_ns: int
+    ticks: int
+    seed: int | None
+    ended: bool
+    fault: str = ""
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.ticks <= MOST_TICKS:
+            raise DataError(f"trial {self.trial} cannot have {self.ticks} samples")
+        if abs(self.start_ns) > _LATEST_NS:
+            raise DataError(f"trial {self.trial} cannot start at {self.start_ns} ns")
+
+
+def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:
+    """Find the trials that the controller announced.
+
+    Parameters
+    ----------
+    statuses : sequence of TrialStatus
+        In the order in which they were published.
+
+    Returns
+    -------
+    tuple of TrialWindow
+        One for every trial whose perturbation began, in their order.
+    """
+    windows: list[TrialWindow] = []
+    current: TrialWindow | None = None
+    for status in statuses:
+        if status.phase is Phase.SETTLE:
+            _close(current, windows)
+            current = None
+            continue
+        if status.start_ns is not None and (
+            current is None or (current.trial, current.start_ns) != (status.trial, status.start_ns)
+        ):
+            _close(current, windows)
+            current = None
+            if any((w.trial, w.start_ns) == (status.trial, status.start_ns) for w in windows):
+                continue  # the last status again, as a latched topic may repeat it
+            current = TrialWindow(
+                trial=status.trial,
+                joint=status.joint,
+                joint_name=status.joint_name,
+                start_ns=status.start_ns,
+                ticks=status.ticks,
+                seed=status.seed,
+                ended=False,
+            )
+        if current is None:
+            continue
+        if status.phase is Phase.ABORTED:
+            current = replace(current, fault=f"aborted: {status.reason or 'no reason given'}")
+        elif not status.valid and not current.fault:
+            current = replace(current, fault=f"not valid: {status.reason or 'no reason given'}")
+        if status.phase is not Phase.PERTURB:
+            current = replace(current, ended=True)
+    if current is not None:
+        windows.append(current)
+    return tuple(windows)
+
+
+def infer_windows(
+    stamps: NDArray[np.int64], perturbation: NDArray[np.float64]
+) -> tuple[TrialWindow, ...]:
+    """Find the trials of a recording without statuses from its perturbation alone.
+
+    A trial lasts from the first to the last sample with a torque that is not zero. Another one
+    begins when another joint is perturbed, or after `PAUSE_NS` without any torque.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Stamps of the perturbation messages (ns).
+    perturbation : ndarray, shape (n, N)
+        Perturbation torques, N·m.
+
+    Raises
+    ------
+    DataError
+        If no joint is perturbed, or several are at once.
+    """
+    stamps, first = np.unique(stamps, return_index=True)
+    active = perturbation[:, first] != 0.0
+    together = np.flatnonzero(active.sum(axis=0) > 1)
+    if together.size:
+        joints = ", ".join(str(k + 1) for k in np.flatnonzero(active[:, together[0]]))
+        raise DataError(
+            f"joints {joints} are perturbed at once and there is no trial status: "
+            "the perturbed joint cannot be inferred"
+        )
+    samples = np.flatnonzero(active.any(axis=0))
+    if not samples.size:
+        raise DataError("no joint is perturbed and there is no trial status")
+    joint = active.argmax(axis=0)[samples]
+    apart = (np.diff(stamps[samples]) > PAUSE_NS) | (np.diff(joint) != 0)
+    runs = np.split(np.arange(samples.size), np.flatnonzero(apart) + 1)
+    return tuple(
+        TrialWindow(
+            trial=number,
+            joint=int(joint[run[0]]),
+            joint_name="",
+            start_ns=int(stamps[samples[run[0]]]),
+            ticks=int(tick_numbers(stamps[samples[run[0]] : samples[run[-1]] + 1])[-1]) + 1,
+            seed=None,
+            ended=bool(samples[run[-1]] < stamps.size - 1),
+        )
+        for number, run in enumerate(runs, 1)
+    )
+
+
+def tick_numbers(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number the control periods of ascending stamps, the first one 0.
+
+    Every step is rounded by itself to whole periods, so neither jitter nor a clock that runs a
+    little fast or slow adds up.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Ascending, ns.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Not descending; equal numbers where stamps are less than half a period apart.
+    """
+    numbers = np.zeros(stamps.size, np.int64)
+    np.cumsum((np.diff(stamps) + PERIOD_NS // 2) // PERIOD_NS, out=numbers[1:])
+    return numbers
+
+
+def _close(current: TrialWindow | None, windows: list[TrialWindow]) -> None:
+    if current is not None:
+        windows.append(replace(current, ended=True))

@@ -1,0 +1,170 @@
+"""Impedance by averaged spectra: one column at a time, or all columns together.
+
+Both take the frequency responses of :mod:`armimp_estimation.frf`. In the trial that perturbs joint
+k the torque obeys ``τ_i = Σ_j Z_ij θ_j + v_i`` with a disturbance v that the perturbation does not
+cause, so ``T = Z R + V`` where ``V_ik = G_{x v_i}/G_xx`` has the variance ``G_vv/(n_d G_xx)``. The
+disturbance also moves the joints through the loop, but that only has an effect of second order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+from armimp_estimation.estimate import ImpedanceColumn, ImpedanceEstimate
+from armimp_estimation.frf import (
+    FrfMatrix,
+    frf_column,
+    frf_matrix,
+    noise_gain,
+    order_trials,
+    residual_power,
+)
+from armimp_estimation.trial import TrialData, TrialSpectra
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WelchSiso:
+    """The estimator of Kang & Zhang, eq. 17-18: ``Z_ik = T_ik / R_kk``.
+
+    It takes locked joints as still. What they move nonetheless shows in two ways: motion that
+    follows the perturbation biases the estimate, by ``Σ_{j≠k} Z_ij R_jk / R_kk``; other motion
+    acts as noise and is part of the variance.
+    """
+
+    name: str = "welch_siso"
+
+    def column(self, trial: TrialSpectra) -> ImpedanceColumn:
+        """Column k from the trial of joint k alone, as soon as it has two segments.
+
+        The variance is ``G_ee / ((n_d - 1) G_xx |R_kk|²)`` where ``e = τ_i - Z_ik θ_k``; see
+        :func:`armimp_estimation.frf.noise_gain` for the ``n_d - 1``.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than two segments, no perturbation or no motion of joint k.
+        """
+        k = trial.perturbed_joint
+        frf = frf_column(trial)
+        motion = np.abs(frf.R[k])
+        if not (motion > 0.0).all():
+            still = trial.f[~(motion > 0.0)][0]
+            raise DataError(f"joint {k + 1} does not follow its perturbation at {still:.4g} Hz")
+        impedance = frf.T / frf.R[k]
+        gain = noise_gain(trial) / motion**2
+        variance = np.empty(impedance.shape)
+        for i in range(trial.joints):
+            coefficients = np.zeros((2 * trial.joints + 1, trial.f.size), dtype=np.complex128)
+            coefficients[trial.position_channel(k)] = -impedance[i]
+            coefficients[trial.torque_channel(i)] = 1.0
+            variance[i] = gain * residual_power(trial, coefficients)
+        return ImpedanceColumn(joint=k, f=trial.f, Z=impedance, variance=variance)
+
+    def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
+        """Whole matrix from n trials in any order, one for each joint.
+
+        Raises
+        ------
+        DataError
+            If a joint has no trial, or as :meth:`column`.
+        """
+        spectra = [trial.spectra for trial in order_trials(trials)]
+        columns = [self.column(trial) for trial in spectra]
+        return _estimate(
+            self.name,
+            spectra,
+            frf_matrix(spectra),
+            np.stack([column.Z for column in columns], axis=1),
+            np.stack([column.variance for column in columns], axis=1),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WelchFull:
+    """All columns together: ``Z = T R⁻¹``, exact also when locked joints move with joint k."""
+
+    name: str = "welch_full"
+
+    def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
+        """Whole matrix from n trials in any order, one for each joint.
+
+        The error is ``V R⁻¹`` and the columns of V are independent, being from different trials:
+        ``var(Z_ij) = Σ_k var(V_ik) |R⁻¹_kj|²``, with ``var(V_ik)`` from the residual
+        ``e = τ_i - Σ_j Z_ij θ_j`` in trial k.
+
+        Raises
+        ------
+        DataError
+            If a joint has no trial, there are too few segments, or R cannot be inverted.
+        """
+        spectra = [trial.spectra for trial in order_trials(trials)]
+        frf = frf_matrix(spectra)
+        n = len(spectra)
+        inverse = invert(frf.R, frf.f)
+        impedance = multiply(frf.T, inverse)
+        variance = np.zeros(impedance.shape)
+        for k, trial in enumerate(spectra):
+            gain = noise_gain(trial)
+            for i in range(n):
+                coefficients = np.zeros((2 * n + 1, frf.f.size), dtype=np.complex128)
+                coefficients[1 : 1 + n] = -impedance[i]
+                coefficients[trial.torque_channel(i)] = 1.0
+                disturbance = gain * residual_power(trial, coefficients)
+                variance[i] += disturbance * np.abs(inverse[k]) ** 2
+        return _estimate(self.name, spectra, frf, impedance, variance)
+
+
+def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
+    """Inverse at each frequency of a matrix of shape (n, n, n_freq).
+
+    Raises
+    ------
+    DataError
+        If the matrix is singular at a frequency, which the message names.
+    """
+    inverse = np.empty(matrix.shape, dtype=np.complex128)
+    for index in range(f.size):
+        try:
+            # One matrix at a time from a fresh array, so that its place in memory cannot matter.
+            inverse[:, :, index] = np.linalg.inv(np.ascontiguousarray(matrix[:, :, index]))
+        except np.linalg.LinAlgError as error:
+            raise DataError(
+                f"motion of the joints is linearly dependent at {f[index]:.4g} Hz: "
+                "the impedance matrix is not determined"
+            ) from error
+    return inverse
+
+
+def multiply(left: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Matrix product at each frequency; shapes (n, m, n_freq) and (m, p, n_freq)."""
+    product = np.zeros((left.shape[0], right.shape[1], left.shape[2]), dtype=np.complex128)
+    for middle in range(left.shape[1]):
+        product += left[:, middle, None, :] * right[None, middle, :, :]
+    return product
+
+
+def _estimate(
+    name: str,
+    trials: Sequence[TrialSpectra],
+    frf: FrfMatrix,
+    impedance: ComplexArray,
+    variance: FloatArray,
+) -> ImpedanceEstimate:
+    # Trials may differ in length: the shortest has the least certain variance.
+    shortest = min(trials, key=lambda trial: trial.spectra.effective_averages).spectra
+    return ImpedanceEstimate(
+        name=name,
+        f=frf.f,
+        Z=impedance,
+        variance=variance,
+        bin_correlation=shortest.bin_correlation,
+        averages=shortest.effective_averages,
+        T=frf.T,
+        R=frf.R,
+    )

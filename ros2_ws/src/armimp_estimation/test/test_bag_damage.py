@@ -1,0 +1,247 @@
+"""Bags cut at any byte and bags with any byte changed: read, or refused with one clear line."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.records import Channel, Message
+from mcap.stream_reader import StreamReader
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from armimp_common import contract
+from armimp_common.errors import BagError, DataError
+from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+from armimp_estimation.bags.synthetic import synthetic_recording
+from armimp_estimation.record import TrialRecord
+
+TICKS = 160
+RECORDING = synthetic_recording(ticks=TICKS)
+MESSAGES = list(RECORDING.messages)
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("own") / "bag"
+    with BagWriter(path, metadata={"seed": "1", "joint_names": '["shoulder", "elbow"]'}) as writer:
+        for topic, log_time_ns, raw in MESSAGES:
+            writer.write(topic, raw, log_time_ns)
+    return path
+
+
+def foreign(path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        connections = {
+            topic: writer.add_connection(
+                "/" + topic, contract.MESSAGE_TYPES[topic], typestore=store
+            )
+            for topic in {topic for topic, _, _ in MESSAGES}
+        }
+        for topic, log_time_ns, raw in MESSAGES:
+            writer.write(connections[topic], log_time_ns, raw)
+    return path
+
+
+def storage_file(bag: Path) -> Path:
+    (file,) = (entry for entry in bag.iterdir() if entry.name != "metadata.yaml")
+    return file
+
+
+def read_or_refused(bag: Path) -> tuple[TrialRecord, ...]:
+    """The records, none if the bag is refused in one line with its name."""
+    text = ""
+    records: tuple[TrialRecord, ...] = ()
+    try:
+        content = read_bag(bag)
+        text = "".join(content.notes)
+        records = content.records()
+    except (BagError, DataError) as error:
+        text = str(error)
+        assert str(bag) in text
+    assert "\n" not in text
+    return records
+
+
+def samples_or_refusal(bag: Path) -> int:
+    """Samples of the record, which must be those that were written; 0 if the bag is refused."""
+    records = read_or_refused(bag)
+    if not records:
+        return 0
+    (record,) = records
+    expected = RECORDING.records[0]
+    np.testing.assert_array_equal(record.position, expected.position[:, : record.samples])
+    np.testing.assert_array_equal(record.torque, expected.torque[:, : record.samples])
+    return record.samples
+
+
+class TestTruncation:
+    def test_own_bag_cut_at_any_byte_is_read_up_to_there(self, own: Path, tmp_path: Path) -> None:
+        whole = storage_file(own).read_bytes()
+        file = tmp_path / "bag.mcap"
+        samples: list[int] = []
+        for size in range(0, len(whole), 17):
+            file.write_bytes(whole[:size])
+            samples.append(samples_or_refusal(file))
+        assert samples == sorted(samples)
+        assert samples[0] == 0
+        assert samples[-1] == TICKS
+        # Chunks of 50 ms make steps of at most 51 samples.
+        steps = sorted(set(samples))
+        assert len(steps) > TICKS // 51
+        assert max(np.diff(steps)) <= 51
+
+    def test_every_cut_of_the_first_and_the_last_bytes(self, own: Path, tmp_path: Path) -> None:
+        whole = storage_file(own).read_bytes()
+        file = tmp_path / "bag.mcap"
+        for size in (*range(200), *range(len(whole) - 400, len(whole))):
+            file.write_bytes(whole[:size])
+            expected = 0 if size < 200 else TICKS
+            assert samples_or_refusal(file) == expected
+
+    def test_same_messages_as_the_stream_reader_of_mcap(self, own: Path, tmp_path: Path) -> None:
+        whole = storage_file(own).read_bytes()
+        file = tmp_path / "bag.mcap"
+        for size in range(5000, len(whole), 777):
+            file.write_bytes(whole[:size])
+            channels: dict[int, str] = {}
+            expected = []
+            with file.open("rb") as stream:
+                records = StreamReader(stream).records
+                while True:
+                    try:
+                        record = next(records)
+                    except Exception:  # noqa: BLE001  (it has no error class for a cut)
+                        break
+                    if isinstance(record, Channel):
+                        channels[record.id] = record.topic.removeprefix("/")
+                    elif isinstance(record, Message):
+                        expected.append((channels[record.channel_id], record.log_time, record.data))
+            try:
+                read = list(iterate_messages(file))
+            except BagError:
+                read = []
+            assert read == expected
+
+    @pytest.mark.parametrize(
+        ("storage", "mode"),
+        [
+            (StoragePlugin.SQLITE3, CompressionMode.NONE),
+            (StoragePlugin.SQLITE3, CompressionMode.FILE),
+            (StoragePlugin.MCAP, CompressionMode.NONE),
+            (StoragePlugin.MCAP, CompressionMode.FILE),
+            (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+        ],
+    )
+    def test_foreign_bag_cut_anywhere_is_read_or_refused(
+        self, tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
+    ) -> None:
+        bag = foreign(tmp_path / "bag", storage, mode)
+        file = storage_file(bag)
+        whole = file.read_bytes()
+        step = max(len(whole) // 150, 1)
+        for size in (*range(40), *range(40, len(whole), step), len(whole) - 1):
+            file.write_bytes(whole[:size])
+            samples_or_refusal(bag)
+        file.write_bytes(whole)
+        assert samples_or_refusal(bag) == TICKS
+
+    @pytest.mark.parametrize("compression", CompressionType)
+    def test_unchunked_and_foreign_chunks_are_read_up_to_the_cut(
+        self, tmp_path: Path, compression: CompressionType
+    ) -> None:
+        file = tmp_path / "bag.mcap"
+        with file.open("wb") as stream:
+            writer = McapWriter(
+                stream,
+                chunk_size=3000,
+                compression=compression,
+                use_chunking=compression is not CompressionType.NONE,
+            )
+            writer.start("ros2")
+            channels = {
+                topic: writer.register_channel("/" + topic, "cdr", 0)
+                for topic in {topic for topic, _, _ in MESSAGES}
+            }
+            for topic, log_time_ns, raw in MESSAGES:
+                writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)
+            writer.finish()
+        whole = file.read_bytes()
+        samples: list[int] = []
+        for size in range(0, len(whole), max(len(whole) // 150, 1)):
+            file.write_bytes(whole[:size])
+            samples.append(samples_or_refusal(file))
+        assert samples == sorted(samples)
+        assert len(set(samples)) > 20
+
+    def test_metadata_cut_at_any_byte_is_used_or_refused(self, own: Path, tmp_path: Path) -> None:
+        bag = tmp_path / "bag"
+        shutil.copytree(own, bag)
+        file = bag / "metadata.yaml"
+        whole = file.read_bytes()
+        refused = 0
+        for size in range(0, len(whole), 13):
+            file.write_bytes(whole[:size])
+            samples = samples_or_refusal(bag)
+            assert samples in (0, TICKS)
+            refused += samples == 0
+        assert refused > 100
+        file.write_bytes(whole)
+        assert samples_or_refusal(bag) == TICKS
+
+
+class TestChangedBytes:
+    @settings(max_examples=300, deadline=None)
+    @given(data=st.data())
+    def test_own_bag_is_read_or_refused(
+        self, own: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+    ) -> None:
+        whole = bytearray(storage_file(own).read_bytes())
+        for _ in range(data.draw(st.integers(1, 3))):
+            where = data.draw(st.integers(0, len(whole) - 1))
+            whole[where] = data.draw(st.integers(0, 255))
+        file = tmp_path_factory.getbasetemp() / "changed.mcap"
+        file.write_bytes(whole)
+        samples_or_refusal(file)
+
+    @settings(max_examples=150, deadline=None)
+    @given(data=st.data())
+    def test_foreign_bag_gives_no_other_error(
+        self, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+    ) -> None:
+        base = tmp_path_factory.getbasetemp()
+        storage = data.draw(st.sampled_from([StoragePlugin.MCAP, StoragePlugin.SQLITE3]))
+        bag = base / f"foreign_{storage.name}"
+        if not bag.exists():
+            foreign(bag, storage, CompressionMode.NONE)
+        whole = bytearray(storage_file(bag).read_bytes())
+        start = data.draw(st.integers(0, len(whole) - 1))
+        part = data.draw(st.binary(min_size=1, max_size=40))
+        whole[start : start + len(part)] = part
+        file = base / "changed"
+        file.write_bytes(whole)
+        # Without checksums numbers can change unseen, but nothing else may happen.
+        for record in read_or_refused(file):
+            assert record.samples <= TICKS + 50
+
+    @settings(max_examples=150, deadline=None)
+    @given(data=st.data())
+    def test_metadata_is_used_or_refused(
+        self, own: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+    ) -> None:
+        bag = tmp_path_factory.getbasetemp() / "changed_metadata"
+        if not bag.exists():
+            shutil.copytree(own, bag)
+        whole = bytearray((own / "metadata.yaml").read_bytes())
+        where = data.draw(st.integers(0, len(whole) - 1))
+        part = data.draw(st.binary(min_size=1, max_size=3) | st.sampled_from([b"\n", b"[", b"- "]))
+        whole[where : where + len(part)] = part
+        (bag / "metadata.yaml").write_bytes(whole)
+        assert samples_or_refusal(bag) in (0, TICKS)

@@ -1,0 +1,396 @@
+import shutil
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from armimp_common import contract
+from armimp_common.errors import BagError
+from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+from armimp_estimation.bags.definitions import message_definition
+from armimp_estimation.bags.synthetic import Message, SyntheticRecording, synthetic_recording
+from armimp_estimation.record import TrialRecord
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)
+METADATA = {"schema": "1", "seed": "1", "joint_names": '["shoulder", "elbow"]'}
+
+Rename = Callable[[str], str]
+
+
+def absolute(topic: str) -> str:
+    return topic if topic.startswith("/") else "/" + topic
+
+
+def write_ours(path: Path, messages: Sequence[Message] = RECORDING.messages) -> Path:
+    with BagWriter(path, metadata=METADATA) as writer:
+        for topic, log_time_ns, raw in messages:
+            writer.write(topic, raw, log_time_ns)
+    return path
+
+
+def write_rosbags(
+    path: Path,
+    messages: Sequence[Message] = RECORDING.messages,
+    *,
+    storage: StoragePlugin = StoragePlugin.SQLITE3,
+    mode: CompressionMode = CompressionMode.NONE,
+    rename: Rename = absolute,
+    version: int = 9,
+    custom: bool = True,
+) -> Path:
+    writer = Writer(path, version=9 if version == 9 else 8, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        for key, value in METADATA.items() if custom else ():
+            writer.set_custom_data(key, value)
+        connections = {}
+        for topic in dict.fromkeys(topic for topic, _, _ in messages):
+            kind = contract.MESSAGE_TYPES.get(topic, "std_msgs/msg/String")
+            connections[topic] = writer.add_connection(rename(topic), kind, typestore=STORE)
+        for topic, log_time_ns, raw in messages:
+            writer.write(connections[topic], log_time_ns, raw)
+    return path
+
+
+def write_mcap(
+    path: Path,
+    messages: Sequence[Message] = RECORDING.messages,
+    *,
+    compression: CompressionType = CompressionType.NONE,
+    chunking: bool = True,
+    encoding: str = "cdr",
+    rename: Rename = absolute,
+) -> Path:
+    with path.open("wb") as file:
+        writer = McapWriter(
+            file,
+            chunk_size=4096,
+            compression=compression,
+            use_chunking=chunking,
+            index_types=IndexType.NONE,
+            use_statistics=False,
+        )
+        writer.start("ros2")
+        channels = {}
+        for topic in dict.fromkeys(topic for topic, _, _ in messages):
+            definition = message_definition(contract.MESSAGE_TYPES[topic])
+            schema = writer.register_schema(definition.type, "ros2msg", definition.text.encode())
+            channels[topic] = writer.register_channel(rename(topic), encoding, schema)
+        for topic, log_time_ns, raw in messages:
+            writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)
+        writer.finish()
+    return path
+
+
+def assert_same(record: TrialRecord, expected: TrialRecord) -> None:
+    for name in ("position", "torque", "perturbation"):
+        values = getattr(record, name)
+        assert values.flags.c_contiguous
+        np.testing.assert_array_equal(values, getattr(expected, name))
+    assert record.start_ns == expected.start_ns
+    assert record.perturbed_joint == expected.perturbed_joint
+    assert record.joint_names == expected.joint_names
+    assert record.rate == expected.rate
+    assert record.trial == expected.trial
+
+
+def assert_reads(path: Path, expected: SyntheticRecording = RECORDING) -> None:
+    content = read_bag(path)
+    records = content.records()
+    assert len(records) == len(expected.records)
+    for record, wanted in zip(records, expected.records, strict=True):
+        assert_same(record, wanted)
+        assert record.seed == wanted.seed
+    for trial in content.trials:
+        assert trial.ledger.lost == 0
+        assert trial.shortfall == 0
+    assert content.notes == ()
+    assert list(content.messages()) == list(expected.messages)
+    assert list(iterate_messages(path)) == list(expected.messages)
+
+
+def refusal(path: Path, *, namespace: str | None = None) -> str:
+    """The line with which the bag is refused."""
+    with pytest.raises(BagError) as error:
+        read_bag(path, namespace=namespace)
+    text = str(error.value)
+    assert "\n" not in text
+    return text
+
+
+def without(topic: str) -> list[Message]:
+    return [message for message in RECORDING.messages if message[0] != topic]
+
+
+class TestStorages:
+    def test_own_bag_is_read_back(self, tmp_path: Path) -> None:
+        assert_reads(write_ours(tmp_path / "bag"))
+
+    def test_metadata_yaml_itself_stands_for_its_bag(self, tmp_path: Path) -> None:
+        assert_reads(write_ours(tmp_path / "bag") / "metadata.yaml")
+
+    @pytest.mark.parametrize("version", [8, 9])
+    @pytest.mark.parametrize(
+        ("storage", "mode"),
+        [
+            (StoragePlugin.MCAP, CompressionMode.NONE),
+            (StoragePlugin.MCAP, CompressionMode.STORAGE),
+            (StoragePlugin.MCAP, CompressionMode.FILE),
+            (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+            (StoragePlugin.SQLITE3, CompressionMode.NONE),
+            (StoragePlugin.SQLITE3, CompressionMode.FILE),
+            (StoragePlugin.SQLITE3, CompressionMode.MESSAGE),
+        ],
+    )
+    @pytest.mark.parametrize("with_metadata", [True, False])
+    def test_foreign_bag_is_read_whatever_its_storage(
+        self,
+        tmp_path: Path,
+        storage: StoragePlugin,
+        mode: CompressionMode,
+        version: int,
+        with_metadata: bool,
+    ) -> None:
+        path = write_rosbags(tmp_path / "bag", storage=storage, mode=mode, version=version)
+        if not with_metadata:
+            (path / "metadata.yaml").unlink()
+        assert_reads(path)
+
+    @pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+    @pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.FILE])
+    def test_bare_file_is_read_with_its_metadata(
+        self, tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
+    ) -> None:
+        path = write_rosbags(tmp_path / "bag", storage=storage, mode=mode)
+        (file,) = (entry for entry in path.iterdir() if entry.name != "metadata.yaml")
+        moved = file.rename(tmp_path / "any name#?%")
+        assert_reads(moved)
+        assert read_bag(moved).metadata == METADATA
+
+    def test_bare_file_of_ours_keeps_its_metadata(self, tmp_path: Path) -> None:
+        path = write_ours(tmp_path / "bag") / "bag_0.mcap"
+        assert_reads(path)
+        assert read_bag(path).metadata == METADATA
+
+    @pytest.mark.parametrize("compression", CompressionType)
+    def test_mcap_without_any_index_is_read(
+        self, tmp_path: Path, compression: CompressionType
+    ) -> None:
+        assert_reads(write_mcap(tmp_path / "bag.mcap", compression=compression))
+
+    def test_mcap_without_chunks_is_read(self, tmp_path: Path) -> None:
+        assert_reads(write_mcap(tmp_path / "bag.mcap", chunking=False))
+
+    def test_own_file_without_summary_is_read_with_a_note(self, tmp_path: Path) -> None:
+        file = write_ours(tmp_path / "bag") / "bag_0.mcap"
+        with file.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+        assert summary is not None
+        end = max(
+            chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
+            for chunk in summary.chunk_indexes
+        )
+        file.write_bytes(file.read_bytes()[:end])
+        content = read_bag(tmp_path / "bag")
+        assert list(content.messages()) == list(RECORDING.messages)
+        assert [trial.shortfall for trial in content.trials] == [0, 0]
+        assert content.notes == (
+            f"{tmp_path / 'bag'}: ends at byte {end} without the end of the data",
+        )
+
+    def test_split_bag_is_read_in_the_order_of_its_times(self, tmp_path: Path) -> None:
+        path = tmp_path / "bag"
+        half = len(RECORDING.messages) // 2
+        write_rosbags(path, RECORDING.messages[:half])
+        write_rosbags(tmp_path / "more", RECORDING.messages[half:])
+        # Numbered so that the order of the names is not that of the numbers.
+        (path / "bag.db3").rename(path / "bag_9.db3")
+        (tmp_path / "more" / "more.db3").rename(path / "bag_10.db3")
+        (path / "metadata.yaml").unlink()
+        assert_reads(path)
+
+    def test_same_order_as_rosbags_where_log_times_go_back(self, tmp_path: Path) -> None:
+        messages = list(RECORDING.messages)
+        messages = messages[200:400] + messages[:200] + messages[400:]
+        for number, path in enumerate(
+            (
+                write_ours(tmp_path / "a", messages),
+                write_rosbags(tmp_path / "b", messages),
+                write_rosbags(tmp_path / "c", messages, storage=StoragePlugin.MCAP),
+            )
+        ):
+            with AnyReader([path]) as reader:
+                read = [(c.topic, time, data) for c, time, data in reader.messages()]
+            assert [(absolute(t), time, raw) for t, time, raw in iterate_messages(path)] == read, (
+                number
+            )
+
+    def test_sqlite_with_a_write_ahead_log_is_read_to_its_end(self, tmp_path: Path) -> None:
+        path = write_rosbags(tmp_path / "bag", RECORDING.messages[:-300])
+        database = sqlite3.connect(path / "bag.db3")
+        database.execute("PRAGMA journal_mode=WAL")
+        topics = dict(database.execute("SELECT name, id FROM topics"))
+        database.executemany(
+            "INSERT INTO messages(topic_id, timestamp, data) VALUES(?, ?, ?)",
+            [(topics[absolute(t)], time, raw) for t, time, raw in RECORDING.messages[-300:]],
+        )
+        database.commit()
+        # What a killed recorder leaves behind: the log was never merged.
+        copy = tmp_path / "copy"
+        shutil.copytree(path, copy)
+        database.close()
+        assert (copy / "bag.db3-wal").stat().st_size > 0
+        before = {entry.name: entry.stat().st_mtime_ns for entry in copy.iterdir()}
+        assert_reads(copy)
+        assert {entry.name: entry.stat().st_mtime_ns for entry in copy.iterdir()} == before
+
+    def test_provisional_metadata_does_not_hide_the_messages(self, tmp_path: Path) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata=METADATA)
+        for topic, log_time_ns, raw in RECORDING.messages:
+            writer.write(topic, raw, log_time_ns)
+        writer.flush()
+        content = read_bag(tmp_path / "bag")
+        assert list(content.messages()) == list(RECORDING.messages)
+        assert content.metadata == METADATA
+        writer.close()
+
+    def test_relative_paths_of_old_versions_are_found(self, tmp_path: Path) -> None:
+        path = write_rosbags(tmp_path / "bag")
+        metadata = path / "metadata.yaml"
+        text = metadata.read_text()
+        assert "- bag.db3" in text
+        metadata.write_text(text.replace("- bag.db3", "- elsewhere/bag.db3"))
+        assert_reads(path)
+
+
+class TestTopics:
+    @pytest.mark.parametrize("prefix", ["/rig", "/lab/rig_2"])
+    def test_namespace_is_found(self, tmp_path: Path, prefix: str) -> None:
+        path = write_rosbags(tmp_path / "bag", rename=lambda topic: prefix + absolute(topic))
+        assert_reads(path)
+        assert read_bag(path).topics[contract.TRIAL] == f"{prefix}/imbic_controller/trial"
+
+    def test_two_rigs_need_a_choice(self, tmp_path: Path) -> None:
+        other = synthetic_recording(ticks=20, seed=5)
+        path = tmp_path / "bag"
+        with Writer(path, version=9) as writer:
+            for rig, recording in (("", RECORDING), ("/left", other)):
+                connections = {
+                    topic: writer.add_connection(
+                        rig + absolute(topic), contract.MESSAGE_TYPES[topic], typestore=STORE
+                    )
+                    for topic in {topic for topic, _, _ in recording.messages}
+                }
+                for topic, log_time_ns, raw in recording.messages:
+                    writer.write(connections[topic], log_time_ns, raw)
+        assert refusal(path) == (
+            f"{path}: holds the topics of several rigs, choose a namespace: /, /left"
+        )
+        with pytest.raises(BagError, match="choose a namespace"):
+            iterate_messages(path)
+        assert_same(read_bag(path, namespace="left").records()[0], other.records[0])
+        assert_same(read_bag(path, namespace="/").records()[0], RECORDING.records[0])
+        assert list(iterate_messages(path, namespace="/left/")) == list(other.messages)
+        assert "has no joint positions" in refusal(path, namespace="right")
+
+    def test_needed_topics_decide_between_namesakes(self, tmp_path: Path) -> None:
+        stray = (contract.JOINT_STATES, 2**40, b"\0\1\0\0 not of this rig")
+        path = tmp_path / "bag"
+        with Writer(path, version=9) as writer:
+            connections = {
+                topic: writer.add_connection(
+                    "/rig" + absolute(topic), contract.MESSAGE_TYPES[topic], typestore=STORE
+                )
+                for topic in {topic for topic, _, _ in RECORDING.messages}
+            }
+            arm = writer.add_connection(
+                "/joint_states", "sensor_msgs/msg/JointState", typestore=STORE
+            )
+            for topic, log_time_ns, raw in RECORDING.messages:
+                writer.write(connections[topic], log_time_ns, raw)
+            writer.write(arm, *stray[1:])
+        assert_reads(path)
+
+    def test_topics_under_different_namespaces_are_found_while_unique(self, tmp_path: Path) -> None:
+        def rename(topic: str) -> str:
+            return "/driver" + absolute(topic) if "imbic" not in topic else "/ctl/" + topic
+
+        assert_reads(write_rosbags(tmp_path / "bag", rename=rename))
+
+    def test_namesake_without_a_complete_rig_is_ambiguous(self, tmp_path: Path) -> None:
+        names = {contract.JOINT_STATES: "/a/joint_states", contract.CLOCK: "/b/joint_states"}
+        path = tmp_path / "bag"
+        with Writer(path, version=9) as writer:
+            connections = {
+                topic: writer.add_connection(
+                    names.get(topic, "/c" + absolute(topic)),
+                    "sensor_msgs/msg/JointState",
+                    typestore=STORE,
+                )
+                for topic in (*contract.VALUE_FIELD, contract.CLOCK)
+            }
+            for topic, log_time_ns, raw in without(contract.TRIAL):
+                if topic in connections:
+                    writer.write(connections[topic], log_time_ns, raw)
+        assert refusal(path) == (
+            f"{path}: joint_states is ambiguous: /a/joint_states, /b/joint_states"
+        )
+
+    def test_similar_names_do_not_match(self, tmp_path: Path) -> None:
+        path = write_rosbags(
+            tmp_path / "bag",
+            rename=lambda t: "/my_joint_states" if t == contract.JOINT_STATES else absolute(t),
+        )
+        assert refusal(path) == f"{path}: has no joint positions: no topic joint_states"
+
+    def test_extra_topics_are_ignored(self, tmp_path: Path) -> None:
+        messages: list[Message] = []
+        for message in RECORDING.messages:
+            messages += [message, ("camera/image", message[1], b"any bytes")]
+        path = write_rosbags(tmp_path / "bag", messages)
+        assert_reads(path)
+
+    def test_wrong_type_is_named(self, tmp_path: Path) -> None:
+        def rename(topic: str) -> str:
+            return "/torque_sensors" if topic == contract.COMMANDS else "/x" + absolute(topic)
+
+        path = write_rosbags(
+            tmp_path / "bag", without(contract.TORQUE_SENSORS), rename=rename, custom=False
+        )
+        assert refusal(path) == (
+            f"{path}: topic /torque_sensors is of type std_msgs/msg/Float64MultiArray, "
+            "not sensor_msgs/msg/JointState"
+        )
+
+    def test_other_encoding_is_named(self, tmp_path: Path) -> None:
+        path = write_mcap(tmp_path / "bag.mcap", encoding="json")
+        assert refusal(path) == (
+            f"{path}: topic /imbic_controller/trial is encoded as 'json', not as cdr"
+        )
+
+    @pytest.mark.parametrize("topic", contract.VALUE_FIELD)
+    def test_stream_without_messages(self, tmp_path: Path, topic: str) -> None:
+        path = tmp_path / "bag"
+        with Writer(path, version=9) as writer:
+            connections = {
+                name: writer.add_connection(
+                    absolute(name), contract.MESSAGE_TYPES[name], typestore=STORE
+                )
+                for name in {name for name, _, _ in RECORDING.messages}
+            }
+            for name, log_time_ns, raw in without(topic):
+                writer.write(connections[name], log_time_ns, raw)
+        assert refusal(path) == f"{path}: no messages of {topic}"
+
+    def test_bag_of_other_topics(self, tmp_path: Path) -> None:
+        path = write_rosbags(tmp_path / "bag", [("chatter", 1, b"\0\1\0\0")])
+        assert refusal(path) == f"{path}: no messages of an experiment in it"

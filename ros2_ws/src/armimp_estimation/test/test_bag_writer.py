@@ -1,0 +1,412 @@
+import json
+import resource
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosReliability
+
+from armimp_common import contract
+from armimp_common.errors import BagError, ConfigurationError
+from armimp_estimation.bags import (
+    BagWriter,
+    expected_bytes,
+    iterate_messages,
+    read_bag,
+    require_free_space,
+)
+from armimp_estimation.bags.definitions import message_definition
+from armimp_estimation.bags.mcap_file import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
+from armimp_estimation.bags.metadata import qos_profiles
+from armimp_estimation.bags.synthetic import Message, synthetic_recording
+
+METADATA = {"schema": "1", "seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
+
+
+def write(path: Path, messages: tuple[Message, ...], **options: str) -> Path:
+    with BagWriter(path, metadata=METADATA, **options) as writer:
+        for topic, log_time_ns, raw in messages:
+            writer.write(topic, raw, log_time_ns)
+    return path
+
+
+def one_line(error: pytest.ExceptionInfo[BagError]) -> str:
+    text = str(error.value)
+    assert "\n" not in text
+    return text
+
+
+@contextmanager
+def files_limited_to(size: int) -> Iterator[None]:
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+class TestFormat:
+    def test_rosbags_reads_the_same_messages_types_and_times(self, tmp_path: Path) -> None:
+        messages = synthetic_recording(ticks=200).messages
+        path = write(tmp_path / "bag", messages)
+        with AnyReader([path]) as reader:
+            # Opening compares the type hashes with the definitions.
+            read = [(c.topic, c.msgtype, time, data) for c, time, data in reader.messages()]
+            joint_state = next(data for c, _, data in reader.messages() if "joint" in c.topic)
+            message = reader.deserialize(joint_state, "sensor_msgs/msg/JointState")
+        assert read == [
+            ("/" + topic, contract.MESSAGE_TYPES[topic], time, raw) for topic, time, raw in messages
+        ]
+        assert message.name == ["shoulder", "elbow"]  # type: ignore[attr-defined]
+
+    def test_rosbags_reads_qos_and_type_hash(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "bag", synthetic_recording(ticks=2).messages)
+        with AnyReader([path]) as reader:
+            connections = {c.topic: c for c in reader.connections}
+        states = connections["/joint_states"]
+        assert states.digest == message_definition("sensor_msgs/msg/JointState").type_hash
+        assert isinstance(states.ext, ConnectionExtRosbag2)
+        assert states.ext.offered_qos_profiles[0].reliability is QosReliability.RELIABLE
+        trial = connections["/imbic_controller/trial"]
+        assert isinstance(trial.ext, ConnectionExtRosbag2)
+        assert trial.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL
+
+    def test_type_hash_is_that_of_ros(self) -> None:
+        assert message_definition("sensor_msgs/msg/JointState").type_hash == (
+            "RIHS01_a13ee3a330e346c9d87b5aa18d24e11690752bd33a0350f11c5882bc9179260e"
+        )
+
+    def test_metadata_file_is_as_jazzy_writes_it(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "bag", synthetic_recording(ticks=10).messages)
+        document = yaml.safe_load((path / "metadata.yaml").read_text())
+        information = document["rosbag2_bagfile_information"]
+        assert list(information) == [
+            "version",
+            "storage_identifier",
+            "duration",
+            "starting_time",
+            "message_count",
+            "topics_with_message_count",
+            "compression_format",
+            "compression_mode",
+            "relative_file_paths",
+            "files",
+            "custom_data",
+            "ros_distro",
+        ]
+        assert information["version"] == 9
+        assert information["storage_identifier"] == "mcap"
+        assert information["relative_file_paths"] == ["bag_0.mcap"]
+        assert information["starting_time"] == {"nanoseconds_since_epoch": 1_000_000_000}
+        assert information["duration"] == {"nanoseconds": 10_000_000}
+        assert information["message_count"] == 43
+        assert information["custom_data"] == METADATA
+        assert information["ros_distro"] == "jazzy"
+        counts = {
+            topic["topic_metadata"]["name"]: topic["message_count"]
+            for topic in information["topics_with_message_count"]
+        }
+        assert counts.pop("/imbic_controller/trial") == 3
+        assert set(counts.values()) == {10}
+        assert len(counts) == 4
+        assert information["files"] == [
+            {
+                "path": "bag_0.mcap",
+                "starting_time": information["starting_time"],
+                "duration": information["duration"],
+                "message_count": 43,
+            }
+        ]
+
+    def test_mcap_file_has_profile_schemas_channels_and_statistics(self, tmp_path: Path) -> None:
+        messages = synthetic_recording(ticks=300).messages
+        path = write(tmp_path / "bag", messages)
+        with (path / "bag_0.mcap").open("rb") as file:
+            reader = make_reader(file, validate_crcs=True)
+            assert reader.get_header().profile == "ros2"
+            summary = reader.get_summary()
+            assert summary is not None
+            assert summary.statistics is not None
+            records = list(reader.iter_metadata())
+            indexed = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+            only = [m.data for _, _, m in reader.iter_messages(topics=["/torque_sensors"])]
+        assert summary.statistics.message_count == len(messages)
+        assert summary.statistics.message_start_time == messages[0][1]
+        assert summary.statistics.message_end_time == messages[-1][1]
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 1
+        schema = next(s for s in summary.schemas.values() if s.name == "sensor_msgs/msg/JointState")
+        assert schema.encoding == "ros2msg"
+        assert b"MSG: builtin_interfaces/Time\nint32 sec" in schema.data
+        for channel in summary.channels.values():
+            assert channel.message_encoding == "cdr"
+            assert set(channel.metadata) == {"offered_qos_profiles", "topic_type_hash"}
+            topic = channel.topic.removeprefix("/")
+            qos = yaml.safe_load(channel.metadata["offered_qos_profiles"])
+            assert qos == qos_profiles(topic)
+        assert [record.name for record in records] == ["armimp", "rosbag2"]
+        assert records[0].metadata == METADATA
+        inner = yaml.safe_load(records[1].metadata["serialized_metadata"])
+        assert inner["message_count"] == len(messages)
+        assert indexed == [("/" + topic, time, raw) for topic, time, raw in messages]
+        assert only == [raw for topic, _, raw in messages if topic == contract.TORQUE_SENSORS]
+
+    def test_mcap_file_passes_all_checksums(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "bag", synthetic_recording(ticks=100).messages)
+        with (path / "bag_0.mcap").open("rb") as file:
+            chunks = list(StreamReader(file, emit_chunks=True).records)
+        assert all(r.uncompressed_crc for r in chunks if isinstance(r, Chunk))
+        with (path / "bag_0.mcap").open("rb") as file:
+            assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > 400
+
+    def test_equal_messages_give_equal_files(self, tmp_path: Path) -> None:
+        messages = synthetic_recording(ticks=50).messages
+        files = [write(tmp_path / run / "bag", messages) for run in ("a", "b")]
+        for name in ("bag_0.mcap", "metadata.yaml"):
+            assert (files[0] / name).read_bytes() == (files[1] / name).read_bytes()
+
+    def test_namespace_is_put_before_relative_topics_only(self, tmp_path: Path) -> None:
+        messages = (*synthetic_recording(ticks=2).messages, (contract.CLOCK, 2**40, b"\0\1\0\0abc"))
+        path = write(tmp_path / "bag", messages, namespace="/lab/rig")
+        with AnyReader([path]) as reader:
+            topics = {c.topic for c in reader.connections}
+        assert "/clock" in topics
+        assert "/lab/rig/joint_states" in topics
+        assert list(iterate_messages(path)) == list(messages)
+
+    def test_only_recorded_topics_are_listed(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "bag", ((contract.CLOCK, 5, b"\0\1\0\0"),))
+        document = yaml.safe_load((path / "metadata.yaml").read_text())
+        topics = document["rosbag2_bagfile_information"]["topics_with_message_count"]
+        assert [topic["topic_metadata"]["name"] for topic in topics] == ["/clock"]
+
+    def test_bag_without_messages_is_a_valid_bag(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "bag", ())
+        with AnyReader([path]) as reader:
+            assert reader.message_count == 0
+
+    def test_qos_is_that_of_the_nodes(self) -> None:
+        qos = pytest.importorskip("armimp_common.qos")
+        for topic in contract.MESSAGE_TYPES:
+            profile = qos.PROFILES[topic]
+            (written,) = qos_profiles(topic)
+            assert written["depth"] == profile.depth
+            assert written["history"] == profile.history.name.lower()
+            assert written["reliability"] == profile.reliability.name.lower()
+            assert written["durability"] == profile.durability.name.lower()
+
+
+class TestRefusals:
+    def test_existing_path_is_not_touched(self, tmp_path: Path) -> None:
+        path = tmp_path / "bag"
+        path.mkdir()
+        (path / "precious").write_text("data")
+        with pytest.raises(BagError) as error:
+            BagWriter(path, metadata={})
+        assert one_line(error) == f"{path}: exists already, nothing is overwritten"
+        assert [entry.name for entry in path.iterdir()] == ["precious"]
+
+    def test_existing_file_and_dangling_link_are_refused(self, tmp_path: Path) -> None:
+        (tmp_path / "file").write_text("")
+        (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+        for name in ("file", "link"):
+            with pytest.raises(BagError, match="exists already"):
+                BagWriter(tmp_path / name, metadata={})
+
+    def test_missing_parents_are_made(self, tmp_path: Path) -> None:
+        path = write(tmp_path / "a" / "b" / "bag", synthetic_recording(ticks=2).messages)
+        assert (path / "bag_0.mcap").is_file()
+
+    def test_parent_that_is_a_file_is_named(self, tmp_path: Path) -> None:
+        (tmp_path / "file").write_text("")
+        with pytest.raises(BagError) as error:
+            BagWriter(tmp_path / "file" / "bag", metadata={})
+        assert str(tmp_path / "file" / "bag") in one_line(error)
+
+    def test_path_with_a_zero_byte_is_refused(self) -> None:
+        with pytest.raises(BagError, match="cannot be made"):
+            BagWriter(Path("/tmp/\0bag"), metadata={})
+
+    def test_metadata_that_is_not_text_is_refused_before_anything_is_made(
+        self, tmp_path: Path
+    ) -> None:
+        with pytest.raises(ConfigurationError, match="seed"):
+            BagWriter(tmp_path / "bag", metadata={"seed": 1})  # type: ignore[dict-item]
+        assert not (tmp_path / "bag").exists()
+
+    def test_unknown_topic_is_refused(self, tmp_path: Path) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata={})
+        with pytest.raises(BagError, match="'/rosout'"):
+            writer.write("/rosout", b"", 0)
+        writer.close()
+
+    @pytest.mark.parametrize("time", [-1, 2**64])
+    def test_impossible_log_time_is_refused_and_harmless(self, tmp_path: Path, time: int) -> None:
+        messages = synthetic_recording(ticks=5).messages
+        with BagWriter(tmp_path / "bag", metadata={}) as writer:
+            for topic, log_time_ns, raw in messages:
+                writer.write(topic, raw, log_time_ns)
+                with pytest.raises(BagError, match=str(time)):
+                    writer.write(topic, raw, time)
+        assert list(iterate_messages(tmp_path / "bag")) == list(messages)
+
+    def test_writing_after_close_is_refused(self, tmp_path: Path) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata={})
+        writer.write(contract.CLOCK, b"\0\1\0\0", 0)
+        writer.close()
+        writer.close()
+        with pytest.raises(BagError, match="the bag is closed"):
+            writer.write(contract.CLOCK, b"\0\1\0\0", 0)
+        with pytest.raises(BagError, match="the bag is closed"):
+            writer.write(contract.TRIAL, b"\0\1\0\0", 0)
+
+
+class TestFullDisk:
+    def test_error_names_bag_and_cause_and_the_rest_is_readable(self, tmp_path: Path) -> None:
+        path = tmp_path / "bag"
+        messages = synthetic_recording(ticks=1000).messages
+        writer = BagWriter(path, metadata=METADATA)
+        written: list[int] = []
+
+        def write_all() -> None:
+            for topic, log_time_ns, raw in messages:
+                writer.write(topic, raw, log_time_ns)
+                written.append(log_time_ns)
+
+        with files_limited_to(40_000):
+            with pytest.raises(BagError) as error:
+                write_all()
+            writer.close()
+        assert one_line(error) == f"{path}: cannot be written: File too large"
+        read = list(iterate_messages(path))
+        assert read == list(messages[: len(read)])
+        assert len(written) - FLUSH_MESSAGES <= len(read) <= len(written) + 1
+
+    def test_no_room_for_the_head_is_reported_at_once(self, tmp_path: Path) -> None:
+        with files_limited_to(10), pytest.raises(BagError, match="cannot be written"):
+            BagWriter(tmp_path / "bag", metadata=METADATA)
+
+    def test_no_room_for_the_summary_is_reported_on_close(self, tmp_path: Path) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata=METADATA)
+        messages = synthetic_recording(ticks=100).messages
+        for topic, log_time_ns, raw in messages:
+            writer.write(topic, raw, log_time_ns)
+        writer.flush()
+        size = (tmp_path / "bag" / "bag_0.mcap").stat().st_size
+        with files_limited_to(size + 10), pytest.raises(BagError, match="cannot be written"):
+            writer.close()
+        assert list(iterate_messages(tmp_path / "bag")) == list(messages)
+
+    def test_free_space_is_checked_where_the_path_will_be(self, tmp_path: Path) -> None:
+        path = tmp_path / "not" / "yet" / "there"
+        require_free_space(path, 1)
+        with pytest.raises(BagError) as error:
+            require_free_space(path, 10**18)
+        assert one_line(error).startswith(f"{path}: 1000000000000.0 MB of disk space needed")
+
+    @pytest.mark.parametrize("joints", [1, 2, 7])
+    def test_expected_size_is_not_exceeded_by_noise(self, tmp_path: Path, joints: int) -> None:
+        names = [f"a_long_name_of_joint_{k}" for k in range(joints)]
+        path = write(tmp_path / "bag", synthetic_recording(joint_names=names, ticks=500).messages)
+        size = sum(file.stat().st_size for file in path.iterdir())
+        assert size < expected_bytes(500, joints) < 40 * size
+
+
+class TestKilledWriter:
+    def test_killed_process_leaves_all_but_the_last_100_ms(self, tmp_path: Path) -> None:
+        path = tmp_path / "bag"
+        program = textwrap.dedent(
+            """
+            import os, signal, sys
+            from pathlib import Path
+            from armimp_estimation.bags import BagWriter
+            from armimp_estimation.bags.synthetic import synthetic_recording
+
+            writer = BagWriter(Path(sys.argv[1]), metadata={"seed": "1"})
+            for topic, log_time_ns, raw in synthetic_recording(ticks=733, rest=10).messages[:-60]:
+                writer.write(topic, raw, log_time_ns)
+            os.kill(os.getpid(), signal.SIGKILL)
+            """
+        )
+        done = subprocess.run([sys.executable, "-c", program, str(path)], check=False)
+        assert done.returncode == -signal.SIGKILL
+        content = read_bag(path)
+        (record,) = content.records()
+        expected = synthetic_recording(ticks=733, rest=10).records[0]
+        assert 723 - 100 <= record.samples < 733
+        np.testing.assert_array_equal(record.position, expected.position[:, : record.samples])
+        assert content.metadata == {"seed": "1"}
+        assert any("cut short" in note for note in content.notes)
+
+    @settings(max_examples=25, deadline=None)
+    @given(
+        st.lists(st.tuples(st.integers(0, 10**9), st.integers(0, 3000)), min_size=1, max_size=600),
+        st.booleans(),
+    )
+    def test_what_is_not_yet_in_the_file_is_bounded(
+        self, tmp_path_factory: pytest.TempPathFactory, entries: list[tuple[int, int]], rise: bool
+    ) -> None:
+        path = tmp_path_factory.mktemp("bags") / "bag"
+        times = [time for time, _ in entries]
+        if rise:
+            times.sort()
+        writer = BagWriter(path, metadata={})
+        for number, time in enumerate(times, 1):
+            writer.write(contract.CLOCK, b"\0\1\0\0" + bytes(entries[number - 1][1]), time)
+        try:
+            read = [time for _, time, _ in iterate_messages(path)]
+        except BagError:
+            read = []
+        lost = times[len(read) :]
+        assert sorted(times[: len(read)]) == read
+        assert len(lost) < FLUSH_MESSAGES
+        if rise and lost:
+            assert lost[-1] - lost[0] < FLUSH_INTERVAL_NS
+        writer.close()
+
+    def test_flush_makes_everything_readable(self, tmp_path: Path) -> None:
+        messages = synthetic_recording(ticks=7).messages
+        writer = BagWriter(tmp_path / "bag", metadata=METADATA)
+        for topic, log_time_ns, raw in messages:
+            writer.write(topic, raw, log_time_ns)
+        with pytest.raises(BagError, match="no messages"):
+            iterate_messages(tmp_path / "bag")
+        writer.flush()
+        writer.flush()
+        assert list(iterate_messages(tmp_path / "bag")) == list(messages)
+        writer.close()
+
+    def test_provisional_metadata_lists_every_topic_for_players(self, tmp_path: Path) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata=METADATA)
+        document = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
+        information = document["rosbag2_bagfile_information"]
+        assert information["message_count"] == 0
+        assert information["custom_data"] == METADATA
+        topics = [
+            entry["topic_metadata"]["name"] for entry in information["topics_with_message_count"]
+        ]
+        assert len(topics) == len(contract.MESSAGE_TYPES)
+        assert "/clock" in topics
+        writer.close()
+        assert {entry.name for entry in writer.path.iterdir()} == {"bag_0.mcap", "metadata.yaml"}
+
+    def test_metadata_survives_as_json(self, tmp_path: Path) -> None:
+        truth = {"M": [[0.187, 0.084], [0.079, 0.060]]}
+        metadata = {"truth": json.dumps(truth)}
+        with BagWriter(tmp_path / "bag", metadata=metadata) as writer:
+            for topic, log_time_ns, raw in synthetic_recording(ticks=3).messages:
+                writer.write(topic, raw, log_time_ns)
+        assert json.loads(read_bag(tmp_path / "bag").metadata["truth"]) == truth

@@ -1,0 +1,209 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation import scores
+from armimp_estimation.frf import frf_matrix
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.mbk import MBK
+from armimp_estimation.settings import IdentifyConfig
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.trial import TrialAccumulator, TrialData
+from armimp_estimation.verdict import Limits, judge_coherence, judge_estimate, judge_locking
+
+CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
+LOOP = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
+ESTIMATORS = ("welch_siso", "welch_full")
+
+
+def trials(loop: SyntheticConfig = LOOP, arm: MBK = TWO_JOINT_ARM) -> list[TrialData]:
+    return [
+        TrialData.from_record(synthetic_trial(arm, joint, loop, 1), CONFIG.welch)
+        for joint in range(arm.joints)
+    ]
+
+
+def bits(result: Identification) -> list[bytes]:
+    arrays = [trial.lock_ratio for trial in result.trials]
+    arrays += [trial.bias_bound for trial in result.trials]
+    for one in result.estimators.values():
+        arrays += [one.fit.mbk.M, one.fit.mbk.B, one.fit.mbk.K, one.fit.M_se, one.fit.r2]
+        arrays += [one.coherence_derived, one.coherence_torque, one.coherence_motion]
+        arrays += [one.estimate.Z.real, one.estimate.Z.imag, one.estimate.variance]
+    return [array.tobytes() for array in arrays]
+
+
+def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
+    result = identify(trials(), ESTIMATORS, TWO_JOINT_ARM, CONFIG)
+    assert result.valid
+    assert result.problems == ()
+    assert list(result.estimators) == list(ESTIMATORS)
+    assert result.effective_averages == pytest.approx(11.18, abs=0.01)
+    assert result.coherence_significance == pytest.approx(0.255, abs=0.001)
+    for one in result.estimators.values():
+        assert one.vaf is not None
+        assert (one.vaf > 99.9).all()
+        assert (one.fit.r2 > 0.999).all()
+        assert (one.coherence_derived > 0.97).all()
+        np.testing.assert_allclose(one.fit.mbk.M, TWO_JOINT_ARM.M, rtol=0.01)
+        np.testing.assert_allclose(one.fit.mbk.B, TWO_JOINT_ARM.B, rtol=0.05)
+        np.testing.assert_allclose(one.fit.mbk.K, TWO_JOINT_ARM.K, rtol=0.03)
+    assert [trial.joint for trial in result.trials] == [0, 1]
+    assert [trial.trial for trial in result.trials] == [1, 2]
+    assert result.trials[1].lock_ratio[1] == 1.0
+    assert result.trials[1].lock_ratio[0] < 1e-6
+
+
+def test_default_configuration_takes_50_s_trials_at_1_khz() -> None:
+    loop = SyntheticConfig(torque_noise=0.05)
+    data = [
+        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, joint, loop, 2)) for joint in range(2)
+    ]
+    result = identify(data, ["welch_siso"], TWO_JOINT_ARM)
+    assert result.valid
+    vaf = result.estimators["welch_siso"].vaf
+    assert vaf is not None
+    assert (vaf > 99.9).all()
+
+
+def test_order_of_trials_does_not_change_a_bit() -> None:
+    data = trials()
+    assert bits(identify(data, ESTIMATORS, None, CONFIG)) == bits(
+        identify(data[::-1], ESTIMATORS, None, CONFIG)
+    )
+
+
+def test_trials_gathered_live_give_the_bits_of_whole_records() -> None:
+    offline = trials()
+    live = []
+    for trial in offline:
+        record = trial.record
+        gathering = TrialAccumulator(2, record.perturbed_joint, record.rate, CONFIG.welch)
+        for begin in range(0, record.samples, 77):
+            part = slice(begin, begin + 77)
+            gathering.push(
+                record.perturbation[:, part], record.position[:, part], record.torque[:, part]
+            )
+        live.append(TrialData(record=record, spectra=gathering.result()))
+    assert bits(identify(live, ESTIMATORS, None, CONFIG)) == bits(
+        identify(offline, ESTIMATORS, None, CONFIG)
+    )
+
+
+def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is_high() -> None:
+    result = identify(
+        trials(dataclasses.replace(LOOP, lock_stiffness=100.0)), ESTIMATORS, None, CONFIG
+    )
+    assert not result.valid
+    assert (result.estimators["welch_siso"].coherence_derived > 0.9).all()
+    said = "\n".join(result.problems)
+    assert "joint_2 was not held still while joint_1 was perturbed: it moved by " in said
+    assert "joint_1 was not held still while joint_2 was perturbed: it moved by " in said
+    assert "element (1, 2) may be biased" in said
+
+
+def test_when_a_stiff_joint_still_biases_its_neighbour_expect_the_bias_bound_to_tell() -> None:
+    loop = dataclasses.replace(LOOP, lock_stiffness=3000.0)
+    result = identify(trials(loop), ["welch_siso"], TWO_JOINT_ARM, CONFIG)
+    assert max(trial.lock_ratio.min() for trial in result.trials) < 0.02
+    assert any("motion of joint_1 while joint_2 was perturbed" in p for p in result.problems)
+    vaf = result.estimators["welch_siso"].vaf
+    assert vaf is not None
+    assert vaf[0, 1] < 60.0
+
+
+def test_when_torque_sensors_are_drowned_in_noise_expect_incoherence_in_the_verdict() -> None:
+    result = identify(
+        trials(dataclasses.replace(LOOP, torque_noise=1e3)), ["welch_full"], None, CONFIG
+    )
+    said = "\n".join(result.problems)
+    assert "torque of joint_2 does not follow the perturbation of joint_1" in said
+    assert "welch_full: element (1, 1) has a mean derived coherence of" in said
+    assert "welch_full: element (1, 1) does not look like M s² + B s + K" in said
+
+
+def test_truth_has_no_part_in_the_verdict() -> None:
+    wrong = MBK(M=9.0 * TWO_JOINT_ARM.M, B=TWO_JOINT_ARM.B, K=TWO_JOINT_ARM.K)
+    result = identify(trials(), ["welch_siso"], wrong, CONFIG)
+    assert result.valid
+    vaf = result.estimators["welch_siso"].vaf
+    assert vaf is not None
+    assert (vaf < 50.0).all()
+
+
+def test_without_truth_there_is_no_vaf() -> None:
+    assert identify(trials(), ["welch_siso"], None, CONFIG).estimators["welch_siso"].vaf is None
+
+
+def test_when_a_joint_has_no_trial_expect_its_name_in_the_error() -> None:
+    with pytest.raises(DataError, match=r"no trial perturbs joint 1 \(joint_1\)"):
+        identify(trials()[1:], ESTIMATORS, None, CONFIG)
+
+
+@pytest.mark.parametrize("estimators", [[], ["welch_siso", "welch_siso"], ["nonsense"]])
+def test_when_estimators_are_not_distinct_known_names_expect_configuration_error(
+    estimators: list[str],
+) -> None:
+    with pytest.raises(ConfigurationError, match="estimator"):
+        identify(trials(), estimators, None, CONFIG)
+
+
+def test_when_the_truth_is_of_another_arm_expect_configuration_error() -> None:
+    truth = MBK(M=np.eye(3), B=np.eye(3), K=np.eye(3))
+    with pytest.raises(ConfigurationError, match="truth is of 3 joints, the data of 2"):
+        identify(trials(), ESTIMATORS, truth, CONFIG)
+
+
+def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
+    names = ("a", "b")
+    nan = np.full((2, 2), np.nan)
+    # Two locked joints, and four elements whose bias is unknown.
+    assert len(judge_locking(names, nan, nan, Limits())) == 6
+    assert len(judge_coherence(names, nan[0], nan, 0.25)) == 6
+    assert len(judge_estimate("x", nan, nan, Limits())) == 8
+
+
+def test_a_single_bad_score_is_told_of_the_right_element() -> None:
+    names = ("a", "b")
+    lock, bound, torque, derived, r2 = (
+        np.full((2, 2), value) for value in (0.0, 0.0, 1.0, 1.0, 1.0)
+    )
+    lock[1, 0] = bound[1, 0] = 0.5
+    torque[1, 0] = derived[1, 0] = r2[1, 0] = 0.1
+    locking = judge_locking(names, lock, bound, Limits())
+    assert [text.split(":")[0] for text in locking] == [
+        "b was not held still while a was perturbed",
+        "motion of b while a was perturbed explains 50 % of the torque of b (limit 10 %)",
+    ]
+    (text,) = judge_coherence(names, np.ones(2), torque, 0.25)
+    assert text.startswith("torque of b does not follow the perturbation of a")
+    one, other = judge_estimate("x", derived, r2, Limits())
+    assert one.startswith("x: element (2, 1) has a mean derived coherence of 0.1 ")
+    assert other.startswith("x: element (2, 1) does not look like")
+
+
+def test_each_trial_has_the_scores_of_its_own_record() -> None:
+    data = trials(dataclasses.replace(LOOP, lock_stiffness=3000.0))
+    result = identify(data[::-1], ["welch_siso"], None, CONFIG)
+    bounds = scores.bias_bound(frf_matrix([trial.spectra for trial in data]))
+    for k, trial in enumerate(result.trials):
+        np.testing.assert_array_equal(trial.lock_ratio, scores.lock_ratio(data[k].record))
+        np.testing.assert_array_equal(trial.bias_bound, bounds[:, k])
+
+
+def test_values_at_their_limits_pass_the_verdict() -> None:
+    names = ("a", "b")
+    limits = Limits()
+    same = np.ones((2, 2))
+    assert judge_locking(names, limits.lock_ratio * same, limits.bias_bound * same, limits) == []
+    assert judge_estimate("x", limits.coherence_derived * same, limits.r2 * same, limits) == []
+
+
+@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Limits)])
+@pytest.mark.parametrize("value", [0.0, 1.0, float("nan")])
+def test_when_a_limit_is_nonsense_expect_its_name_in_the_error(name: str, value: float) -> None:
+    with pytest.raises(ConfigurationError, match=f"limit {name} must be in"):
+        Limits(**{name: value})

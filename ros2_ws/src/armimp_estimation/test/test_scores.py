@@ -1,0 +1,172 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation import scores
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.frf import FrfMatrix
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
+from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.trial import TrialData, TrialSpectra
+
+ComplexArray = NDArray[np.complex128]
+
+WELCH = WelchConfig(segment=1024, overlap=768)
+F = WELCH.frequencies(125.0)
+
+
+def estimate_of(Z: ComplexArray) -> ImpedanceEstimate:
+    return ImpedanceEstimate(
+        name="made",
+        f=F,
+        Z=Z,
+        variance=np.ones(Z.shape),
+        bin_correlation=np.ones(1),
+        averages=11.0,
+        T=Z,
+        R=Z,
+    )
+
+
+def spectra_of(matrix: ComplexArray) -> CrossSpectra:
+    return CrossSpectra(
+        f=np.array([1.0, 2.0]),
+        matrix=np.repeat(matrix[:, :, None], 2, axis=2),
+        segments=21,
+        effective_averages=11.2,
+        bin_correlation=np.ones(1),
+    )
+
+
+def moving_record() -> TrialRecord:
+    t = np.arange(1000) / 1000.0
+    wave = np.sin(2.0 * np.pi * 5.0 * t)
+    return TrialRecord(
+        trial=4,
+        perturbed_joint=1,
+        rate=1000.0,
+        joint_names=("a", "b", "c"),
+        perturbation=np.zeros((3, 1000)),
+        position=np.stack((1.0 + 0.01 * wave, 2.0 - 0.5 * wave, np.full(1000, 0.3))),
+        torque=np.zeros((3, 1000)),
+        start_ns=0,
+        seed=None,
+    )
+
+
+def test_vaf_is_100_for_the_truth_and_falls_with_the_square_of_a_relative_error() -> None:
+    true = TWO_JOINT_ARM.impedance(F)
+    factors = np.array([[1.0, 1.1], [1.0 + 0.1j, 3.0]])
+    vaf = scores.vaf(estimate_of(true * factors[:, :, None]), TWO_JOINT_ARM)
+    np.testing.assert_allclose(vaf, [[100.0, 99.0], [99.0, -300.0]], rtol=1e-12)
+
+
+def test_vaf_of_an_element_that_is_truly_zero_is_nan() -> None:
+    truth = MBK(M=np.diag([1.0, 1.0]), B=np.zeros((2, 2)), K=np.zeros((2, 2)))
+    vaf = scores.vaf(estimate_of(TWO_JOINT_ARM.impedance(F)), truth)
+    np.testing.assert_array_equal(np.isnan(vaf), [[False, True], [True, False]])
+
+
+def test_coherence_is_the_share_of_common_power() -> None:
+    spectra = spectra_of(np.array([[4.0, 2j, 0.0], [-2j, 9.0, 0.0], [0.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(scores.coherence(spectra, 0, 1), 4.0 / 36.0)
+    np.testing.assert_array_equal(scores.coherence(spectra, 0, 2), 0.0)
+    np.testing.assert_array_equal(scores.coherence(spectra, 1, 1), 1.0)
+
+
+def test_derived_coherence_follows_its_definition() -> None:
+    # One joint: tau_delta, theta, tau.
+    trial = TrialSpectra(
+        perturbed_joint=0,
+        spectra=spectra_of(
+            np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 4.0 + 2j], [0.0, 4.0 - 2j, 25.0]])
+        ),
+    )
+    noise = (1.0 - 20.0 / 50.0) * 25.0
+    expected = 9.0 * 2.0 / (9.0 * 2.0 + noise)
+    impedance = np.array([3.0, 3.0j])
+    derived = scores.derived_coherence(trial, 0, trial.f, impedance)
+    np.testing.assert_allclose(derived, expected)
+    # On a finer grid of frequencies the impedance is interpolated.
+    fine = scores.derived_coherence(
+        trial, 0, np.array([0.5, 1.5, 2.5]), np.array([2.0, 4.0, 2.0], dtype=np.complex128)
+    )
+    np.testing.assert_allclose(fine, expected)
+
+
+def test_coherence_of_unrelated_signals_exceeds_the_significance_level_as_often_as_alpha() -> None:
+    rng = np.random.default_rng(8)
+    above = []
+    level = 0.0
+    for _ in range(150):
+        accumulator = SpectralAccumulator(2, 125.0, WELCH)
+        accumulator.push(rng.standard_normal((2, 6144)))
+        spectra = accumulator.result()
+        level = scores.coherence_significance(spectra.effective_averages)
+        above.append(scores.coherence(spectra, 0, 1) > level)
+    assert level == pytest.approx(0.2549, abs=1e-3)
+    # Taking the 21 overlapped segments for independent ones, 21 % would exceed their level.
+    assert 0.035 < np.mean(above) < 0.065
+
+
+def test_with_one_average_no_coherence_is_significant() -> None:
+    assert scores.coherence_significance(1.0) == 1.0
+
+
+@pytest.mark.parametrize("alpha", [0.0, 1.0, float("nan")])
+def test_when_alpha_is_no_probability_expect_configuration_error(alpha: float) -> None:
+    with pytest.raises(ConfigurationError, match="significance"):
+        scores.coherence_significance(11.0, alpha)
+
+
+def test_lock_ratio_compares_deviations_from_the_mean() -> None:
+    np.testing.assert_allclose(scores.lock_ratio(moving_record()), [0.02, 1.0, 0.0], atol=1e-12)
+
+
+def test_when_the_perturbed_joint_stands_still_expect_data_error() -> None:
+    record = dataclasses.replace(moving_record(), perturbed_joint=2)
+    with pytest.raises(DataError, match="trial 4: c is perturbed but does not move"):
+        scores.lock_ratio(record)
+
+
+def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
+    R = np.array([[2.0, 0.1], [0.3, 5.0]])
+    T = np.array([[8.0, 4.0], [6.0, 10.0]])
+    frf = FrfMatrix(
+        f=F[:2],
+        R=np.repeat(R[:, :, None], 2, axis=2) + 0j,
+        T=np.repeat(T[:, :, None], 2, axis=2) + 0j,
+        R_variance=np.ones((2, 2, 2)),
+        T_variance=np.ones((2, 2, 2)),
+    )
+    expected = [
+        [4.0 / 5.0 * 0.3 / 8.0, 8.0 / 2.0 * 0.1 / 4.0],
+        [10.0 / 5.0 * 0.3 / 6.0, 6.0 / 2.0 * 0.1 / 10.0],
+    ]
+    np.testing.assert_allclose(scores.bias_bound(frf), expected)
+
+
+def test_mean_coherences_are_arranged_by_torque_and_perturbed_joint() -> None:
+    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=1.0, position_noise=0.01)
+    trials = [
+        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, k, loop, 1), WELCH).spectra
+        for k in range(2)
+    ]
+    torque = scores.mean_coherence_torque(trials)
+    motion = scores.mean_coherence_motion(trials)
+    derived = scores.mean_coherence_derived(trials, estimate_of(TWO_JOINT_ARM.impedance(F)))
+    true = TWO_JOINT_ARM.impedance(F)
+    for k, trial in enumerate(trials):
+        angle = trial.position_channel(k)
+        assert motion[k] == np.mean(scores.coherence(trial.spectra, 0, angle))
+        for i in range(2):
+            channel = trial.torque_channel(i)
+            assert torque[i, k] == np.mean(scores.coherence(trial.spectra, 0, channel))
+            expected = scores.derived_coherence(trial, i, F, true[i, k])
+            assert derived[i, k] == np.mean(expected)
+    assert len(set(torque.ravel())) == 4

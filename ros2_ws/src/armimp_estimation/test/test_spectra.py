@@ -1,0 +1,235 @@
+import itertools
+
+import numpy as np
+import pytest
+import scipy.signal
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.spectra import (
+    CrossSpectra,
+    SpectralAccumulator,
+    WelchConfig,
+    bin_correlation,
+    effective_averages,
+    hann,
+)
+
+FloatArray = NDArray[np.float64]
+
+SMALL = WelchConfig(segment=64, overlap=48, f_low=0.0, f_high=32.0)
+RATE = 64.0
+
+
+def signals(channels: int, samples: int, seed: int = 0) -> FloatArray:
+    rng = np.random.default_rng(seed)
+    mixing = rng.standard_normal((channels, channels))
+    offset = 10.0 * rng.standard_normal((channels, 1))
+    return mixing @ rng.standard_normal((channels, samples)) + offset
+
+
+def spectra_of(x: FloatArray, config: WelchConfig = SMALL, rate: float = RATE) -> CrossSpectra:
+    accumulator = SpectralAccumulator(len(x), rate, config)
+    accumulator.push(x)
+    return accumulator.result()
+
+
+def assert_equals_scipy(x: FloatArray, config: WelchConfig, rate: float) -> None:
+    ours = spectra_of(x, config, rate)
+    for i in range(len(x)):
+        for j in range(len(x)):
+            f, expected = scipy.signal.csd(
+                x[i],
+                x[j],
+                fs=rate,
+                window="hann",
+                nperseg=config.segment,
+                noverlap=config.overlap,
+                detrend="constant",
+            )
+            kept = (f > 0.0) & (f >= config.f_low) & (f <= config.f_high)
+            np.testing.assert_allclose(ours.f, f[kept], rtol=1e-14)
+            size = np.sqrt(ours.power(i) * ours.power(j))
+            error = np.abs(ours.matrix[i, j] - expected[kept]) / size
+            assert error.max() < 1e-12
+
+
+@pytest.mark.parametrize("segment", [64, 63])
+@pytest.mark.parametrize("overlap", [0, 20, 48])
+def test_matrix_equals_that_of_scipy_up_to_the_nyquist_bin(segment: int, overlap: int) -> None:
+    config = WelchConfig(segment=segment, overlap=overlap, f_low=0.0, f_high=32.0)
+    assert_equals_scipy(signals(3, 500), config, RATE)
+
+
+def test_default_matrix_of_a_50_s_record_equals_that_of_scipy() -> None:
+    assert_equals_scipy(signals(5, 50_000), WelchConfig(), 1000.0)
+
+
+def test_default_band_is_from_the_first_bin_to_15_hz() -> None:
+    f = WelchConfig().frequencies(1000.0)
+    np.testing.assert_allclose(f, 1000.0 / 8192.0 * np.arange(1, 123), rtol=1e-15)
+    assert f[-1] <= 15.0 < f[-1] + 1000.0 / 8192.0
+
+
+def test_ends_of_the_band_belong_to_it() -> None:
+    config = WelchConfig(segment=64, overlap=0, f_low=3.0, f_high=7.0)
+    np.testing.assert_array_equal(config.frequencies(RATE), [3.0, 4.0, 5.0, 6.0, 7.0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    channels=st.integers(1, 4),
+    samples=st.integers(64, 400),
+    cuts=st.lists(st.integers(0, 400), max_size=12),
+    overlap=st.integers(0, 63),
+)
+def test_blocks_of_any_size_give_bit_identical_matrices(
+    channels: int, samples: int, cuts: list[int], overlap: int
+) -> None:
+    config = WelchConfig(segment=64, overlap=overlap, f_low=0.0, f_high=32.0)
+    x = signals(channels, samples, seed=samples)
+    accumulator = SpectralAccumulator(channels, RATE, config)
+    edges = [0, *sorted(min(cut, samples) for cut in cuts), samples]
+    for begin, end in itertools.pairwise(edges):
+        accumulator.push(x[:, begin:end])
+    assert accumulator.samples == samples
+    assert accumulator.segments == config.segments_in(samples)
+    assert accumulator.result().matrix.tobytes() == spectra_of(x, config).matrix.tobytes()
+
+
+def test_default_spectra_of_single_samples_and_of_other_layouts_are_bit_identical() -> None:
+    x = signals(5, 10_500)
+    whole = spectra_of(x, WelchConfig(), 1000.0)
+    single = SpectralAccumulator(5, 1000.0)
+    for sample in range(x.shape[1]):
+        single.push(x[:, sample : sample + 1])
+    assert single.result().matrix.tobytes() == whole.matrix.tobytes()
+    fortran = spectra_of(np.asfortranarray(x), WelchConfig(), 1000.0)
+    assert fortran.matrix.tobytes() == whole.matrix.tobytes()
+
+
+def test_a_result_on_the_way_does_not_disturb_the_final_one() -> None:
+    x = signals(2, 300)
+    accumulator = SpectralAccumulator(2, RATE, SMALL)
+    accumulator.push(x[:, :170])
+    early = accumulator.result()
+    accumulator.push(x[:, 170:])
+    assert early.segments == 7
+    assert early.matrix.tobytes() == spectra_of(x[:, :170]).matrix.tobytes()
+    assert accumulator.result().matrix.tobytes() == spectra_of(x).matrix.tobytes()
+
+
+def test_matrix_is_hermitian_and_its_diagonal_the_power() -> None:
+    spectra = spectra_of(signals(3, 500))
+    np.testing.assert_allclose(
+        spectra.matrix, np.conj(np.swapaxes(spectra.matrix, 0, 1)), rtol=1e-14, atol=1e-18
+    )
+    for channel in range(3):
+        assert (spectra.power(channel) > 0.0).all()
+
+
+def test_offset_of_a_channel_does_not_matter() -> None:
+    x = signals(2, 500)
+    np.testing.assert_allclose(
+        spectra_of(x + np.array([[300.0], [-20.0]])).matrix, spectra_of(x).matrix, rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("samples", "segments"), [(0, 0), (8191, 0), (8192, 1), (10239, 1), (10240, 2), (50_000, 21)]
+)
+def test_number_of_segments_counts_complete_ones_only(samples: int, segments: int) -> None:
+    assert WelchConfig().segments_in(samples) == segments
+
+
+def test_when_the_record_is_shorter_than_a_segment_expect_both_lengths_in_the_error() -> None:
+    accumulator = SpectralAccumulator(1, 1000.0)
+    accumulator.push(np.zeros((1, 8191)))
+    with pytest.raises(DataError, match="8191 samples is shorter than one segment of 8192"):
+        accumulator.result()
+
+
+def test_when_a_sample_is_not_finite_expect_an_error_and_nothing_appended() -> None:
+    x = signals(2, 100)
+    accumulator = SpectralAccumulator(2, RATE, SMALL)
+    accumulator.push(x[:, :10])
+    bad = x[:, 10:20].copy()
+    bad[1, 4] = np.nan
+    with pytest.raises(DataError, match="channel 1 is nan at sample 14"):
+        accumulator.push(bad)
+    accumulator.push(x[:, 10:])
+    assert accumulator.result().matrix.tobytes() == spectra_of(x).matrix.tobytes()
+
+
+def test_when_the_number_of_channels_is_wrong_expect_data_error() -> None:
+    accumulator = SpectralAccumulator(2, RATE, SMALL)
+    with pytest.raises(DataError, match=r"shape \(3, 10\), expected \(2, m\)"):
+        accumulator.push(np.zeros((3, 10)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"segment": 4}, "segment"),
+        ({"segment": 64, "overlap": 64}, "overlap"),
+        ({"overlap": -1}, "overlap"),
+        ({"f_low": 15.0}, "band"),
+        ({"f_low": -1.0}, "band"),
+        ({"f_high": float("inf")}, "band"),
+        ({"f_high": float("nan")}, "band"),
+    ],
+)
+def test_when_the_configuration_is_nonsense_expect_configuration_error(
+    changes: dict[str, float], message: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        WelchConfig(**changes)  # type: ignore[arg-type]
+
+
+def test_when_no_bin_is_in_the_band_expect_configuration_error() -> None:
+    config = WelchConfig(segment=64, overlap=0, f_low=3.2, f_high=3.8)
+    with pytest.raises(ConfigurationError, match=r"no frequency between 3.2 and 3.8 Hz"):
+        SpectralAccumulator(1, RATE, config)
+
+
+def test_21_overlapped_segments_are_worth_about_11_averages() -> None:
+    config = WelchConfig()
+    window = hann(8192)
+    rho = [
+        (np.sum(window[: 8192 - 2048 * j] * window[2048 * j :]) / np.sum(window**2)) ** 2
+        for j in range(1, 4)
+    ]
+    by_hand = 21 / (1 + 2 * sum((1 - j / 21) * r for j, r in enumerate(rho, start=1)))
+    assert effective_averages(config, 21) == pytest.approx(by_hand, rel=1e-12)
+    assert effective_averages(config, 21) == pytest.approx(11.18, abs=0.01)
+
+
+def test_segments_without_overlap_are_all_independent() -> None:
+    config = WelchConfig(segment=64, overlap=0)
+    assert effective_averages(config, 7) == pytest.approx(7.0)
+    assert effective_averages(config, 0) == 0.0
+
+
+def test_bin_correlation_of_one_segment_is_that_of_the_hann_window() -> None:
+    expected = [1.0, 4.0 / 9.0, 1.0 / 36.0, 0.0]
+    np.testing.assert_allclose(bin_correlation(WelchConfig(), 1), expected, atol=1e-12)
+
+
+def test_averages_scatter_and_correlate_as_white_noise_shows() -> None:
+    # 21 segments at 75 % overlap, as the default, only shorter.
+    config = WelchConfig(segment=128, overlap=96, f_low=5.0, f_high=58.0)
+    bins = 54
+    samples = 128 + 20 * 32
+    runs = 600
+    x = np.random.default_rng(5).standard_normal((2 * runs, samples))
+    averages = np.empty((runs, bins), dtype=np.complex128)
+    for run in range(runs):
+        averages[run] = spectra_of(x[2 * run : 2 * run + 2], config, 128.0).matrix[0, 1]
+    power = np.mean(np.abs(averages) ** 2)
+    # E|G_xy|² = G_xx G_yy / n_d for independent signals; G_xx = 2/rate for unit white noise.
+    assert (2.0 / 128.0) ** 2 / power == pytest.approx(effective_averages(config, 21), rel=0.03)
+    for lag, expected in enumerate(bin_correlation(config, 21)):
+        products = averages[:, lag:] * np.conj(averages[:, : averages.shape[1] - lag])
+        assert np.mean(products).real / power == pytest.approx(expected, abs=0.02)

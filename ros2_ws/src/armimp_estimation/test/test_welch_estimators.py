@@ -1,0 +1,274 @@
+"""Responses and both estimators on averaged spectra, against closed loops with known truth."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.estimate import Estimator, ImpedanceEstimate, confidence_radius
+from armimp_estimation.frf import frf_column, order_trials
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.registry import estimator_names, make_estimator
+from armimp_estimation.settings import IdentifyConfig
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.trial import TrialData
+from armimp_estimation.welch import WelchFull, WelchSiso, invert, multiply
+
+# As 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
+WELCH = WelchConfig(segment=1024, overlap=768)
+LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
+BOTH: list[Estimator] = [WelchSiso(), WelchFull()]
+THREE_JOINT_ARM = MBK(
+    M=np.array([[0.3, 0.1, 0.02], [0.09, 0.1, 0.015], [0.021, 0.014, 0.01]]),
+    B=np.array([[0.9, 0.3, 0.05], [0.25, 0.5, 0.06], [0.04, 0.07, 0.1]]),
+    K=np.array([[12.0, 4.0, 0.8], [3.0, 8.0, 1.1], [0.9, 0.7, 2.0]]),
+)
+
+
+def trials(
+    loop: SyntheticConfig = LOOP, seed: int = 1, arm: MBK = TWO_JOINT_ARM
+) -> list[TrialData]:
+    return [
+        TrialData.from_record(synthetic_trial(arm, joint, loop, seed), WELCH)
+        for joint in range(arm.joints)
+    ]
+
+
+def relative_error(estimate: ImpedanceEstimate, arm: MBK) -> float:
+    """Worst element of the rms error over frequency, relative to the rms of the element."""
+    true = arm.impedance(estimate.f)
+    error = np.sum(np.abs(estimate.Z - true) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
+    return float(np.sqrt(np.max(error)))
+
+
+def static_record(noise: float = 0.0) -> TrialRecord:
+    rng = np.random.default_rng(0)
+    x = rng.standard_normal(6144)
+    noises = noise * rng.standard_normal((4, 6144))
+    return TrialRecord(
+        trial=1,
+        perturbed_joint=0,
+        rate=125.0,
+        joint_names=("a", "b"),
+        perturbation=np.stack((x, 0.0 * x)),
+        position=np.stack((0.5 * x, 0.001 * x)) + noises[:2],
+        torque=np.stack((3.0 * x, -2.0 * x)) + noises[2:],
+        start_ns=0,
+        seed=0,
+    )
+
+
+def test_responses_of_a_static_system_are_its_gains() -> None:
+    column = frf_column(TrialData.from_record(static_record(), WELCH).spectra)
+    assert column.joint == 0
+    np.testing.assert_allclose(column.R[0], 0.5, rtol=1e-12)
+    np.testing.assert_allclose(column.R[1], 0.001, rtol=1e-12)
+    np.testing.assert_allclose(column.T[0], 3.0, rtol=1e-12)
+    np.testing.assert_allclose(column.T[1], -2.0, rtol=1e-12)
+    assert column.T_variance.max() < 1e-14
+    assert column.R_variance.max() < 1e-14
+
+
+def test_impedance_of_a_static_system_is_the_ratio_of_its_gains() -> None:
+    column = WelchSiso().column(TrialData.from_record(static_record(), WELCH).spectra)
+    np.testing.assert_allclose(column.Z[0], 6.0, rtol=1e-12)
+    np.testing.assert_allclose(column.Z[1], -4.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("estimator", BOTH, ids=lambda e: e.name)
+@pytest.mark.parametrize("arm", [TWO_JOINT_ARM, THREE_JOINT_ARM], ids=["two", "three"])
+def test_when_locked_joints_stand_still_expect_the_true_impedance(
+    estimator: Estimator, arm: MBK
+) -> None:
+    estimate = estimator.estimate(trials(arm=arm))
+    assert estimate.name == estimator.name
+    assert estimate.Z.shape == (arm.joints, arm.joints, 122)
+    assert relative_error(estimate, arm) < 0.005
+
+
+@pytest.mark.parametrize("arm", [TWO_JOINT_ARM, THREE_JOINT_ARM], ids=["two", "three"])
+def test_when_locked_joints_give_way_expect_only_the_full_estimator_to_stay_right(
+    arm: MBK,
+) -> None:
+    moving = trials(dataclasses.replace(LOOP, lock_stiffness=1000.0), arm=arm)
+    assert relative_error(WelchFull().estimate(moving), arm) < 0.05
+    assert relative_error(WelchSiso().estimate(moving), arm) > 0.2
+
+
+def test_when_the_subject_pushes_expect_errors_within_the_confidence_circles_but_no_bias() -> None:
+    true = TWO_JOINT_ARM.impedance(WELCH.frequencies(125.0))
+    loop = dataclasses.replace(LOOP, voluntary=1.0)
+    errors = [WelchSiso().estimate(trials(loop, seed)).Z - true for seed in range(60)]
+    low = slice(0, 16)  # up to 2 Hz, where the subject pushes
+    scatter = np.sqrt(np.mean(np.abs(errors) ** 2, axis=0))[:, :, low]
+    bias = np.abs(np.mean(errors, axis=0))[:, :, low]
+    assert (np.mean(scatter / np.abs(true[:, :, low]), axis=2) > 0.1).all()
+    # The mean of 60 has an rms of 0.13 of the scatter; the mean over 16 bins scatters by 0.02.
+    assert (np.mean(bias / scatter, axis=2) < 0.2).all()
+
+
+@pytest.mark.parametrize("estimator", BOTH, ids=lambda e: e.name)
+def test_variance_is_that_of_repeated_experiments(estimator: Estimator) -> None:
+    lock = 1e9 if estimator.name == "welch_siso" else 300.0
+    loop = dataclasses.replace(LOOP, torque_noise=0.5, voluntary=0.3, lock_stiffness=lock)
+    true = TWO_JOINT_ARM.impedance(WELCH.frequencies(125.0))
+    estimates = [estimator.estimate(trials(loop, seed)) for seed in range(150)]
+    squares = np.mean([np.abs(e.Z - true) ** 2 for e in estimates], axis=0)
+    variance = np.mean([e.variance for e in estimates], axis=0)
+    # A ratio averages 150 runs and some 60 independent bins, and so scatters by a per cent or two.
+    # With n_d in the place of n_d - 1 all would be 9 % lower.
+    ratio = np.mean(variance / squares, axis=2)
+    assert 0.98 < ratio.mean() < 1.08
+    assert (np.abs(ratio - 1.0) < 0.1).all()
+    inside = np.mean([np.abs(e.Z - true) <= e.confidence_radius(0.95) for e in estimates])
+    assert 0.94 < inside < 0.97
+    inside = np.mean([np.abs(e.Z - true) <= e.confidence_radius(0.5) for e in estimates])
+    assert 0.48 < inside < 0.53
+
+
+def test_variance_of_responses_is_that_of_repeated_experiments() -> None:
+    loop = dataclasses.replace(LOOP, torque_noise=0.5, position_noise=0.1)
+    s = 2j * np.pi * WELCH.frequencies(125.0)
+    arm = TWO_JOINT_ARM
+    motion = 1.0 / ((0.2 + arm.M[0, 0]) * s**2 + (4.0 + arm.B[0, 0]) * s + 30.0 + arm.K[0, 0])
+    push = motion * (arm.M[1, 0] * s**2 + arm.B[1, 0] * s + arm.K[1, 0])
+    columns = [
+        frf_column(TrialData.from_record(synthetic_trial(arm, 0, loop, seed), WELCH).spectra)
+        for seed in range(300)
+    ]
+    squares = np.mean([np.abs(c.R[0] - motion) ** 2 for c in columns], axis=0)
+    ratio = np.mean([c.R_variance[0] for c in columns], axis=0) / squares
+    assert 0.98 < ratio.mean() < 1.08
+    squares = np.mean([np.abs(c.T[1] - push) ** 2 for c in columns], axis=0)
+    ratio = np.mean([c.T_variance[1] for c in columns], axis=0) / squares
+    assert 0.98 < ratio.mean() < 1.08
+
+
+@pytest.mark.parametrize("estimator", BOTH, ids=lambda e: e.name)
+def test_order_of_trials_does_not_change_a_bit(estimator: Estimator) -> None:
+    data = trials(arm=THREE_JOINT_ARM)
+    one = estimator.estimate(data)
+    other = estimator.estimate([data[2], data[0], data[1]])
+    assert one.Z.tobytes() == other.Z.tobytes()
+    assert one.variance.tobytes() == other.variance.tobytes()
+
+
+def test_a_column_alone_is_that_of_the_matrix() -> None:
+    data = trials()
+    estimate = WelchSiso().estimate(data)
+    for k in range(2):
+        column = WelchSiso().column(data[k].spectra)
+        assert column.joint == k
+        np.testing.assert_array_equal(column.Z, estimate.Z[:, k])
+        np.testing.assert_array_equal(column.variance, estimate.variance[:, k])
+
+
+def test_when_trials_differ_in_length_expect_the_averages_of_the_shortest() -> None:
+    short = synthetic_trial(TWO_JOINT_ARM, 1, dataclasses.replace(LOOP, samples=3000), 1)
+    data = [trials()[0], TrialData.from_record(short, WELCH)]
+    estimate = WelchSiso().estimate(data)
+    assert estimate.averages == data[1].spectra.spectra.effective_averages < 6.0
+
+
+@pytest.mark.parametrize("estimator", BOTH, ids=lambda e: e.name)
+def test_when_a_joint_has_no_trial_expect_its_number_and_name(estimator: Estimator) -> None:
+    with pytest.raises(DataError, match=r"no trial perturbs joint 2 \(joint_2\)"):
+        estimator.estimate(trials()[:1])
+
+
+def test_when_a_joint_has_two_trials_expect_data_error() -> None:
+    data = trials()
+    with pytest.raises(DataError, match=r"2 trials perturb joint 1 \(joint_1\).*: trials 1, 1"):
+        order_trials([*data, data[0]])
+
+
+def test_when_there_is_no_trial_expect_data_error() -> None:
+    with pytest.raises(DataError, match="no trial"):
+        order_trials([])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"joint_names": ("x", "y")}, "trial 2 has joints x, y, trial 1 has joint_1, joint_2"),
+        ({"rate": 250.0}, "250.0 samples per second, trial 1 has 125.0"),
+        ({"perturbation": np.ones((2, 6144))}, "trial 2 perturbs joint_1 as well as joint_2"),
+    ],
+)
+def test_when_trials_do_not_belong_together_expect_data_error(
+    change: dict[str, object], message: str
+) -> None:
+    first, second = trials()
+    record = dataclasses.replace(second.record, **change)  # type: ignore[arg-type]
+    with pytest.raises(DataError, match=message):
+        order_trials([first, dataclasses.replace(second, record=record)])
+
+
+def test_when_spectra_are_at_different_frequencies_expect_data_error() -> None:
+    first, second = trials()
+    other = TrialData.from_record(second.record, WelchConfig(segment=512, overlap=256))
+    with pytest.raises(DataError, match="trials 1 and 2 have spectra at different frequencies"):
+        order_trials([first, other])
+
+
+def test_when_there_is_one_segment_only_expect_data_error() -> None:
+    loop = dataclasses.replace(LOOP, samples=1100)
+    with pytest.raises(DataError, match="joint 1: 1 segment gives no measure of noise"):
+        WelchSiso().estimate(trials(loop))
+
+
+def test_when_there_is_no_perturbation_expect_data_error() -> None:
+    record = dataclasses.replace(static_record(), perturbation=np.zeros((2, 6144)))
+    with pytest.raises(DataError, match="joint 1: no perturbation at"):
+        frf_column(TrialData.from_record(record, WELCH).spectra)
+
+
+def test_when_the_perturbed_joint_does_not_move_expect_data_error() -> None:
+    record = dataclasses.replace(static_record(), position=np.zeros((2, 6144)))
+    with pytest.raises(DataError, match="joint 1 does not follow its perturbation"):
+        WelchSiso().column(TrialData.from_record(record, WELCH).spectra)
+
+
+def test_inverse_times_matrix_is_the_identity_at_each_frequency() -> None:
+    rng = np.random.default_rng(2)
+    matrix = rng.standard_normal((3, 3, 7)) + 1j * rng.standard_normal((3, 3, 7))
+    f = np.arange(1.0, 8.0)
+    product = multiply(matrix, invert(matrix, f))
+    np.testing.assert_allclose(product, np.repeat(np.eye(3)[:, :, None], 7, axis=2), atol=1e-12)
+    np.testing.assert_allclose(
+        multiply(matrix, matrix), np.einsum("ijf,jkf->ikf", matrix, matrix), rtol=1e-12
+    )
+
+
+def test_when_motions_are_dependent_expect_the_frequency_in_the_error() -> None:
+    matrix = np.repeat(np.eye(2, dtype=np.complex128)[:, :, None], 3, axis=2)
+    matrix[:, :, 1] = 1.0
+    with pytest.raises(DataError, match=r"linearly dependent at 2.5 Hz"):
+        invert(matrix, np.array([2.0, 2.5, 3.0]))
+
+
+def test_confidence_radius_tends_to_that_of_a_known_variance() -> None:
+    known = np.sqrt(-np.log(0.05) * 4.0)
+    radius = confidence_radius(np.array([4.0]), 1e7, 0.95)
+    np.testing.assert_allclose(radius, known, rtol=1e-5)
+    assert confidence_radius(np.array([4.0]), 11.0)[0] > 1.05 * known
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, float("nan")])
+def test_when_the_level_is_no_probability_expect_configuration_error(level: float) -> None:
+    with pytest.raises(ConfigurationError, match="confidence level"):
+        confidence_radius(np.array([1.0]), 11.0, level)
+
+
+def test_registry_makes_each_estimator_by_its_name() -> None:
+    names = estimator_names()
+    assert {"welch_siso", "welch_full"} <= set(names)
+    assert [make_estimator(name, IdentifyConfig()).name for name in names] == list(names)
+
+
+def test_when_the_name_is_unknown_expect_the_known_ones_in_the_error() -> None:
+    with pytest.raises(ConfigurationError, match=r"unknown estimator 'welsh'.*welch_siso"):
+        make_estimator("welsh", IdentifyConfig())

@@ -1,0 +1,84 @@
+"""LuGre joint friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class LuGre:
+    """ż = v − σ0|v|z/g(v), g(v) = Fc + (Fs − Fc)·exp(−(v/vs)²), F = σ0 z + σ1 ż + σ2 v.
+
+    Parameters
+    ----------
+    coulomb, static : Fc, Fs, N·m
+    sigma_0 : bristle stiffness, N·m/rad
+    sigma_1 : bristle damping, N·m·s/rad
+    sigma_2 : viscous friction, N·m·s/rad
+    stribeck_velocity : vs, rad/s
+
+    Raises
+    ------
+    ConfigurationError
+        If a value is negative or not finite, Fs < Fc, or bristles have no friction level to reach.
+    """
+
+    coulomb: float
+    static: float
+    sigma_0: float
+    sigma_1: float
+    sigma_2: float
+    stribeck_velocity: float = 0.01
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0.0 <= value < np.inf:
+                raise ConfigurationError(f"friction: {name} must not be negative, got {value}")
+        if self.static < self.coulomb:
+            raise ConfigurationError(
+                f"friction: static level {self.static} is below Coulomb level {self.coulomb}"
+            )
+        if not self.stribeck_velocity > 0.0:
+            raise ConfigurationError(
+                f"friction: stribeck_velocity must be positive, got {self.stribeck_velocity}"
+            )
+        if self.sigma_0 > 0.0 and not self.coulomb > 0.0:
+            raise ConfigurationError(
+                f"friction: sigma_0 = {self.sigma_0} needs a positive Coulomb level"
+            )
+
+    @classmethod
+    def none(cls) -> LuGre:
+        """No friction at all."""
+        return cls(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0, sigma_2=0.0)
+
+    def scaled(self, factor: float) -> LuGre:
+        """The same friction law with all torques multiplied by ``factor``."""
+        return LuGre(
+            coulomb=self.coulomb * factor,
+            static=self.static * factor,
+            sigma_0=self.sigma_0 * factor,
+            sigma_1=self.sigma_1 * factor,
+            sigma_2=self.sigma_2 * factor,
+            stribeck_velocity=self.stribeck_velocity,
+        )
+
+    def level(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sliding level g(v), N·m, at the velocities ``v``, rad/s."""
+        return self.coulomb + (self.static - self.coulomb) * np.exp(
+            -((v / self.stribeck_velocity) ** 2)
+        )
+
+    def steady_state(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Friction torque at constant velocity: g(v)·sign(v) + σ2 v, N·m.
+
+        Without bristle stiffness nothing holds the bristles back: ż = v and F = (σ1 + σ2) v.
+        """
+        if self.sigma_0 > 0.0:
+            return self.level(v) * np.sign(v) + self.sigma_2 * v
+        return (self.sigma_1 + self.sigma_2) * v

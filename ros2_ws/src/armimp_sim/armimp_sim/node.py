@@ -1,0 +1,142 @@
+"""The simulator node: ROS around :class:`armimp_sim.rig.SimulatedRig`."""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from armimp_common import contract, qos
+from armimp_common.channels import (
+    CommandSubscription,
+    JointStatePublisher,
+    wait_until_matched,
+)
+from armimp_common.diagnostics import Level, make_array, make_status
+from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.lifecycle import reported
+from armimp_common.parameters import declare, guard, load
+from armimp_common.spin import run_node
+from armimp_common.stamps import to_time
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock
+
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.rig import SimulatedRig
+
+_MATCH_TIMEOUT = 10.0
+_CLOCK_TICKS = 100
+_DIAGNOSTICS_TICKS = 1000
+
+
+class ArmSimNode(LifecycleNode):
+    """Publishes samples, and takes one step for each command received (lockstep)."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(contract.SIM_NODE, **kwargs)
+        self.transition_error = ""
+        self._active = False
+        self._rig: SimulatedRig | None = None
+        declare(self, SimulatorParameters, SimulatorParameters.preset())
+        guard(self, lambda: "the simulation is running" if self._active else None)
+
+    @reported
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        parameters = load(self, SimulatorParameters)
+        names = parameters.joints
+        self._rig = SimulatedRig(parameters)
+        self._joint_states = JointStatePublisher(self, contract.JOINT_STATES, names, "position")
+        self._torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "effort")
+        self._clock = self.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
+        )
+        self._commands = CommandSubscription(
+            self, contract.COMMANDS, len(names), self._on_command, on_malformed=self._on_malformed
+        )
+        return TransitionCallbackReturn.SUCCESS
+
+    @reported
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        lonely = wait_until_matched(
+            self,
+            publishers=[self._joint_states, self._torque_sensors],
+            subscriptions=[self._commands],
+            timeout_s=_MATCH_TIMEOUT,
+        )
+        if lonely:
+            raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
+        self._active = True
+        self._publish()
+        return super().on_activate(state)
+
+    @reported
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._active = False
+        return super().on_deactivate(state)
+
+    @reported
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        for publisher in (
+            self._joint_states.publisher,
+            self._torque_sensors.publisher,
+            self._clock,
+            self._diagnostics,
+        ):
+            self.destroy_publisher(publisher)
+        self.destroy_subscription(self._commands.subscription)
+        self._rig = None
+        return TransitionCallbackReturn.SUCCESS
+
+    @reported
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        self._active = False
+        return TransitionCallbackReturn.SUCCESS
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        rig = self._rig
+        if not self._active or rig is None:
+            return
+        sound = not rig.fault
+        rig.step(command)
+        if sound and rig.fault:
+            self._report(rig)
+        self._publish()
+
+    def _on_malformed(self, error: ArmimpError) -> None:
+        rig = self._rig
+        if not self._active or rig is None:
+            return
+        rig.latch(f"malformed command: {error}")
+        self._report(rig)
+        rig.step((0.0,) * rig.position.size)
+        self._publish()
+
+    def _publish(self) -> None:
+        rig = self._rig
+        assert rig is not None
+        stamp_ns = rig.stamp_ns
+        self._joint_states.publish(stamp_ns, rig.position)
+        self._torque_sensors.publish(stamp_ns, rig.torque)
+        if rig.tick % _CLOCK_TICKS == 0:
+            self._clock.publish(Clock(clock=to_time(stamp_ns)))
+            if rig.tick % _DIAGNOSTICS_TICKS == 0:
+                self._report(rig)
+
+    def _report(self, rig: SimulatedRig) -> None:
+        status = make_status(
+            f"{contract.SIM_NODE}: rig",
+            Level.ERROR if rig.fault else Level.OK,
+            rig.fault or "running",
+            {"tick": rig.tick},
+        )
+        self._diagnostics.publish(make_array(rig.stamp_ns, [status]))
+
+
+def main() -> int:
+    """Run the simulator node as a process."""
+    return run_node(ArmSimNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

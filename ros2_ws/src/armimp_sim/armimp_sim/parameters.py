@@ -1,0 +1,189 @@
+"""Parameters of the simulator node: the one place of their names, defaults and meaning."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
+from numpy.typing import NDArray
+from pydantic import Field
+
+from armimp_sim import presets
+from armimp_sim.arm import HumanArm
+from armimp_sim.friction import LuGre
+from armimp_sim.plant import PlantConfig
+from armimp_sim.robot import PlanarChain
+from armimp_sim.sensors import Sampling, Sensors
+from armimp_sim.voluntary import VoluntaryConfig
+
+Vector = tuple[float, ...]
+
+
+class ArmParameters(Schema):
+    """The human arm; matrices row by row."""
+
+    posture: Vector = Field(description="θ_0 (rad)")
+    inertia: Vector = Field(description="M_h, n×n row by row (kg·m²)")
+    damping: Vector = Field(description="B_h, n×n row by row (N·m·s/rad)")
+    stiffness: Vector = Field(description="K_h, n×n row by row (N·m/rad)")
+
+
+class RobotParameters(Schema):
+    """The exoskeleton, a planar chain (assumption)."""
+
+    lengths: Vector = Field(description="length of each link (m)")
+    moments: Vector = Field(description="moment of inertia about its own joint (kg·m²)")
+    masses: Vector = Field(description="mass of each link (kg)")
+    centres: Vector = Field(description="joint to centre of mass (m)")
+
+
+class FrictionParameters(Schema):
+    """LuGre friction of every joint (assumption)."""
+
+    coulomb: Vector = Field(description="Fc (N·m)")
+    static: Vector = Field(description="Fs (N·m)")
+    sigma_0: Vector = Field(description="bristle stiffness (N·m/rad)")
+    sigma_1: Vector = Field(description="bristle damping (N·m·s/rad)")
+    sigma_2: Vector = Field(description="viscous friction (N·m·s/rad)")
+    stribeck_velocity: Vector = Field(description="vs (rad/s)")
+
+
+class SensorParameters(Schema):
+    """Sensors; a resolution of 0 leaves a reading unquantised."""
+
+    encoder_resolution: float = Field(ge=0.0, description="one count of the encoders (rad)")
+    torque_resolution: float = Field(ge=0.0, description="one count of the transducers (N·m)")
+    sampling: Sampling = Field(
+        default=Sampling.BEFORE_UPDATE,
+        description="instant of the torque reading: before_update or interval_mean",
+    )
+
+
+class VoluntaryParameters(Schema):
+    """Voluntary torque of the person."""
+
+    rms: float = Field(default=0.0, ge=0.0, description="rms of every joint (N·m)")
+    cutoff: float = Field(default=2.0, gt=0.0, description="cut-off frequency (Hz)")
+
+
+class SimulatorParameters(Schema):
+    """All parameters of the node ``arm_sim``."""
+
+    joints: tuple[str, ...] = Field(description="names of the joints, from the shoulder outwards")
+    seed: int = Field(default=1, ge=0, description="seed of the voluntary torque")
+    mode: Literal["lockstep"] = Field(
+        default="lockstep", description="lockstep: one step for each command received"
+    )
+    substeps: int = Field(default=100, ge=1, description="RK4 steps in one control period of 1 ms")
+    arm: ArmParameters
+    robot: RobotParameters
+    friction: FrictionParameters
+    sensors: SensorParameters
+    voluntary: VoluntaryParameters = VoluntaryParameters()
+
+    @classmethod
+    def preset(
+        cls, *, joints: int = 2, friction: int = 3, resolution: int = 3, seed: int = 1
+    ) -> SimulatorParameters:
+        """Parameters of the study's rig at given friction and resolution levels (0 to 3)."""
+        arm, robot = presets.human_arm(joints), presets.robot(joints)
+        laws = presets.friction(friction, joints)
+        sensors = presets.sensors(resolution)
+        return cls(
+            joints=presets.JOINT_NAMES[joints],
+            seed=seed,
+            arm=ArmParameters(
+                posture=_flat(arm.posture),
+                inertia=_flat(arm.inertia),
+                damping=_flat(arm.damping),
+                stiffness=_flat(arm.stiffness),
+            ),
+            robot=RobotParameters(
+                lengths=_flat(robot.lengths),
+                moments=_flat(robot.moments),
+                masses=_flat(robot.masses),
+                centres=_flat(robot.centres),
+            ),
+            friction=FrictionParameters(
+                **{
+                    name: tuple(getattr(law, name) for law in laws)
+                    for name in FrictionParameters.model_fields
+                }
+            ),
+            sensors=SensorParameters(
+                encoder_resolution=sensors.encoder_resolution,
+                torque_resolution=sensors.torque_resolution,
+            ),
+        )
+
+    def human_arm(self) -> HumanArm:
+        """The arm with its matrices in shape."""
+        return HumanArm(
+            posture=self._vector("arm.posture", self.arm.posture),
+            inertia=self._matrix("arm.inertia", self.arm.inertia),
+            damping=self._matrix("arm.damping", self.arm.damping),
+            stiffness=self._matrix("arm.stiffness", self.arm.stiffness),
+        )
+
+    def planar_chain(self) -> PlanarChain:
+        """The exoskeleton."""
+        return PlanarChain(
+            **{
+                name: self._vector(f"robot.{name}", getattr(self.robot, name))
+                for name in RobotParameters.model_fields
+            }
+        )
+
+    def plant_config(self) -> PlantConfig:
+        """Everything that the plant needs.
+
+        Raises
+        ------
+        ConfigurationError
+            If a shape or a value is wrong; the message names the parameter.
+        """
+        values = {
+            name: self._vector(f"friction.{name}", getattr(self.friction, name))
+            for name in FrictionParameters.model_fields
+        }
+        return PlantConfig(
+            arm=self.human_arm(),
+            robot=self.planar_chain(),
+            friction=tuple(
+                LuGre(**{name: float(value[i]) for name, value in values.items()})
+                for i in range(len(self.joints))
+            ),
+            sensors=Sensors(
+                encoder_resolution=self.sensors.encoder_resolution,
+                torque_resolution=self.sensors.torque_resolution,
+                sampling=self.sensors.sampling,
+            ),
+            period=PERIOD_NS / NS_PER_S,
+            substeps=self.substeps,
+        )
+
+    def voluntary_config(self) -> VoluntaryConfig:
+        """The voluntary torque."""
+        return VoluntaryConfig(rms=self.voluntary.rms, cutoff=self.voluntary.cutoff)
+
+    def _vector(self, name: str, values: Vector) -> NDArray[np.float64]:
+        if len(values) != len(self.joints):
+            raise ConfigurationError(
+                f"parameter '{name}' has {len(values)} values for {len(self.joints)} joints"
+            )
+        return np.array(values)
+
+    def _matrix(self, name: str, values: Vector) -> NDArray[np.float64]:
+        n = len(self.joints)
+        if len(values) != n * n:
+            raise ConfigurationError(
+                f"parameter '{name}' has {len(values)} values, needs {n * n} for {n} joints"
+            )
+        return np.array(values).reshape(n, n)
+
+
+def _flat(values: NDArray[np.float64]) -> Vector:
+    return tuple(float(value) for value in values.ravel())

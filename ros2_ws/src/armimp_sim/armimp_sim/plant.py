@@ -1,0 +1,309 @@
+"""The plant as the rest of the world sees it: torques in, quantised readings out, once per tick."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.compiled import compiled_entry
+from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_sim import kernel
+from armimp_sim.arm import HumanArm
+from armimp_sim.friction import LuGre
+from armimp_sim.robot import PlanarChain
+from armimp_sim.sensors import Sampling, Sensors, quantise
+
+RK4_LIMIT = 2.7
+"""|h·λ| on the real axis up to which explicit RK4 is stable (2.785, with a margin)."""
+
+
+class IntegrationError(ArmimpError):
+    """The explicit integration left its stability region or produced non-finite numbers."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlantConfig:
+    """One arm in one exoskeleton.
+
+    Parameters
+    ----------
+    arm, robot : with the same number of joints n
+    friction : one law per joint
+    sensors : resolutions and sampling instant
+    period : s, between samples; commands are held over it
+    substeps : RK4 steps per period
+
+    Raises
+    ------
+    ConfigurationError
+        If the numbers of joints disagree, M_r + M_h is not positive definite (symmetric part), or
+        the friction at rest is too stiff for the step.
+    """
+
+    arm: HumanArm
+    robot: PlanarChain
+    friction: tuple[LuGre, ...]
+    sensors: Sensors
+    period: float = 1e-3
+    substeps: int = 100
+
+    def __post_init__(self) -> None:
+        n = self.arm.joints
+        if self.robot.joints != n or len(self.friction) != n:
+            raise ConfigurationError(
+                f"plant: arm has {n} joints, robot {self.robot.joints}, "
+                f"friction {len(self.friction)}"
+            )
+        if not self.period > 0.0 or self.substeps < 1:
+            raise ConfigurationError(
+                f"plant: period {self.period} s with {self.substeps} substeps is not a step"
+            )
+        mass = self.mass_matrix()
+        smallest = float(np.linalg.eigvalsh(0.5 * (mass + mass.T))[0])
+        if not smallest > 0.0:
+            raise ConfigurationError(
+                "plant: M_r + M_h must have a positive definite symmetric part, "
+                f"its smallest eigenvalue is {smallest:.3g} kg·m²"
+            )
+        self._check_step(mass)
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return self.arm.joints
+
+    @property
+    def step(self) -> float:
+        """RK4 step h, s."""
+        return self.period / self.substeps
+
+    def mass_matrix(self) -> NDArray[np.float64]:
+        """M_r(θ_0) + M_h (n, n), kg·m²."""
+        return self.robot.mass_matrix(self.arm.posture) + self.arm.inertia
+
+    def _check_step(self, mass: NDArray[np.float64]) -> None:
+        """Refuse a step which is unstable for the linear system with all joints stuck."""
+        n = self.joints
+        sigma_0 = np.diag([law.sigma_0 for law in self.friction])
+        damping = np.diag([law.sigma_1 + law.sigma_2 for law in self.friction])
+        inverse = np.linalg.inv(mass)
+        system = np.block(
+            [
+                [np.zeros((n, n)), np.eye(n)],
+                [
+                    -inverse @ (self.arm.stiffness + sigma_0),
+                    -inverse @ (self.arm.damping + damping),
+                ],
+            ]
+        )
+        largest = float(np.max(np.abs(np.linalg.eigvals(system)))) * self.step
+        if not largest < RK4_LIMIT:
+            raise ConfigurationError(
+                f"plant: step {self.step:.3g} s is too long for the stuck joints: "
+                f"|h·λ| = {largest:.3g}, must be below {RK4_LIMIT}"
+            )
+
+
+class Plant:
+    """A batch of plants, one per lane, that share numbers of joints and time step.
+
+    Reading arrays are reused from tick to tick; copy what must last.
+
+    Parameters
+    ----------
+    configs : one configuration per lane
+
+    Attributes
+    ----------
+    position : (lanes, n) encoder readings θ, rad
+    torque : (lanes, n) torque transducer readings, torque on the arm, N·m
+    """
+
+    def __init__(self, configs: Sequence[PlantConfig]) -> None:
+        first = configs[0]
+        for config in configs:
+            if (config.joints, config.period, config.substeps, config.sensors.sampling) != (
+                first.joints,
+                first.period,
+                first.substeps,
+                first.sensors.sampling,
+            ):
+                raise ConfigurationError(
+                    "plant: lanes must agree in joints, period, substeps and sampling"
+                )
+        self.config = first
+        n, lanes = first.joints, len(configs)
+        self.batch = np.zeros(kernel.rows(n) * lanes)
+        self.joint_tag, self.lane_tag = (0.0,) * n, (0.0,) * lanes
+        self.resolutions = np.array(
+            [(c.sensors.encoder_resolution, c.sensors.torque_resolution) for c in configs]
+        )
+        self.position = np.zeros((lanes, n))
+        self.torque = np.zeros((lanes, n))
+        rows = self.batch.reshape(-1, lanes)
+        for lane, config in enumerate(configs):
+            rows[:, lane] = _pack(config)
+        kernel.sample_now(self.batch, self.joint_tag, self.lane_tag)
+        read(
+            self.batch, self.joint_tag, self.lane_tag, self.resolutions, self.position, self.torque
+        )
+
+    def tick(self, command: NDArray[np.float64], voluntary: NDArray[np.float64]) -> None:
+        """Hold the inputs for one period, then read the sensors.
+
+        Parameters
+        ----------
+        command : (lanes, n) joint torques, N·m
+        voluntary : (lanes, n) voluntary torque d, N·m
+
+        Raises
+        ------
+        ValueError
+            If an input has another shape; compiled code would read beyond its end.
+        IntegrationError
+            If the friction got too stiff for the step, or the state is not finite.
+        """
+        if command.shape != self.position.shape or voluntary.shape != self.position.shape:
+            raise ValueError(
+                f"plant: command {command.shape} and voluntary torque {voluntary.shape} must "
+                f"both be {self.position.shape}"
+            )
+        ratio = tick(
+            self.batch,
+            self.joint_tag,
+            self.lane_tag,
+            self.config.substeps,
+            self.config.step,
+            self.config.sensors.sampling is Sampling.INTERVAL_MEAN,
+            self.resolutions,
+            command,
+            voluntary,
+            self.position,
+            self.torque,
+        )
+        check_ratio(ratio, self.config.step)
+
+    def state(self) -> NDArray[np.float64]:
+        """Exact (θ, v, z) of every lane: (lanes, 3, n). A copy."""
+        n, lanes = self.config.joints, len(self.lane_tag)
+        rows = self.batch.reshape(-1, lanes)[: 3 * n]
+        state: NDArray[np.float64] = rows.T.reshape(lanes, 3, n).copy()
+        return state
+
+    def set_state(self, state: NDArray[np.float64]) -> None:
+        """Put the plants into the given (θ, v, z), (lanes, 3, n), and read the sensors anew."""
+        n, lanes = self.config.joints, len(self.lane_tag)
+        self.batch.reshape(-1, lanes)[: 3 * n] = state.reshape(lanes, 3 * n).T
+        kernel.sample_now(self.batch, self.joint_tag, self.lane_tag)
+        read(
+            self.batch, self.joint_tag, self.lane_tag, self.resolutions, self.position, self.torque
+        )
+
+
+def check_ratio(ratio: float, step: float) -> None:
+    """Check that RK4 was stable for the bristles.
+
+    Parameters
+    ----------
+    ratio : h·σ0|v|/g(v), from :func:`tick`
+    step : h, s
+
+    Raises
+    ------
+    IntegrationError
+        If the ratio is not below :data:`RK4_LIMIT`, or not a number.
+    """
+    if np.isnan(ratio):
+        raise IntegrationError("plant: the state is not finite any more")
+    if not ratio < RK4_LIMIT:
+        raise IntegrationError(
+            f"plant: h·σ0|v|/g(v) = {ratio:.3g} with h = {step:.3g} s, must stay below {RK4_LIMIT}"
+        )
+
+
+def _pack(config: PlantConfig) -> NDArray[np.float64]:
+    """All rows of one lane, at rest in the posture."""
+    n = config.joints
+    vectors = np.zeros((kernel.VECTORS, n))
+    arm, friction = config.arm, config.friction
+    vectors[kernel.THETA] = vectors[kernel.POSTURE] = arm.posture
+    # Without friction g(v) may be anything but zero, which it divides.
+    vectors[kernel.COULOMB] = [law.coulomb if law.coulomb > 0.0 else 1.0 for law in friction]
+    vectors[kernel.STRIBECK] = [law.static - law.coulomb for law in friction]
+    vectors[kernel.INVERSE_STRIBECK_VELOCITY] = [1.0 / law.stribeck_velocity for law in friction]
+    vectors[kernel.SIGMA_0] = [law.sigma_0 for law in friction]
+    vectors[kernel.SIGMA_1] = [law.sigma_1 for law in friction]
+    vectors[kernel.SIGMA_2] = [law.sigma_2 for law in friction]
+    matrices = np.zeros((kernel.MATRICES, n, n))
+    matrices[kernel.INERTIA] = arm.inertia
+    matrices[kernel.DAMPING] = arm.damping
+    matrices[kernel.STIFFNESS] = arm.stiffness
+    matrices[kernel.CHAIN] = config.robot.coefficients()
+    return np.concatenate([vectors.ravel(), matrices.ravel()])
+
+
+@compiled_entry
+def read(
+    w: NDArray[np.float64],
+    joints: kernel.Tag,
+    lanes: kernel.Tag,
+    resolutions: NDArray[np.float64],
+    position: NDArray[np.float64],
+    torque: NDArray[np.float64],
+) -> None:
+    """Quantised readings of the present sample.
+
+    Parameters
+    ----------
+    w, joints, lanes : the batch, as in :mod:`armimp_sim.kernel`
+    resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
+    position, torque : (lanes, n), written, rad and N·m
+    """
+    n, m = len(joints), len(lanes)
+    for lane in range(m):
+        for i in range(n):
+            position[lane, i] = quantise(w[(kernel.THETA * n + i) * m + lane], resolutions[lane, 0])
+            torque[lane, i] = quantise(w[(kernel.TORQUE * n + i) * m + lane], resolutions[lane, 1])
+
+
+@compiled_entry
+def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+    w: NDArray[np.float64],
+    joints: kernel.Tag,
+    lanes: kernel.Tag,
+    substeps: int,
+    step: float,
+    interval_mean: bool,
+    resolutions: NDArray[np.float64],
+    command: NDArray[np.float64],
+    voluntary: NDArray[np.float64],
+    position: NDArray[np.float64],
+    torque: NDArray[np.float64],
+) -> float:
+    """One period of all lanes: hold the inputs, integrate, read.
+
+    Parameters
+    ----------
+    w, joints, lanes : the batch, as in :mod:`armimp_sim.kernel`
+    substeps, step : number and length (s) of the RK4 steps
+    interval_mean : whether torque is the mean over the period
+    resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
+    command, voluntary : (lanes, n) N·m
+    position, torque : (lanes, n), written, rad and N·m
+
+    Returns
+    -------
+    float
+        Largest h·σ0|v|/g(v) at the end, for :func:`check_ratio`.
+    """
+    n, m = len(joints), len(lanes)
+    for lane in range(m):
+        for i in range(n):
+            w[(kernel.COMMAND * n + i) * m + lane] = command[lane, i]
+            w[(kernel.VOLUNTARY * n + i) * m + lane] = voluntary[lane, i]
+    kernel.advance(w, joints, lanes, substeps, step, interval_mean)
+    read(w, joints, lanes, resolutions, position, torque)
+    return kernel.stiffness_ratio(w, joints, lanes, step)

@@ -1,0 +1,96 @@
+"""The simulated rig as a device: commands in, samples out, and no torque after a fault."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from armimp_common.contract import PERIOD_NS
+from numpy.typing import NDArray
+
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import IntegrationError, Plant
+from armimp_sim.voluntary import VoluntaryTorque
+
+
+class SimulatedRig:
+    """Arm, exoskeleton, friction and sensors, advanced by one control period per command.
+
+    Parameters
+    ----------
+    parameters : SimulatorParameters
+
+    Attributes
+    ----------
+    tick : number of the present sample, from 0
+    fault : why no torque is applied any more; empty while all is well
+
+    Raises
+    ------
+    ConfigurationError
+        If the parameters do not describe a rig.
+    """
+
+    def __init__(self, parameters: SimulatorParameters) -> None:
+        config = parameters.plant_config()
+        self._plant = Plant([config])
+        self._voluntary = VoluntaryTorque(
+            parameters.voluntary_config(),
+            joints=config.joints,
+            period=config.period,
+            seed=parameters.seed,
+        )
+        self._command = np.zeros((1, config.joints))
+        self.tick = 0
+        self.fault = ""
+        self._compile(config.joints)
+
+    @property
+    def stamp_ns(self) -> int:
+        """Time of the present sample since the start, ns."""
+        return self.tick * PERIOD_NS
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Encoder readings (n,), rad; valid until the next step."""
+        return self._plant.position[0]
+
+    @property
+    def torque(self) -> NDArray[np.float64]:
+        """Torque transducer readings (n,), N·m; valid until the next step."""
+        return self._plant.torque[0]
+
+    def step(self, command: Sequence[float]) -> None:
+        """Hold ``command`` (n,), N·m, for one period and sample again.
+
+        A command that is not finite never reaches the plant: it latches the fault, and this and
+        all further steps run with zero torque.
+
+        Raises
+        ------
+        IntegrationError
+            If the simulation itself broke down.
+        """
+        for joint, value in enumerate(command):
+            if not math.isfinite(value):
+                self.latch(f"command of joint {joint + 1} is not finite: {value}")
+        if self.fault:
+            self._command[:] = 0.0
+        else:
+            self._command[0] = command
+        self._plant.tick(self._command, self._voluntary.take(1))
+        self.tick += 1
+
+    def latch(self, reason: str) -> None:
+        """Take torque away until the rig is made anew; the first reason stays."""
+        self.fault = self.fault or reason
+
+    def _compile(self, joints: int) -> None:
+        """Have the plant compiled before time matters, and leave it as it was."""
+        state = self._plant.state()
+        try:
+            self._plant.tick(np.zeros((1, joints)), np.zeros((1, joints)))
+        except IntegrationError:
+            pass  # it will be reported when it happens in earnest
+        self._plant.set_state(state)

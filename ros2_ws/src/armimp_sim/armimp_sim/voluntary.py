@@ -1,0 +1,99 @@
+"""Voluntary torque of the person: low-pass filtered noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from armimp_common.errors import ConfigurationError
+
+_STREAM = 2  # keeps this random stream apart from those of the perturbations
+_BLOCK = 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class VoluntaryConfig:
+    """Second-order Butterworth noise.
+
+    Parameters
+    ----------
+    rms : N·m, 0 for a relaxed arm
+    cutoff : Hz
+
+    Raises
+    ------
+    ConfigurationError
+        If a value is out of range.
+    """
+
+    rms: float = 0.0
+    cutoff: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.rms < np.inf:
+            raise ConfigurationError(f"voluntary torque: rms must not be negative, got {self.rms}")
+        if not 0.0 < self.cutoff < np.inf:
+            raise ConfigurationError(
+                f"voluntary torque: cutoff must be positive, got {self.cutoff}"
+            )
+
+
+class VoluntaryTorque:
+    """An endless, reproducible stream of d, one value per joint and tick.
+
+    Parameters
+    ----------
+    config : VoluntaryConfig
+    joints : number of joints n
+    period : s, between ticks
+    seed : of the experiment, not negative
+
+    Raises
+    ------
+    ConfigurationError
+        If the cut-off is not below half the sampling rate.
+    """
+
+    def __init__(self, config: VoluntaryConfig, *, joints: int, period: float, seed: int) -> None:
+        if not config.cutoff < 0.5 / period:
+            raise ConfigurationError(
+                f"voluntary torque: cutoff {config.cutoff} Hz is not below half the sampling rate"
+            )
+        self._rms, self._joints = config.rms, joints
+        self._random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM]))
+        self._sos = signal.butter(2, config.cutoff, fs=1.0 / period, output="sos")
+        self._state = np.zeros((self._sos.shape[0], joints, 2))
+        # White noise of unit variance leaves the filter with this variance (Parseval).
+        _, response = signal.freqz_sos(self._sos, worN=1 << 18)
+        self._gain = config.rms / np.sqrt(np.mean(np.abs(response) ** 2))
+        self._block = np.zeros((0, joints))
+        self._next = 0
+
+    def next(self) -> NDArray[np.float64]:
+        """Torque d (n,), N·m, of the next tick."""
+        tick: NDArray[np.float64] = self.take(1)[0]
+        return tick
+
+    def take(self, ticks: int) -> NDArray[np.float64]:
+        """Torque d (ticks, n), N·m, of the next ticks; independent of how the stream is cut."""
+        if self._rms == 0.0:
+            return np.zeros((ticks, self._joints))
+        parts = [np.zeros((0, self._joints))]
+        while ticks > 0:
+            if self._next == len(self._block):
+                self._refill()
+            part = self._block[self._next : self._next + ticks]
+            self._next += len(part)
+            ticks -= len(part)
+            parts.append(part)
+        return np.concatenate(parts)
+
+    def _refill(self) -> None:
+        white = self._random.standard_normal((_BLOCK, self._joints))
+        filtered, self._state = signal.sosfilt(
+            self._sos, white.T * self._gain, axis=-1, zi=self._state
+        )
+        self._block, self._next = np.ascontiguousarray(filtered.T), 0

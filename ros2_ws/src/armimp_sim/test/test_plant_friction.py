@@ -1,0 +1,175 @@
+"""LuGre friction in the plant: sliding, sticking, and what lies between."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_sim import presets
+from armimp_sim.arm import HumanArm
+from armimp_sim.friction import LuGre
+from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.robot import PlanarChain
+from armimp_sim.sensors import Sensors
+
+Array = NDArray[np.float64]
+LAW = presets.friction(3, 2)[0]
+VELOCITIES = [0.002, 0.005, 0.01, 0.03, 0.5, 3.0]
+
+
+def _joint(
+    law: LuGre, *, inertia: float = 1.0, damping: float = 0.0, stiffness: float = 0.0
+) -> Plant:
+    return Plant(
+        [
+            PlantConfig(
+                arm=HumanArm(
+                    posture=np.zeros(1),
+                    inertia=np.array([[0.5 * inertia]]),
+                    damping=np.array([[damping]]),
+                    stiffness=np.array([[stiffness]]),
+                ),
+                robot=PlanarChain(
+                    lengths=np.array([0.3]),
+                    moments=np.array([0.5 * inertia]),
+                    masses=np.zeros(1),
+                    centres=np.zeros(1),
+                ),
+                friction=(law,),
+                sensors=Sensors(encoder_resolution=0.0, torque_resolution=0.0),
+                substeps=20,
+            )
+        ]
+    )
+
+
+def _load(plant: Plant, torques: Array) -> tuple[float, float, float]:
+    """Apply torques tick by tick and return θ, v and z."""
+    for torque in torques:
+        plant.tick(np.array([[torque]]), np.zeros((1, 1)))
+    theta, velocity, bristle = plant.state()[0, :, 0]
+    return float(theta), float(velocity), float(bristle)
+
+
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+@pytest.mark.parametrize("speed", VELOCITIES)
+def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direction: float) -> None:
+    velocity, damping = speed * direction, 200.0
+    # Damping steeper than the Stribeck slope makes the balance at this speed a stable one.
+    plant = _joint(LAW, damping=damping)
+    friction = float(LAW.steady_state(np.array(velocity)))
+    _, reached, bristle = _load(plant, np.full(6000, friction + damping * velocity))
+    assert reached == pytest.approx(velocity, rel=1e-6)
+    level = 2.0 + 0.5 * np.exp(-((speed / 0.01) ** 2))
+    assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
+
+
+def test_steady_state_friction_falls_from_static_to_coulomb_and_rises_with_speed() -> None:
+    slow, fast = LAW.steady_state(np.array([1e-6, 0.5]))
+    assert slow == pytest.approx(2.5, rel=1e-6)
+    assert fast == pytest.approx(2.0 + 0.2 * 0.5, rel=1e-12)
+    assert LAW.steady_state(np.array([-0.5]))[0] == -fast
+    assert LAW.steady_state(np.zeros(1))[0] == 0.0
+
+
+def test_without_bristle_stiffness_steady_state_friction_is_viscous() -> None:
+    law = LuGre(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.3, sigma_2=0.4)
+    plant = _joint(law)
+    _, velocity, _ = _load(plant, np.full(20_000, 1.4))
+    assert velocity == pytest.approx(2.0, rel=1e-5)
+    assert law.steady_state(np.array([2.0]))[0] == pytest.approx(1.4)
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 8.0, 500.0])
+def test_small_torque_held_bends_bristles_and_arm_together(stiffness: float) -> None:
+    torque = 1e-3 * LAW.static
+    plant = _joint(LAW, inertia=0.05, stiffness=stiffness)
+    theta, velocity, _ = _load(plant, np.full(3000, torque))
+    assert abs(velocity) < 1e-9
+    assert theta == pytest.approx(torque / (LAW.sigma_0 + stiffness), rel=2e-3)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.9])
+def test_slow_loading_follows_the_pre_sliding_curve(share: float) -> None:
+    torque = share * LAW.static
+    plant = _joint(LAW, inertia=0.05)
+    theta, _, _ = _load(plant, np.linspace(0.0, torque, 3000))
+    # dz/dθ = 1 − σ0 z/Fs while the motion is slow and goes one way.
+    expected = -LAW.static / LAW.sigma_0 * np.log(1.0 - share)
+    assert theta == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize("direction", [-1.0, 1.0])
+def test_joint_sticks_below_the_static_level_and_breaks_away_above(direction: float) -> None:
+    plant = _joint(LAW, inertia=0.05)
+    below, above = 0.95 * LAW.static * direction, 1.05 * LAW.static * direction
+    _load(plant, np.linspace(0.0, below, 2000))
+    theta, _, _ = _load(plant, np.full(1000, below))
+    crept, velocity, _ = _load(plant, np.full(1000, below))
+    assert abs(velocity) < 1e-7
+    assert crept == pytest.approx(theta, abs=1e-6)
+    assert abs(theta) < 5e-3
+    _, velocity, _ = _load(plant, np.full(1000, above))
+    assert velocity * direction > 1.0
+
+
+def test_sliding_joint_left_alone_comes_to_rest_and_loses_its_energy_to_friction() -> None:
+    plant = _joint(LAW, inertia=0.05)
+    plant.set_state(np.array([[[0.0], [2.0], [0.0]]]))
+    theta, velocity, _ = _load(plant, np.zeros(1000))
+    assert abs(velocity) < 1e-9
+    # Coulomb friction alone would stop it after J v²/2 = Fc·θ.
+    assert theta == pytest.approx(0.5 * 0.05 * 2.0**2 / LAW.coulomb, rel=0.15)
+
+
+def test_bristles_never_bend_further_than_the_static_level_allows() -> None:
+    plant = _joint(LAW, inertia=0.05, stiffness=8.0)
+    torques = 12.0 * np.sin(np.arange(2000) * 0.02)
+    bends = [abs(_load(plant, torques[k : k + 1])[2]) for k in range(torques.size)]
+    assert max(bends) <= LAW.static / LAW.sigma_0
+    assert max(bends) > 0.8 * LAW.coulomb / LAW.sigma_0
+
+
+def test_scaled_law_multiplies_all_torques_and_keeps_the_stribeck_velocity() -> None:
+    v = np.array([-0.3, 0.004, 0.02])
+    scaled = LAW.scaled(0.1)
+    assert scaled.steady_state(v) == pytest.approx(0.1 * LAW.steady_state(v))
+    assert scaled.sigma_0 == pytest.approx(200.0)
+    assert scaled.sigma_1 == pytest.approx(0.4)
+    assert scaled.stribeck_velocity == LAW.stribeck_velocity
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("coulomb", -0.25),
+        ("coulomb", float("nan")),
+        ("static", float("inf")),
+        ("static", 1.75),
+        ("sigma_0", -3.5),
+        ("sigma_1", float("nan")),
+        ("sigma_2", -1e-9),
+        ("stribeck_velocity", 0.0),
+    ],
+)
+def test_impossible_friction_is_refused_with_the_offending_value(name: str, value: float) -> None:
+    values = {
+        "coulomb": 2.0,
+        "static": 2.5,
+        "sigma_0": 2000.0,
+        "sigma_1": 4.0,
+        "sigma_2": 0.2,
+        "stribeck_velocity": 0.01,
+    }
+    with pytest.raises(ConfigurationError, match=f"^friction: .*{value}") as caught:
+        LuGre(**{**values, name: value})
+    assert "\n" not in str(caught.value)
+
+
+def test_bristles_without_a_friction_level_are_refused() -> None:
+    with pytest.raises(
+        ConfigurationError, match=r"sigma_0 = 400\.0 needs a positive Coulomb level"
+    ):
+        LuGre(coulomb=0.0, static=0.5, sigma_0=400.0, sigma_1=0.0, sigma_2=0.0)

@@ -1,0 +1,185 @@
+"""Motion of the plant against closed forms and conservation laws."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_sim.arm import HumanArm
+from armimp_sim.friction import LuGre
+from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.robot import PlanarChain
+from armimp_sim.sensors import Sensors
+
+Array = NDArray[np.float64]
+
+IDEAL = Sensors(encoder_resolution=0.0, torque_resolution=0.0)
+PERIOD = 1e-3
+
+
+def _single(*, inertia: float, damping: float, stiffness: float) -> PlantConfig:
+    """One joint whose inertia is shared by arm and robot."""
+    return PlantConfig(
+        arm=HumanArm(
+            posture=np.array([0.4]),
+            inertia=np.array([[0.3 * inertia]]),
+            damping=np.array([[damping]]),
+            stiffness=np.array([[stiffness]]),
+        ),
+        robot=PlanarChain(
+            lengths=np.array([0.3]),
+            moments=np.array([0.7 * inertia]),
+            masses=np.array([0.0]),
+            centres=np.array([0.0]),
+        ),
+        friction=(LuGre.none(),),
+        sensors=IDEAL,
+        period=PERIOD,
+        substeps=20,
+    )
+
+
+def _course(plant: Plant, commands: Array, voluntary: Array | None = None) -> Array:
+    """States (ticks, 3, n) after every command (ticks, n)."""
+    if voluntary is None:
+        voluntary = np.zeros_like(commands)
+    states = []
+    for command, disturbance in zip(commands, voluntary, strict=True):
+        plant.tick(command[None, :], disturbance[None, :])
+        states.append(plant.state()[0])
+    return np.array(states)
+
+
+def test_at_rest_in_its_posture_the_plant_stays_there() -> None:
+    plant = Plant([_single(inertia=0.2, damping=0.5, stiffness=8.0)])
+    states = _course(plant, np.zeros((50, 1)))
+    assert np.all(states[:, 0] == 0.4)
+    assert np.all(states[:, 1] == 0.0)
+    assert plant.torque[0, 0] == 0.0
+
+
+def test_free_oscillation_follows_the_cosine() -> None:
+    inertia, stiffness, amplitude = 0.2, 8.0, 0.3
+    plant = Plant([_single(inertia=inertia, damping=0.0, stiffness=stiffness)])
+    plant.set_state(np.array([[[0.4 + amplitude], [0.0], [0.0]]]))
+    states = _course(plant, np.zeros((2000, 1)))
+    omega = np.sqrt(stiffness / inertia)
+    t = np.arange(1, 2001) * PERIOD
+    assert states[:, 0, 0] == pytest.approx(0.4 + amplitude * np.cos(omega * t), abs=1e-11)
+    assert states[:, 1, 0] == pytest.approx(-amplitude * omega * np.sin(omega * t), abs=1e-10)
+
+
+@pytest.mark.parametrize("ratio", [0.05, 0.7])
+def test_damped_step_response_follows_the_closed_form(ratio: float) -> None:
+    inertia, stiffness, torque = 0.2, 8.0, 1.5
+    omega = np.sqrt(stiffness / inertia)
+    plant = Plant(
+        [_single(inertia=inertia, damping=2.0 * ratio * omega * inertia, stiffness=stiffness)]
+    )
+    states = _course(plant, np.full((1500, 1), torque))
+    t = np.arange(1, 1501) * PERIOD
+    damped = omega * np.sqrt(1.0 - ratio**2)
+    decay = np.exp(-ratio * omega * t)
+    shape = 1.0 - decay * (np.cos(damped * t) + ratio * omega / damped * np.sin(damped * t))
+    assert states[:, 0, 0] == pytest.approx(0.4 + torque / stiffness * shape, abs=1e-11)
+
+
+def test_command_is_held_from_tick_to_tick() -> None:
+    inertia = 0.2
+    plant = Plant([_single(inertia=inertia, damping=0.0, stiffness=0.0)])
+    commands = np.random.default_rng(3).uniform(-5.0, 5.0, (200, 1))
+    states = _course(plant, commands)
+    # A free inertia under piecewise constant torque moves along parabolas.
+    acceleration = commands[:, 0] / inertia
+    velocity = np.cumsum(acceleration) * PERIOD
+    before = np.concatenate([[0.0], velocity[:-1]])
+    position = 0.4 + np.cumsum(before * PERIOD + 0.5 * acceleration * PERIOD**2)
+    assert states[:, 1, 0] == pytest.approx(velocity, abs=1e-12)
+    assert states[:, 0, 0] == pytest.approx(position, abs=1e-12)
+
+
+def test_voluntary_torque_moves_the_joint_like_the_opposite_command() -> None:
+    config = _single(inertia=0.2, damping=0.5, stiffness=8.0)
+    torques = np.random.default_rng(4).uniform(-5.0, 5.0, (100, 1))
+    disturbed, driven = Plant([config]), Plant([config])
+    by_person = _course(disturbed, np.zeros_like(torques), torques)
+    by_robot = _course(driven, -torques)
+    assert by_person == pytest.approx(by_robot, abs=1e-14)
+    # The transducers measure it as part of the torque on the arm (eq. 1 with d).
+    assert disturbed.torque[0] == pytest.approx(driven.torque[0] + torques[-1], abs=1e-12)
+
+
+def test_viscous_joint_friction_damps_like_damping_of_the_arm() -> None:
+    damped = _single(inertia=0.2, damping=0.7, stiffness=8.0)
+    viscous = LuGre(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.3, sigma_2=0.4)
+    rubbing = replace(_single(inertia=0.2, damping=0.0, stiffness=8.0), friction=(viscous,))
+    commands = np.full((300, 1), 2.0)
+    expected = _course(Plant([damped]), commands)[:, :2]
+    assert _course(Plant([rubbing]), commands)[:, :2] == pytest.approx(expected, abs=1e-13)
+
+
+def _frictionless_chain(n: int) -> PlantConfig:
+    random = np.random.default_rng(n)
+    root = random.normal(size=(2, n, n))
+    inertia, stiffness = root @ root.transpose(0, 2, 1)
+    masses, centres = random.uniform(0.3, 1.0, n), random.uniform(0.05, 0.2, n)
+    return PlantConfig(
+        arm=HumanArm(
+            posture=random.uniform(-1.0, 1.0, n),
+            inertia=0.01 * inertia + 0.005 * np.eye(n),
+            damping=np.zeros((n, n)),
+            stiffness=stiffness,
+        ),
+        robot=PlanarChain(
+            lengths=random.uniform(0.2, 0.4, n),
+            moments=masses * centres**2 + random.uniform(0.01, 0.05, n),
+            masses=masses,
+            centres=centres,
+        ),
+        friction=(LuGre.none(),) * n,
+        sensors=IDEAL,
+    )
+
+
+def _energy(config: PlantConfig, state: Array) -> float:
+    theta, velocity, _ = state
+    stretch = theta - config.arm.posture
+    kinetic = config.robot.kinetic_energy(theta, velocity)
+    return float(
+        kinetic
+        + 0.5 * velocity @ config.arm.inertia @ velocity
+        + 0.5 * stretch @ config.arm.stiffness @ stretch
+    )
+
+
+@pytest.mark.parametrize("n", [2, 3, 7])
+def test_without_friction_and_damping_energy_is_conserved(n: int) -> None:
+    config = _frictionless_chain(n)
+    plant = Plant([config])
+    random = np.random.default_rng(10 + n)
+    start = np.zeros((1, 3, n))
+    start[0, 0] = config.arm.posture + random.uniform(-0.5, 0.5, n)
+    start[0, 1] = random.uniform(-6.0, 6.0, n)
+    plant.set_state(start)
+    states = _course(plant, np.zeros((300, n)))
+    energies = [_energy(config, state) for state in states]
+    assert energies == pytest.approx([_energy(config, start[0])] * 300, rel=1e-10)
+    # The test says something only if energy changes hands and the chain bends.
+    kinetic = [config.robot.kinetic_energy(state[0], state[1]) for state in states]
+    assert np.ptp(kinetic) > 0.1 * np.mean(energies)
+    assert np.ptp(states[:, 0], axis=0).max() > 0.5
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_work_of_the_command_equals_the_gain_of_energy(n: int) -> None:
+    config = _frictionless_chain(n)
+    plant = Plant([config])
+    commands = np.random.default_rng(20 + n).uniform(-2.0, 8.0, (300, n))
+    states = _course(plant, commands)
+    positions = np.vstack([config.arm.posture, states[:, 0]])
+    work = np.sum(commands * np.diff(positions, axis=0))  # held torque times path
+    assert _energy(config, states[-1]) == pytest.approx(work, rel=1e-9)
+    assert abs(work) > 0.01
