@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+
+from armimp_bringup.offline import Rig
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, explain, flatten
@@ -16,9 +19,6 @@ from armimp_common.versions import git_revision, versions
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.parameters import SimulatorParameters
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
-
-from armimp_bringup.offline import Rig
 
 Overrides = dict[str, JsonValue]
 

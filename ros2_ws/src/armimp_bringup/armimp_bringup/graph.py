@@ -7,21 +7,21 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
 
 import rclpy
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
-from armimp_common.domain import DomainClaim
-from armimp_common.errors import GraphError
-from armimp_common.spin import Spinner
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.resources import config_file
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.domain import DomainClaim
+from armimp_common.errors import GraphError
+from armimp_common.spin import Spinner
 
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 _MODULES = {
@@ -107,7 +107,7 @@ class ComposedNodes:
         from armimp_estimation.node import ImpedanceEstimatorNode
         from armimp_sim.node import ArmSimNode
 
-        classes: Mapping[str, type[Node]] = {
+        classes: Mapping[str, Callable[..., Node]] = {
             SIM_NODE: ArmSimNode,
             CONTROLLER_NODE: ImbicControllerNode,
             ESTIMATOR_NODE: ImpedanceEstimatorNode,
@@ -116,9 +116,7 @@ class ComposedNodes:
         self._spinner = spinner
         self._nodes: list[Node] = []
         for name in names:
-            node = classes[name](
-                context=context, cli_args=arguments, use_global_arguments=False
-            )
+            node = classes[name](context=context, cli_args=arguments, use_global_arguments=False)
             self._nodes.append(node)
             spinner.add_node(node)
 
@@ -146,9 +144,7 @@ class SeparateNodes:
     names : which nodes
     """
 
-    def __init__(
-        self, parameters: Path, log_directory: Path, names: Sequence[str] = NODES
-    ) -> None:
+    def __init__(self, parameters: Path, log_directory: Path, names: Sequence[str] = NODES) -> None:
         log_directory.mkdir(parents=True, exist_ok=True)
         self._logs = {name: log_directory / f"{name}.log" for name in names}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 from armimp_common import contract, qos
 from armimp_common.diagnostics import Level, values_of
-from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import expected_bytes, require_free_space
-from armimp_estimation.conclusion import SUMMARY_FILE
+from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.messages import CONCLUSION_NAME
+from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary, write_summary
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.node import Node
-
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
-from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 
 PARAMETERS_FILE = "parameters.yaml"
+GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)
+"""Order of activation: whoever listens comes before whoever speaks."""
 LOGS = "logs"
 _STALL = 30.0
 _PERIOD = 0.1
@@ -151,13 +154,13 @@ def run_experiment(
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
             try:
-                problems += _lead(supervisor, spinner, nodes, interrupted)
+                problems += lead(supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted)
             finally:
                 nodes.close()
                 spinner.remove_node(supervisor)
                 supervisor.destroy_node()
     problems += supervisor.problems
-    return _settle(directory, parameters, problems)
+    return settle(directory, parameters.estimator, problems)
 
 
 def prepare_directory(directory: Path) -> None:
@@ -176,32 +179,45 @@ def prepare_directory(directory: Path) -> None:
         raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
 
 
-def _lead(
+def lead(
     supervisor: Supervisor,
     spinner: Spinner,
     nodes: NodeGroup,
+    names: Sequence[str],
+    *,
     interrupted: Callable[[], bool],
+    drive: Callable[[], None] = lambda: None,
 ) -> list[str]:
-    """Lead the nodes through their life; return what went wrong."""
-    manager = LifecycleManager(
-        supervisor,
-        (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE),
-        spin_until=spinner.spin_until,
-        timeout=60.0,
-    )
+    """Lead nodes through their life, from unconfigured to finalized.
+
+    Parameters
+    ----------
+    supervisor, spinner : who watches, and what runs the callbacks
+    nodes : the nodes
+    names : their names, in the order of activation
+    interrupted : asked often; once true, the nodes are taken down
+    drive : called once all nodes are active
+
+    Returns
+    -------
+    list of str
+        What went wrong.
+    """
+    manager = LifecycleManager(supervisor, names, spin_until=spinner.spin_until, timeout=60.0)
     problems: list[str] = []
     try:
         manager.wait_for_nodes()
-        for name in manager.names:
+        for name in names:
             manager.configure(name)
-        for name in manager.names:
+        for name in names:
             manager.activate(name)
         supervisor.last_news = time.monotonic()
+        drive()
         problems += _watch(supervisor, spinner, nodes, interrupted)
     except GraphError as error:
         problems.append(nodes.dead() or str(error))
     if nodes.dead() is None:
-        for name in reversed(manager.names):
+        for name in reversed(names):
             try:
                 manager.shutdown(name)
             except GraphError as error:
@@ -230,32 +246,36 @@ def _watch(
     return problems
 
 
-def _settle(directory: Path, parameters: NodeParameters, problems: list[str]) -> Summary:
-    """Bring together what the estimator stored and what the orchestrator saw."""
+def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[str]) -> Summary:
+    """Bring together what the estimator stored and what the orchestrator saw.
+
+    Parameters
+    ----------
+    directory : Path
+        Where the estimator stores its summary.
+    estimator : EstimatorParameters
+        Parameters of the estimator, for a run of which it left no summary.
+    problems : sequence of str
+        What the orchestrator saw go wrong.
+    """
     path = directory / SUMMARY_FILE
-    try:
-        summary = read_summary(path)
-    except ArmimpError as error:
-        metadata = parameters.estimator.bag_metadata()
-        del metadata
-        summary = Summary(
-            config={},
-            joints=len(parameters.simulator.joints),
-            seed=parameters.controller.seed,
-            valid=False,
-            problems=problems or [str(error)],
-            trials=[],
-            estimators={},
-            truth=None,
+    if not path.exists():
+        conclusion = conclude(
+            [],
+            metadata=estimator.bag_metadata(),
+            joints=len(estimator.joints),
+            estimators=estimator.estimators,
+            problems=problems,
         )
-        write_summary(path, summary)
-        return summary
+        write_summary(path, conclusion.summary)
+        return conclusion.summary
+    summary = read_summary(path)
     new = [problem for problem in problems if problem not in summary.problems]
-    if not new:
-        return summary
-    summary = summary.model_copy(update={"valid": False, "problems": [*new, *summary.problems]})
-    path.unlink()
-    write_summary(path, summary)
+    if new:
+        update = {"valid": False, "problems": [*new, *summary.problems]}
+        summary = summary.model_copy(update=update)
+        path.unlink()
+        write_summary(path, summary)
     return summary
 
 

@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from armimp_common.contract import PERIOD_NS
-from armimp_common.trial_status import Phase, TrialStatus
 from numpy.typing import NDArray
 
+from armimp_common.contract import PERIOD_NS
+from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.imbic import ImbicController
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.perturbation import perturbation

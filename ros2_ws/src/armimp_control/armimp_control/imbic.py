@@ -67,7 +67,9 @@ class ImbicConfig:
         for name in ("target_posture", "target_inertia", "target_damping", "target_stiffness"):
             values = getattr(self, name)
             if values.shape != (n,) or not np.all(np.isfinite(values)):
-                raise ConfigurationError(f"controller: {name} needs {n} finite values: {values}")
+                raise ConfigurationError(
+                    f"controller: {name} needs {n} finite values: {values.tolist()}"
+                )
         if self.model_inertia.shape != (n, n) or not np.all(np.isfinite(self.model_inertia)):
             raise ConfigurationError(
                 f"controller: model_inertia needs {n}×{n} finite values: "

@@ -6,6 +6,9 @@ import sys
 import time
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
 from armimp_common import contract, qos
 from armimp_common.channels import (
     CommandPublisher,
@@ -19,9 +22,6 @@ from armimp_common.lifecycle import reported
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import TrialStatus
-from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-
 from armimp_control.experiment import Experiment
 from armimp_control.parameters import ControllerParameters
 from armimp_control.safety import Watchdog
@@ -43,7 +43,8 @@ class ImbicControllerNode(LifecycleNode):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        parameters = self._parameters = load(self, ControllerParameters)
+        """Check the parameters and the stability of the loop; make the topics."""
+        parameters = self._settings = load(self, ControllerParameters)
         names = parameters.joints
         for warning in self._prepare().margins.warnings:
             self.get_logger().warning(warning)
@@ -71,6 +72,7 @@ class ImbicControllerNode(LifecycleNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Wait for the other end, then answer samples."""
         lonely = wait_until_matched(
             self,
             publishers=[self._commands],
@@ -81,22 +83,22 @@ class ImbicControllerNode(LifecycleNode):
             raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
         if self._experiment is None:
             self._prepare()
-        safety = self._parameters.safety
-        self._watchdog = Watchdog(
-            self._parameters.safety_config(), period=safety.slowest_tick
-        )
+        safety = self._settings.safety
+        self._watchdog = Watchdog(self._settings.safety_config(), period=safety.slowest_tick)
         self._active = True
         self._timer.reset()
         return super().on_activate(state)
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take torque away; the next activation starts a new experiment."""
         self._stop("the controller was deactivated")
         self._experiment = None
         return super().on_deactivate(state)
 
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget everything, so that new parameters can be used."""
         self.destroy_timer(self._timer)
         for channel in (self._joint_states, self._torque_sensors):
             self.destroy_subscription(channel.subscription)
@@ -107,12 +109,13 @@ class ImbicControllerNode(LifecycleNode):
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Take torque away for good."""
         if self._active:
             self._stop("the controller was shut down")
         return TransitionCallbackReturn.SUCCESS
 
     def _prepare(self) -> Experiment:
-        self._experiment = Experiment(self._parameters, self._announce)
+        self._experiment = Experiment(self._settings, self._announce)
         # Readings of the two sensor topics that still wait for their partner, by stamp.
         self._positions: dict[int, tuple[float, ...]] = {}
         self._torques: dict[int, tuple[float, ...]] = {}
@@ -147,7 +150,7 @@ class ImbicControllerNode(LifecycleNode):
         experiment = self._experiment
         if not self._active or experiment is None:
             return
-        # Older readings that never found their partner are lost samples: the experiment counts them.
+        # Older readings without a partner are lost samples, which the experiment counts.
         for waiting in (self._positions, self._torques):
             for old in [stamp for stamp in waiting if stamp < stamp_ns]:
                 del waiting[old]

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from armimp_common.contract import NS_PER_S, PERIOD_NS
-from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
 from numpy.typing import NDArray
 from pydantic import Field
 
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
 from armimp_control import presets
 from armimp_control.imbic import ImbicConfig
 from armimp_control.perturbation import PerturbationConfig

@@ -1,4 +1,4 @@
-"""From assembled trials to the result that is shown and stored; one path for live and offline use."""
+"""From assembled trials to the result that is shown and stored; live and offline use this path."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from armimp_common.contract import PERTURBATION
 from armimp_common.errors import ArmimpError, DataError
-
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK

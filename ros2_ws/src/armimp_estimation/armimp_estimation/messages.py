@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from armimp_common.contract import ESTIMATOR_NODE
-from armimp_common.diagnostics import Level, make_status
 from diagnostic_msgs.msg import DiagnosticStatus
 
+from armimp_common.contract import ESTIMATOR_NODE
+from armimp_common.diagnostics import Level, make_status
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion
 from armimp_estimation.estimate import ImpedanceColumn

@@ -7,6 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
 from armimp_common import contract, qos
 from armimp_common.channels import RawSubscription, wait_until_matched
 from armimp_common.diagnostics import values_of
@@ -15,11 +20,6 @@ from armimp_common.lifecycle import reported
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
-from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
-
 from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.messages import (
     column_message,
@@ -52,8 +52,9 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        self._parameters = load(self, EstimatorParameters)
-        self._metadata = self._parameters.bag_metadata()
+        """Make the topics."""
+        self._settings = load(self, EstimatorParameters)
+        self._metadata = self._settings.bag_metadata()
         self._reset()
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
@@ -70,12 +71,13 @@ class ImpedanceEstimatorNode(LifecycleNode):
             DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED
         )
         self._timer = self.create_timer(
-            self._parameters.progress_period, self._on_timer, autostart=False
+            self._settings.progress_period, self._on_timer, autostart=False
         )
         return TransitionCallbackReturn.SUCCESS
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Wait for the streams, then record."""
         lonely = wait_until_matched(
             self, subscriptions=[*self._streams, self._trial], timeout_s=_MATCH_TIMEOUT
         )
@@ -87,12 +89,14 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the bag and conclude from what there is."""
         self._stop("the estimator was stopped before all trials were over")
         self._reset()
         return super().on_deactivate(state)
 
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget everything, so that new parameters can be used."""
         self.destroy_timer(self._timer)
         self.destroy_subscription(self._trial)
         for stream in self._streams:
@@ -103,19 +107,20 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the bag and conclude from what there is."""
         if self._active:
             self._stop("the estimator was shut down before all trials were over")
         return TransitionCallbackReturn.SUCCESS
 
     def _reset(self) -> None:
-        directory = self._parameters.directory
+        directory = self._settings.directory
         self._directory = Path(directory) if directory else None
         self._finished: list[FinishedTrial] = []
         self._problems: list[str] = []
         self._concluded = False
         self._recording = Recording(
-            self._parameters.joints,
-            self._directory if self._parameters.record else None,
+            self._settings.joints,
+            self._directory if self._settings.record else None,
             self._metadata,
             self._on_finished,
         )
@@ -147,9 +152,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         except ArmimpError as error:
             self._give_up(str(error))
             return
-        if status.phase is Phase.ABORTED:
-            self._conclude("")
-        elif status.phase is Phase.DONE and self._recording.status is None:
+        if status.phase in (Phase.ABORTED, Phase.DONE):
+            self._recording.stop()
             self._conclude("")
 
     def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
@@ -166,7 +170,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._result.publish(failed_trial_message(assembled, str(error)))
         else:
             self._result.publish(column_message(assembled, data.spectra, column))
-        if len(self._finished) == len(self._parameters.joints):
+        if len(self._finished) == len(self._settings.joints):
             self._conclude("")
 
     def _conclude(self, problem: str) -> None:
@@ -179,8 +183,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         conclusion = conclude(
             self._finished,
             metadata=self._metadata,
-            joints=len(self._parameters.joints),
-            estimators=self._parameters.estimators,
+            joints=len(self._settings.joints),
+            estimators=self._settings.estimators,
             problems=self._problems,
         )
         if self._directory is not None:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 
-from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
 from pydantic import Field
 
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
 from armimp_estimation.registry import estimator_names
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.contract import JOINT_STATES, PERTURBATION, TORQUE_SENSORS, VALUE_FIELD
 from armimp_common.errors import DataError, MalformedMessageError
-
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialAccumulator

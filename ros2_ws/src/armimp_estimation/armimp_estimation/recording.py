@@ -9,7 +9,6 @@ from pathlib import Path
 from armimp_common.contract import NS_PER_S, PERIOD_NS, TRIAL
 from armimp_common.errors import ArmimpError, DataError
 from armimp_common.trial_status import Phase, TrialStatus
-
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.statuses import encode_trial_status
@@ -142,10 +141,10 @@ class Recording:
             self._on_finished(None, str(error))
             return
         duration = assembled.window.ticks * PERIOD_NS / NS_PER_S
-        bag = None if self._bag is None else str(self._bag)
-        self._on_finished(
-            FinishedTrial(assembled=assembled, bag=bag, rtf=duration / elapsed), ""
-        )
+        bag = None
+        if self._bag is not None and self._directory is not None:
+            bag = str(self._bag.relative_to(self._directory))
+        self._on_finished(FinishedTrial(assembled=assembled, bag=bag, rtf=duration / elapsed), "")
 
     def _assemble(self, collected: CollectedTrial) -> AssembledTrial:
         trials = assemble_trials(self._joint_names, collected.messages, collected.statuses)

@@ -238,15 +238,20 @@ class ImpedanceCurve:
         Impedance, N·m/rad.
     variance : ndarray, shape (n, n, n_freq)
         Variance of each complex value.
+    averages : float
+        Effective number of averages behind it, for confidence bands.
     """
 
     f: FloatArray
     Z: ComplexArray
     variance: FloatArray
+    averages: float
 
 
 def write_frf(path: Path, estimates: Mapping[str, ImpedanceEstimate]) -> None:
-    """Write ``frf.npz``: ``f``, and ``Z_<name>``, ``var_<name>`` for each estimator.
+    """Write ``frf.npz``: ``f``, and for each estimator ``Z_<name>``, ``var_<name>``.
+
+    ``averages_<name>`` is the effective number of averages.
 
     ``f`` is the grid of the first estimator; one with another grid has its own ``f_<name>``.
 
@@ -264,6 +269,7 @@ def write_frf(path: Path, estimates: Mapping[str, ImpedanceEstimate]) -> None:
             arrays[f"f_{name}"] = estimate.f
         arrays[f"Z_{name}"] = estimate.Z
         arrays[f"var_{name}"] = estimate.variance
+        arrays[f"averages_{name}"] = np.array(estimate.averages)
 
     def save(part: Path) -> None:
         with part.open("wb") as file:
@@ -289,6 +295,7 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
                     f=file[f"f_{name}" if f"f_{name}" in file.files else "f"],
                     Z=file[f"Z_{name}"],
                     variance=file[f"var_{name}"],
+                    averages=float(file[f"averages_{name}"]),
                 )
                 for name in names
             }

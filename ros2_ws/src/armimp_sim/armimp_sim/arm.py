@@ -43,8 +43,9 @@ class HumanArm:
             if matrix.shape != (n, n):
                 raise ConfigurationError(f"arm: {name} is {matrix.shape}, expected {(n, n)}")
         for name in ("posture", "inertia", "damping", "stiffness"):
-            if not np.all(np.isfinite(getattr(self, name))):
-                raise ConfigurationError(f"arm: {name} is not finite: {getattr(self, name)}")
+            values = getattr(self, name)
+            if not np.all(np.isfinite(values)):
+                raise ConfigurationError(f"arm: {name} is not finite: {values.tolist()}")
         for i, value in enumerate(np.diag(self.inertia)):
             if not value > 0.0:
                 raise ConfigurationError(

@@ -5,6 +5,10 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock
+
 from armimp_common import contract, qos
 from armimp_common.channels import (
     CommandSubscription,
@@ -17,10 +21,6 @@ from armimp_common.lifecycle import reported
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.stamps import to_time
-from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rosgraph_msgs.msg import Clock
-
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
@@ -42,12 +42,13 @@ class ArmSimNode(LifecycleNode):
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Build the rig and its topics from the parameters."""
         parameters = load(self, SimulatorParameters)
         names = parameters.joints
         self._rig = SimulatedRig(parameters)
         self._joint_states = JointStatePublisher(self, contract.JOINT_STATES, names, "position")
         self._torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "effort")
-        self._clock = self.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
+        self._clock_publisher = self.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
         )
@@ -58,6 +59,7 @@ class ArmSimNode(LifecycleNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Send the first sample, once somebody listens and commands."""
         lonely = wait_until_matched(
             self,
             publishers=[self._joint_states, self._torque_sensors],
@@ -72,15 +74,17 @@ class ArmSimNode(LifecycleNode):
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop: further commands are ignored."""
         self._active = False
         return super().on_deactivate(state)
 
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the rig, so that new parameters can be used."""
         for publisher in (
             self._joint_states.publisher,
             self._torque_sensors.publisher,
-            self._clock,
+            self._clock_publisher,
             self._diagnostics,
         ):
             self.destroy_publisher(publisher)
@@ -90,6 +94,7 @@ class ArmSimNode(LifecycleNode):
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop for good."""
         self._active = False
         return TransitionCallbackReturn.SUCCESS
 
@@ -119,7 +124,7 @@ class ArmSimNode(LifecycleNode):
         self._joint_states.publish(stamp_ns, rig.position)
         self._torque_sensors.publish(stamp_ns, rig.torque)
         if rig.tick % _CLOCK_TICKS == 0:
-            self._clock.publish(Clock(clock=to_time(stamp_ns)))
+            self._clock_publisher.publish(Clock(clock=to_time(stamp_ns)))
             if rig.tick % _DIAGNOSTICS_TICKS == 0:
                 self._report(rig)
 

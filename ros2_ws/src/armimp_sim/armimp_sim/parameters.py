@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from armimp_common.contract import NS_PER_S, PERIOD_NS
-from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Schema
 from numpy.typing import NDArray
 from pydantic import Field
 
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
 from armimp_sim import presets
 from armimp_sim.arm import HumanArm
 from armimp_sim.friction import LuGre

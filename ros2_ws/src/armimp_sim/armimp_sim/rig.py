@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 
 import numpy as np
-from armimp_common.contract import PERIOD_NS
 from numpy.typing import NDArray
 
+from armimp_common.contract import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import VoluntaryTorque
@@ -54,12 +55,14 @@ class SimulatedRig:
     @property
     def position(self) -> NDArray[np.float64]:
         """Encoder readings (n,), rad; valid until the next step."""
-        return self._plant.position[0]
+        reading: NDArray[np.float64] = self._plant.position[0]
+        return reading
 
     @property
     def torque(self) -> NDArray[np.float64]:
         """Torque transducer readings (n,), N·m; valid until the next step."""
-        return self._plant.torque[0]
+        reading: NDArray[np.float64] = self._plant.torque[0]
+        return reading
 
     def step(self, command: Sequence[float]) -> None:
         """Hold ``command`` (n,), N·m, for one period and sample again.
@@ -89,8 +92,6 @@ class SimulatedRig:
     def _compile(self, joints: int) -> None:
         """Have the plant compiled before time matters, and leave it as it was."""
         state = self._plant.state()
-        try:
+        with suppress(IntegrationError):  # it will be reported when it happens in earnest
             self._plant.tick(np.zeros((1, joints)), np.zeros((1, joints)))
-        except IntegrationError:
-            pass  # it will be reported when it happens in earnest
         self._plant.set_state(state)

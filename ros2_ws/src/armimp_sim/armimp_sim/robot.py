@@ -40,7 +40,9 @@ class PlanarChain:
             if values.shape != (n,):
                 raise ConfigurationError(f"robot: {name} is {values.shape}, expected {(n,)}")
             if not np.all(values >= 0.0) or not np.all(np.isfinite(values)):
-                raise ConfigurationError(f"robot: {name} must not be negative, got {values}")
+                raise ConfigurationError(
+                    f"robot: {name} must not be negative, got {values.tolist()}"
+                )
         for i, value in enumerate(self.moments):
             if not value > 0.0:
                 raise ConfigurationError(

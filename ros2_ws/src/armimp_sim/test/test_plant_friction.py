@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.integrate import trapezoid
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
@@ -60,7 +61,7 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
     # Damping steeper than the Stribeck slope makes the balance at this speed a stable one.
     plant = _joint(LAW, damping=damping)
     friction = float(LAW.steady_state(np.array(velocity)))
-    _, reached, bristle = _load(plant, np.full(6000, friction + damping * velocity))
+    _, reached, bristle = _load(plant, np.full(20_000, friction + damping * velocity))
     assert reached == pytest.approx(velocity, rel=1e-6)
     level = 2.0 + 0.5 * np.exp(-((speed / 0.01) ** 2))
     assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
@@ -86,26 +87,27 @@ def test_without_bristle_stiffness_steady_state_friction_is_viscous() -> None:
 def test_small_torque_held_bends_bristles_and_arm_together(stiffness: float) -> None:
     torque = 1e-3 * LAW.static
     plant = _joint(LAW, inertia=0.05, stiffness=stiffness)
-    theta, velocity, _ = _load(plant, np.full(3000, torque))
+    _load(plant, np.linspace(0.0, torque, 1000))
+    theta, velocity, _ = _load(plant, np.full(1000, torque))
     assert abs(velocity) < 1e-9
-    assert theta == pytest.approx(torque / (LAW.sigma_0 + stiffness), rel=2e-3)
+    assert theta == pytest.approx(torque / (LAW.sigma_0 + stiffness), rel=1e-3)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.9])
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.8])
 def test_slow_loading_follows_the_pre_sliding_curve(share: float) -> None:
     torque = share * LAW.static
     plant = _joint(LAW, inertia=0.05)
-    theta, _, _ = _load(plant, np.linspace(0.0, torque, 3000))
+    theta, _, _ = _load(plant, np.linspace(0.0, torque, 5000))
     # dz/dθ = 1 − σ0 z/Fs while the motion is slow and goes one way.
     expected = -LAW.static / LAW.sigma_0 * np.log(1.0 - share)
-    assert theta == pytest.approx(expected, rel=0.01)
+    assert theta == pytest.approx(expected, rel=3e-3)
 
 
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 def test_joint_sticks_below_the_static_level_and_breaks_away_above(direction: float) -> None:
     plant = _joint(LAW, inertia=0.05)
-    below, above = 0.95 * LAW.static * direction, 1.05 * LAW.static * direction
-    _load(plant, np.linspace(0.0, below, 2000))
+    below, above = 0.9 * LAW.static * direction, 1.05 * LAW.static * direction
+    _load(plant, np.linspace(0.0, below, 8000))
     theta, _, _ = _load(plant, np.full(1000, below))
     crept, velocity, _ = _load(plant, np.full(1000, below))
     assert abs(velocity) < 1e-7
@@ -115,13 +117,16 @@ def test_joint_sticks_below_the_static_level_and_breaks_away_above(direction: fl
     assert velocity * direction > 1.0
 
 
-def test_sliding_joint_left_alone_comes_to_rest_and_loses_its_energy_to_friction() -> None:
-    plant = _joint(LAW, inertia=0.05)
-    plant.set_state(np.array([[[0.0], [2.0], [0.0]]]))
+def test_sliding_joint_left_alone_loses_its_energy_to_friction_and_comes_to_rest() -> None:
+    inertia, speed = 0.05, 2.0
+    plant = _joint(LAW, inertia=inertia)
+    plant.set_state(np.array([[[0.0], [speed], [LAW.coulomb / LAW.sigma_0]]]))
     theta, velocity, _ = _load(plant, np.zeros(1000))
     assert abs(velocity) < 1e-9
-    # Coulomb friction alone would stop it after J v²/2 = Fc·θ.
-    assert theta == pytest.approx(0.5 * 0.05 * 2.0**2 / LAW.coulomb, rel=0.15)
+    v = np.linspace(1e-9, speed, 20_001)
+    distance = trapezoid(inertia * v / LAW.steady_state(v), v)  # F dθ = −J v dv
+    # At the end the bent bristles spring back a little.
+    assert distance - LAW.static / LAW.sigma_0 < theta < distance
 
 
 def test_bristles_never_bend_further_than_the_static_level_allows() -> None:
@@ -169,7 +174,5 @@ def test_impossible_friction_is_refused_with_the_offending_value(name: str, valu
 
 
 def test_bristles_without_a_friction_level_are_refused() -> None:
-    with pytest.raises(
-        ConfigurationError, match=r"sigma_0 = 400\.0 needs a positive Coulomb level"
-    ):
+    with pytest.raises(ConfigurationError, match=r"sigma_0 = 400\.0 needs a positive"):
         LuGre(coulomb=0.0, static=0.5, sigma_0=400.0, sigma_1=0.0, sigma_2=0.0)

@@ -1,0 +1,192 @@
+"""The command ``armimp``. Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from typer.exceptions import TyperException
+
+from armimp_common.errors import ArmimpError, ConfigurationError
+
+if TYPE_CHECKING:
+    from armimp_estimation.results import Summary
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    help="Measure the multi-joint mechanical impedance of a human arm.",
+)
+
+_Bags = Annotated[list[Path], typer.Argument(help="rosbag2 directories, .mcap or .db3 files.")]
+_Estimators = Annotated[
+    list[str] | None,
+    typer.Option("--estimator", help="Estimator of the result; may be given more than once."),
+]
+_Out = Annotated[Path | None, typer.Option("--out", help="New directory for the results.")]
+_Json = Annotated[bool, typer.Option("--json", help="Print summary.json instead of tables.")]
+
+
+@app.command()
+def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file with any of these options.")
+    ] = None,
+    friction: Annotated[int | None, typer.Option(help="Friction level, 0 to 3.")] = None,
+    resolution: Annotated[int | None, typer.Option(help="Resolution level, 0 to 3.")] = None,
+    perturbation: Annotated[int | None, typer.Option(help="Perturbation level, 1 to 3.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of each trial, s.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all random signals.")] = None,
+    mode: Annotated[str | None, typer.Option(help="How time passes: lockstep.")] = None,
+    processes: Annotated[
+        str | None, typer.Option(help="Where the nodes live: composed or separate.")
+    ] = None,
+    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 2 or 3.")] = None,
+    estimator: _Estimators = None,
+    out: _Out = None,
+    domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
+    json: _Json = False,
+) -> int:
+    """Run the experiment through the node graph: one trial for each joint, then the result."""
+    from armimp_bringup.config import load_config
+    from armimp_bringup.display import LiveDisplay
+    from armimp_bringup.orchestrator import run_experiment
+    from armimp_common.spin import stop_on_signals
+
+    settings = load_config(
+        config,
+        {
+            "friction": friction,
+            "resolution": resolution,
+            "perturbation": perturbation,
+            "duration": duration,
+            "seed": seed,
+            "mode": mode,
+            "processes": processes,
+            "joints": joints,
+            "estimators": tuple(estimator) if estimator else None,
+        },
+    )
+    directory = out if out is not None else _new_directory("run")
+    with stop_on_signals() as stopped, LiveDisplay() as display:
+        summary = run_experiment(
+            settings,
+            directory,
+            domain_id=domain_id,
+            on_progress=display.show,
+            interrupted=stopped,
+        )
+    return _present(summary, directory, json)
+
+
+@app.command()
+def estimate(
+    bags: _Bags,
+    estimator: _Estimators = None,
+    namespace: Annotated[
+        str | None, typer.Option(help="Namespace of the topics; default: found by itself.")
+    ] = None,
+    out: _Out = None,
+    json: _Json = False,
+) -> int:
+    """Estimate the impedance from bags, one trial for each joint among them."""
+    from armimp_bringup.offline_estimate import estimate_bags
+    from armimp_bringup.orchestrator import prepare_directory
+
+    if out is not None:
+        prepare_directory(out)
+    conclusion, notes = estimate_bags(bags, tuple(estimator or ()), namespace=namespace)
+    for note in notes:
+        _say(f"note: {note}")
+    if out is not None:
+        conclusion.write(out)
+    return _present(conclusion.summary, out, json)
+
+
+@app.command()
+def replay(
+    bags: _Bags,
+    estimator: _Estimators = None,
+    out: _Out = None,
+    domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
+    json: _Json = False,
+) -> int:
+    """Play bags through the graph into a live estimator node."""
+    from armimp_bringup.display import LiveDisplay
+    from armimp_bringup.replay import replay_bags
+    from armimp_common.spin import stop_on_signals
+
+    with stop_on_signals() as stopped, LiveDisplay() as display:
+        summary = replay_bags(
+            bags,
+            tuple(estimator or ()),
+            out,
+            domain_id=domain_id,
+            on_progress=display.show,
+            interrupted=stopped,
+        )
+    return _present(summary, out, json)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; every error that a user can cause ends in one line."""
+    try:
+        status = app(args=arguments, prog_name="armimp", standalone_mode=False)
+    except TyperException as error:
+        # Asking for nothing shows the help, which has many lines.
+        message = error.format_message()
+        _say(message if "\n" in message else f"armimp: {message}")
+        return 2
+    except ConfigurationError as error:
+        _say(f"armimp: {error}")
+        return 2
+    except ArmimpError as error:
+        _say(f"armimp: {error}")
+        return 1
+    except (KeyboardInterrupt, typer.Abort):
+        _say("armimp: interrupted")
+        return 1
+    except BrokenPipeError:
+        # Whoever read the output has left, as `head` does.
+        sys.stderr.close()
+        return 1
+    return status if isinstance(status, int) else 0
+
+
+def _present(summary: Summary, directory: Path | None, as_json: bool) -> int:
+    """Draw and print a result, and return the exit status that it deserves."""
+    from armimp_estimation.conclusion import FRF_FILE
+
+    if directory is not None and summary.estimators:
+        from armimp_estimation.figures import FIGURE_FILE, write_impedance_figure
+        from armimp_estimation.results import read_frf
+
+        curves = read_frf(directory / FRF_FILE)
+        write_impedance_figure(directory / FIGURE_FILE, summary, curves)
+    if as_json:
+        print(summary.model_dump_json(by_alias=True))
+    else:
+        from armimp_bringup.tables import print_summary
+
+        print_summary(summary, directory)
+    for problem in summary.problems:
+        _say(f"armimp: not valid: {problem}")
+    return 0 if summary.valid else 1
+
+
+def _new_directory(what: str) -> Path:
+    return Path("results") / f"{what}-{datetime.now():%Y%m%d-%H%M%S}"
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,232 @@
+"""Playing bags through the graph into a live estimator node."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from armimp_bringup.graph import ComposedNodes, GraphContext
+from armimp_bringup.offline_estimate import read_bags
+from armimp_bringup.orchestrator import (
+    PARAMETERS_FILE,
+    Progress,
+    Supervisor,
+    lead,
+    prepare_directory,
+    settle,
+)
+from armimp_common import contract, qos
+from armimp_common.cdr import stamp_of
+from armimp_common.channels import RawSubscription
+from armimp_common.diagnostics import trial_status_message
+from armimp_common.errors import GraphError
+from armimp_common.schema import to_params_yaml
+from armimp_common.spin import Spinner
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.bags import BagContent
+from armimp_estimation.bags.statuses import encode_trial_status
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.results import Summary
+from armimp_estimation.trial_windows import TrialWindow
+
+_CLASSES: dict[str, type[Any]] = {
+    contract.JOINT_STATES: JointState,
+    contract.TORQUE_SENSORS: JointState,
+    contract.PERTURBATION: JointState,
+    contract.COMMANDS: Float64MultiArray,
+    contract.TRIAL: DiagnosticStatus,
+}
+_BATCH = 400
+"""Messages under way at once: far less than the depth of the subscriptions."""
+_TIMEOUT = 10.0
+
+
+class BagPlayer(Node):
+    """Publishes recorded messages as they are, never more at once than readers can take."""
+
+    def __init__(self, graph: GraphContext, spinner: Spinner) -> None:
+        super().__init__("armimp_player", context=graph.context, use_global_arguments=False)
+        self._spinner = spinner
+        self._senders = {
+            topic: self.create_publisher(kind, topic, qos.PROFILES[topic])
+            for topic, kind in _CLASSES.items()
+        }
+        # What the player hears of its own tells that the batch has gone through the graph.
+        self._heard = 0
+        self._expected = 0
+        self._through: Future = Future()
+        self._echo = RawSubscription(self, contract.PERTURBATION, JointState, self._on_echo)
+
+    def play(self, bag: BagContent, should_stop: Callable[[], bool]) -> None:
+        """Play one bag as fast as the graph takes it.
+
+        Raises
+        ------
+        GraphError
+            If the messages don't go through.
+        """
+        for sent, (topic, message) in enumerate(_with_statuses(bag), 1):
+            self._senders[topic].publish(message)
+            self._expected += topic == contract.PERTURBATION
+            if sent % _BATCH == 0:
+                self._wait()
+                if should_stop():
+                    return
+        self._wait()
+
+    def finish(self, last: TrialWindow, trials: int) -> None:
+        """Say that nothing more will come."""
+        status = TrialStatus(
+            phase=Phase.DONE,
+            trial=last.trial,
+            trials=max(trials, last.trial),
+            joint=last.joint,
+            joint_name=last.joint_name,
+            tick=0,
+            start_ns=last.start_ns,
+            ticks=last.ticks,
+            seed=last.seed or 0,
+            valid=True,
+        )
+        self._senders[contract.TRIAL].publish(trial_status_message(status))
+
+    def _wait(self) -> None:
+        if self._heard < self._expected:
+            self._through = Future()
+            if not self._spinner.spin_until(self._through, _TIMEOUT):
+                raise GraphError(f"played messages did not arrive within {_TIMEOUT:g} s")
+
+    def _on_echo(self, _: bytes) -> None:
+        self._heard += 1
+        if self._heard >= self._expected and not self._through.done():
+            self._through.set_result(None)
+
+
+def _with_statuses(bag: BagContent) -> Iterator[tuple[str, bytes]]:
+    """Messages of the bag; where it has no trial statuses, with those that were inferred."""
+    if contract.TRIAL in bag.topics:
+        yield from ((topic, raw) for topic, _, raw in bag.messages() if topic in _CLASSES)
+        return
+    windows = [trial.window for trial in bag.trials]
+    due = deque(windows)
+    present: TrialWindow | None = None
+    for topic, _, raw in bag.messages():
+        if topic not in _CLASSES:
+            continue
+        if due and topic != contract.COMMANDS and stamp_of(raw) >= due[0].start_ns:
+            if present is not None:
+                yield contract.TRIAL, _status(Phase.REST, present, len(windows))
+            present = due.popleft()
+            yield contract.TRIAL, _status(Phase.PERTURB, present, len(windows))
+        yield topic, raw
+    if present is not None:
+        yield contract.TRIAL, _status(Phase.REST, present, len(windows))
+
+
+def _status(phase: Phase, window: TrialWindow, trials: int) -> bytes:
+    return encode_trial_status(
+        TrialStatus(
+            phase=phase,
+            trial=window.trial,
+            trials=max(trials, window.trial),
+            joint=window.joint,
+            joint_name=window.joint_name,
+            tick=0,
+            start_ns=window.start_ns,
+            ticks=window.ticks,
+            seed=window.seed or 0,
+            valid=not window.fault,
+            reason=window.fault,
+        )
+    )
+
+
+def replay_bags(
+    bags: Sequence[Path],
+    estimators: tuple[str, ...],
+    directory: Path | None,
+    *,
+    domain_id: int | None = None,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    interrupted: Callable[[], bool] = lambda: False,
+) -> Summary:
+    """Play bags into an estimator node and return what it finds.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+        One trial for each joint among them.
+    estimators : tuple of str
+        Names; empty for the defaults.
+    directory : Path or None
+        New directory for the results; None keeps no files.
+    domain_id, on_progress, interrupted
+        As for :func:`armimp_bringup.orchestrator.run_experiment`.
+
+    Raises
+    ------
+    BagError, DataError
+        If the bags can't be read or don't belong together.
+    GraphError
+        If the graph fails.
+    """
+    contents = read_bags(bags)
+    for content in contents:
+        for trial in content.trials:
+            trial.require()
+    with tempfile.TemporaryDirectory() as temporary:
+        if directory is None:
+            directory = Path(temporary)
+        else:
+            prepare_directory(directory)
+        parameters = EstimatorParameters(
+            joints=contents[0].joint_names,
+            estimators=estimators or EstimatorParameters().estimators,
+            record=False,
+            directory=str(directory.absolute()),
+            metadata=json.dumps(dict(contents[0].metadata)),
+        )
+        parameters.bag_metadata()
+        parameter_file = directory / PARAMETERS_FILE
+        parameter_file.write_text(
+            to_params_yaml({contract.ESTIMATOR_NODE: parameters}), encoding="utf-8"
+        )
+        with GraphContext(domain_id) as graph:
+            supervisor = Supervisor(graph, on_progress)
+            with Spinner([supervisor], context=graph.context) as spinner:
+                player = BagPlayer(graph, spinner)
+                spinner.add_node(player)
+                nodes = ComposedNodes(
+                    graph.context, spinner, parameter_file, (contract.ESTIMATOR_NODE,)
+                )
+
+                def drive() -> None:
+                    for content in contents:
+                        player.play(content, interrupted)
+                    player.finish(contents[-1].trials[-1].window, len(contents))
+
+                try:
+                    problems = lead(
+                        supervisor,
+                        spinner,
+                        nodes,
+                        (contract.ESTIMATOR_NODE,),
+                        interrupted=interrupted,
+                        drive=drive,
+                    )
+                finally:
+                    nodes.close()
+                    for node in (player, supervisor):
+                        spinner.remove_node(node)
+                        node.destroy_node()
+        return settle(directory, parameters, problems)

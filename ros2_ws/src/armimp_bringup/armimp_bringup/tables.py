@@ -1,0 +1,100 @@
+"""The result of an experiment as tables on the terminal."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from armimp_estimation.results import EstimatorSummary, Summary
+
+_UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
+
+
+def print_summary(summary: Summary, directory: Path | None, console: Console | None = None) -> None:
+    """Print the tables of a result, the verdict, and where the files are."""
+    out = console if console is not None else Console(soft_wrap=True)
+    for name, result in summary.estimators.items():
+        out.print(_parameter_table(name, result, summary))
+        out.print(_quality_table(result, summary))
+    if summary.trials:
+        out.print(_trial_table(summary))
+    out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
+    if directory is not None:
+        out.print(f"results in {directory}", highlight=False)
+
+
+def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:
+    table = Table(title=f"{name}: Z = M s² + B s + K", box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("")
+    table.add_column("estimate", justify="right")
+    table.add_column("± s.e.", justify="right")
+    if summary.truth is not None:
+        table.add_column("truth", justify="right")
+        table.add_column("error", justify="right")
+    table.add_column("unit")
+    for letter, unit in _UNITS.items():
+        estimates, errors = getattr(result, letter), getattr(result, f"{letter}_se")
+        for i in range(summary.joints):
+            for k in range(summary.joints):
+                value = estimates[i][k]
+                cells = [f"{letter}{i + 1}{k + 1}", f"{value:.5f}", f"{errors[i][k]:.5f}"]
+                if summary.truth is not None:
+                    true = getattr(summary.truth, letter)[i][k]
+                    cells += [f"{true:.5f}", _relative(value, true)]
+                table.add_row(*cells, unit, end_section=i == k == summary.joints - 1)
+    return table
+
+
+def _quality_table(result: EstimatorSummary, summary: Summary) -> Table:
+    table = Table(box=SIMPLE_HEAD)
+    table.add_column("element")
+    rows: list[tuple[str, list[list[float]] | None, str]] = [
+        ("VAF %", result.vaf, ".2f"),
+        ("R²", result.r2, ".4f"),
+        ("coherence, derived", result.coherence_derived, ".4f"),
+        ("coherence τΔ→τ", result.coherence_torque, ".4f"),
+    ]
+    n = range(summary.joints)
+    for title, matrix, _ in rows:
+        if matrix is not None:
+            table.add_column(title, justify="right")
+    for i in n:
+        for k in n:
+            cells = [format(m[i][k], f) for _, m, f in rows if m is not None]
+            table.add_row(f"Z{i + 1}{k + 1}", *cells)
+    return table
+
+
+def _trial_table(summary: Summary) -> Table:
+    table = Table(title="trials", box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("joint", justify="right")
+    table.add_column("samples", justify="right")
+    table.add_column("lost", justify="right")
+    table.add_column("lock ratio", justify="right")
+    table.add_column("x real time", justify="right")
+    table.add_column("bag", overflow="fold")
+    for trial in summary.trials:
+        others = [ratio for i, ratio in enumerate(trial.lock_ratio) if i != trial.k - 1]
+        table.add_row(
+            str(trial.k),
+            str(trial.ticks),
+            str(trial.lost),
+            _largest(others),
+            "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
+            "–" if trial.bag is None else trial.bag,
+        )
+    return table
+
+
+def _largest(values: Sequence[float]) -> str:
+    worst = max(values, default=math.nan)
+    return "–" if math.isnan(worst) else f"{worst:.4f}"
+
+
+def _relative(value: float, true: float) -> str:
+    return f"{100.0 * (value / true - 1.0):+.2f} %" if true else "–"

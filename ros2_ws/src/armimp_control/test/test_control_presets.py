@@ -1,0 +1,61 @@
+"""Presets of the controller: the paper's Table III, and what the design assumes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armimp_common.errors import ConfigurationError
+from armimp_control import presets
+
+ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
+POSTURE = np.array([1.0945, 1.3484])
+
+
+@pytest.mark.parametrize(("level", "peak"), [(1, (3.0, 1.8)), (2, (6.0, 3.6)), (3, (9.0, 5.4))])
+def test_peaks_are_those_of_table_three(level: int, peak: tuple[float, ...]) -> None:
+    config = presets.perturbation(level, 2)
+    assert config.peak == pytest.approx(peak, rel=1e-15)
+    assert (config.cutoff, config.order, config.period) == (15.0, 8, 1e-3)
+
+
+@pytest.mark.parametrize("level", [-1, 0, 4])
+def test_level_out_of_range_is_refused_with_the_offending_value(level: int) -> None:
+    with pytest.raises(ConfigurationError, match=f"perturbation level .* got {level}$"):
+        presets.perturbation(level, 2)
+
+
+@pytest.mark.parametrize("joints", [1, 4])
+def test_number_of_joints_without_a_preset_is_refused(joints: int) -> None:
+    with pytest.raises(ConfigurationError, match=f"no preset perturbation for {joints} joints"):
+        presets.perturbation(1, joints)
+
+
+def test_third_joint_joins_the_peaks_of_table_three() -> None:
+    assert presets.perturbation(2, 3).peak[:2] == presets.perturbation(2, 2).peak
+    assert len(presets.perturbation(2, 3).peak) == 3
+
+
+def test_law_for_two_joints_is_that_of_the_design() -> None:
+    config = presets.imbic(ROBOT, POSTURE)
+    assert np.array_equal(config.target_posture, POSTURE)
+    assert config.target_inertia.tolist() == [0.2, 0.1]
+    assert config.target_damping.tolist() == [2.0, 1.0]
+    assert config.target_stiffness.tolist() == [10.0, 10.0]
+    assert config.model_inertia == pytest.approx(0.6 * ROBOT)
+    assert (config.lock_frequency, config.lock_damping_ratio, config.gamma) == (100.0, 1.0, 100.0)
+
+
+@pytest.mark.parametrize("n", [1, 3, 7])
+def test_law_for_other_numbers_of_joints_follows_the_robot(n: int) -> None:
+    root = np.random.default_rng(n).normal(size=(n, n))
+    robot = root @ root.T + np.eye(n)
+    config = presets.imbic(robot, np.zeros(n))
+    assert config.target_inertia == pytest.approx(0.56 * np.diag(robot))
+    assert config.target_damping / config.target_inertia == pytest.approx(np.full(n, 10.0))
+    assert config.target_stiffness / config.target_inertia == pytest.approx(np.full(n, 100.0))
+    assert config.model_inertia == pytest.approx(0.6 * robot)
+
+
+def test_rule_for_other_numbers_of_joints_is_close_to_the_values_for_two() -> None:
+    assert 0.56 * np.diag(ROBOT) == pytest.approx([0.2, 0.1], rel=0.01)

@@ -1,0 +1,539 @@
+"""The controller node over real DDS: answers, faults, watchdog, parameters, life cycle."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from armimp_common import contract, qos
+from armimp_common.cdr import JointStateEncoder
+from armimp_common.channels import (
+    CommandSubscription,
+    JointStatePublisher,
+    JointStateSubscription,
+    wait_until_matched,
+)
+from armimp_common.contract import PERIOD_NS, ValueField
+from armimp_common.diagnostics import Level, values_of
+from armimp_common.errors import GraphError
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.schema import Value
+from armimp_common.spin import Spinner, run_node
+from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_control.experiment import Experiment
+from armimp_control.node import ImbicControllerNode
+from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
+
+NAMES = ("shoulder", "elbow")
+POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
+SETTLE, PERTURB, REST = 50, 100, 50
+SUCCESS = TransitionCallbackReturn.SUCCESS
+FAILURE = TransitionCallbackReturn.FAILURE
+START = 5_000_000_000
+
+PARAMETERS = ControllerParameters.preset(
+    joints=NAMES,
+    posture=np.array(POSTURE),
+    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
+    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+).model_copy(
+    update={
+        "sequence": SequenceParameters(
+            duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
+        ),
+        # So patient that no test sees the watchdog by accident.
+        "safety": SafetyParameters(slowest_tick=10.0),
+    }
+)
+IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.01, "safety.watchdog_ticks": 5}
+
+
+class Driver:
+    """Stands for the rig: feeds samples, and keeps what comes back."""
+
+    def __init__(self, node: Node, names: Sequence[str] = NAMES) -> None:
+        self.node = node
+        self.names = names
+        self.tick = 0
+        self.channels = {
+            topic: JointStatePublisher(node, topic, names, contract.VALUE_FIELD[topic])
+            for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
+        }
+        self.commands: list[tuple[float, ...]] = []
+        self.perturbations: list[tuple[int, tuple[float, ...]]] = []
+        self.messages: list[DiagnosticStatus] = []
+        self.subscriptions = [
+            CommandSubscription(node, contract.COMMANDS, 2, self.commands.append),
+            JointStateSubscription(
+                node,
+                contract.PERTURBATION,
+                NAMES,
+                "effort",
+                lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
+            ),
+        ]
+        self.trial = node.create_subscription(
+            DiagnosticStatus, contract.TRIAL, self.messages.append, qos.LATCHED
+        )
+
+    def wait_for_controller(self) -> None:
+        assert not wait_until_matched(
+            self.node,
+            publishers=self.channels.values(),
+            subscriptions=[*self.subscriptions, self.trial],
+            timeout_s=PATIENCE,
+        )
+
+    @property
+    def stamp_ns(self) -> int:
+        return START + self.tick * PERIOD_NS
+
+    @property
+    def statuses(self) -> list[TrialStatus]:
+        return [TrialStatus.from_values(values_of(message)) for message in self.messages]
+
+    @property
+    def aborted(self) -> bool:
+        return any(status.phase is Phase.ABORTED for status in self.statuses)
+
+    def feed(self, theta: Sequence[float] = POSTURE, tau_h: Sequence[float] = (0.0, 0.0)) -> None:
+        self.channels[contract.JOINT_STATES].publish(self.stamp_ns, theta)
+        self.channels[contract.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
+        self.tick += 1
+
+    def feed_still(self, ticks: int) -> None:
+        for _ in range(ticks):
+            self.feed()
+
+
+def wobble(ticks: int) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+    rng = np.random.default_rng(4)
+    theta = POSTURE + np.cumsum(rng.normal(scale=1e-6, size=(ticks, 2)), axis=0)
+    tau_h = rng.normal(scale=0.1, size=(ticks, 2))
+    return [((a[0], a[1]), (b[0], b[1])) for a, b in zip(theta.tolist(), tau_h.tolist())]
+
+
+def expected_answers(
+    samples: Sequence[tuple[Sequence[float], Sequence[float]]],
+) -> tuple[list[tuple[float, ...]], list[tuple[int, tuple[float, ...]]]]:
+    experiment = Experiment(PARAMETERS, lambda _: None)
+    commands, perturbations = [], []
+    for tick, (theta, tau_h) in enumerate(samples):
+        stamp_ns = START + tick * PERIOD_NS
+        experiment.answer(stamp_ns, theta, tau_h)
+        commands.append(tuple(experiment.command.tolist()))
+        perturbations.append((stamp_ns, tuple(experiment.tau_delta.tolist())))
+    return commands, perturbations
+
+
+MakeController = Callable[..., ImbicControllerNode]
+
+
+@pytest.fixture
+def spinner(node: Node) -> Iterator[Spinner]:
+    with Spinner([node]) as spinner:
+        yield spinner
+
+
+@pytest.fixture
+def make(context: Context, spinner: Spinner) -> Iterator[MakeController]:
+    made: list[ImbicControllerNode] = []
+
+    def factory(changes: Mapping[str, Value] | None = None, **kwargs: Any) -> ImbicControllerNode:
+        controller = ImbicControllerNode(
+            context=context, parameter_overrides=overrides(PARAMETERS, changes), **kwargs
+        )
+        made.append(controller)
+        spinner.add_node(controller)
+        return controller
+
+    yield factory
+    for controller in made:
+        spinner.remove_node(controller)
+        controller.destroy_node()
+
+
+@pytest.fixture
+def driver(node: Node) -> Driver:
+    return Driver(node)
+
+
+def bring_up(controller: ImbicControllerNode, driver: Driver) -> None:
+    assert controller.trigger_configure() is SUCCESS
+    assert controller.trigger_activate() is SUCCESS, controller.transition_error
+    driver.wait_for_controller()
+
+
+def answered(driver: Driver) -> Callable[[], bool]:
+    return lambda: min(len(driver.commands), len(driver.perturbations)) >= driver.tick
+
+
+class TestAnswers:
+    def test_each_sample_is_answered_once_as_the_experiment_without_ros_does(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        bring_up(make(), driver)
+        samples = wobble(SETTLE + 60)
+
+        for theta, tau_h in samples:
+            driver.feed(theta, tau_h)
+        eventually(spinner, answered(driver), "an answer to every sample")
+        a_moment(spinner)
+
+        commands, perturbations = expected_answers(samples)
+        assert driver.commands == commands
+        assert driver.perturbations == perturbations
+        assert any(command != (0.0, 0.0) for command in commands)
+        assert [status.phase for status in driver.statuses] == [Phase.SETTLE, Phase.PERTURB]
+        assert driver.statuses[1].start_ns == START + SETTLE * PERIOD_NS
+
+    def test_joint_order_comes_from_the_names(
+        self, make: MakeController, node: Node, spinner: Spinner
+    ) -> None:
+        driver = Driver(node, names=NAMES[::-1])
+        bring_up(make(), driver)
+        samples = wobble(30)
+
+        for theta, tau_h in samples:
+            driver.feed(theta[::-1], tau_h[::-1])
+        eventually(spinner, answered(driver), "an answer to every sample")
+
+        assert driver.commands == expected_answers(samples)[0]
+
+    def test_an_answer_waits_for_both_readings_which_come_in_any_order(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        bring_up(make(), driver)
+        positions, torques = driver.channels.values()
+
+        torques.publish(START, (0.0, 0.0))
+        torques.publish(START + PERIOD_NS, (0.0, 0.0))
+        a_moment(spinner)
+        assert driver.commands == []
+
+        positions.publish(START, POSTURE)
+        positions.publish(START + PERIOD_NS, POSTURE)
+        eventually(spinner, lambda: len(driver.perturbations) == 2, "two answers")
+        assert [stamp_ns for stamp_ns, _ in driver.perturbations] == [START, START + PERIOD_NS]
+
+    def test_when_one_reading_of_a_sample_is_lost_expect_it_counted_and_the_trial_invalid(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        bring_up(make(), driver)
+        driver.feed_still(20)
+        driver.channels[contract.JOINT_STATES].publish(driver.stamp_ns, POSTURE)
+        driver.tick += 1
+        driver.feed_still(SETTLE + PERTURB)
+
+        eventually(
+            spinner,
+            lambda: any(status.phase is Phase.REST for status in driver.statuses),
+            "the end of the perturbation",
+        )
+
+        rest = driver.statuses[-1]
+        assert (rest.valid, rest.reason) == (False, "1 samples did not arrive")
+        assert len(driver.commands) == driver.tick - 1
+
+    def test_all_trials_are_led_through_to_the_end(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        bring_up(make(), driver)
+
+        driver.feed_still(2 * (SETTLE + PERTURB + REST) + 1)
+        eventually(
+            spinner,
+            lambda: any(status.phase is Phase.DONE for status in driver.statuses),
+            "the end of the experiment",
+        )
+
+        phases = [(status.phase, status.trial) for status in driver.statuses]
+        assert phases == [
+            (phase, trial)
+            for trial in (1, 2)
+            for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
+        ] + [(Phase.DONE, 2)]
+        moved = {
+            joint
+            for _, values in driver.perturbations
+            for joint, value in enumerate(values)
+            if value
+        }
+        assert moved == {0, 1}
+
+
+def encoded(names: Sequence[str], values: Sequence[float], field: ValueField = "position") -> bytes:
+    return JointStateEncoder(names, field).encode(START + 60 * PERIOD_NS, values)
+
+
+MALFORMED = {
+    "truncated": encoded(NAMES, POSTURE)[:-5],
+    "empty": b"",
+    "a joint missing": encoded(("shoulder",), (1.0,)),
+    "unknown joint": encoded(("shoulder", "wrist"), POSTURE),
+    "one joint twice": encoded(("shoulder", "shoulder"), POSTURE),
+    "too many joints": encoded((*NAMES, "wrist"), (*POSTURE, 0.0)),
+    "no values": encoded(NAMES, (0.0, 0.0), "effort"),
+}
+
+
+class TestFaults:
+    def start(self, controller: ImbicControllerNode, driver: Driver, spinner: Spinner) -> None:
+        bring_up(controller, driver)
+        for theta, tau_h in wobble(60):
+            driver.feed(theta, tau_h)
+        eventually(spinner, answered(driver), "an answer to every sample")
+        assert driver.commands[-1] != (0.0, 0.0)
+
+    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+    @pytest.mark.parametrize("message", MALFORMED.values(), ids=MALFORMED.keys())
+    def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
+        self, make: MakeController, driver: Driver, spinner: Spinner, topic: str, message: bytes
+    ) -> None:
+        if message == MALFORMED["no values"] and topic == contract.TORQUE_SENSORS:
+            message = encoded(NAMES, (0.0, 0.0))
+        self.start(make(), driver, spinner)
+
+        driver.channels[topic].publisher.publish(message)
+        eventually(spinner, lambda: driver.aborted and len(driver.commands) > 60, "an abort")
+
+        assert driver.commands[60:] == [(0.0, 0.0)]
+        assert driver.messages[-1].level == bytes([Level.ERROR])
+        assert driver.statuses[-1].reason.startswith("malformed sensor message: JointState")
+        assert "\n" not in driver.statuses[-1].reason
+        driver.feed_still(10)
+        eventually(spinner, answered(driver), "an answer to every sample")
+        assert set(driver.commands[60:]) == {(0.0, 0.0)}
+        assert {values for _, values in driver.perturbations[60:]} == {(0.0, 0.0)}
+
+    @pytest.mark.parametrize("bad", [math.nan, math.inf])
+    def test_when_a_reading_is_not_finite_expect_zero_torque_and_an_abort(
+        self, make: MakeController, driver: Driver, spinner: Spinner, bad: float
+    ) -> None:
+        self.start(make(), driver, spinner)
+
+        driver.feed(POSTURE, (0.0, bad))
+        driver.feed_still(5)
+        eventually(spinner, lambda: driver.aborted and answered(driver)(), "an abort")
+
+        assert driver.commands[60:] == [(0.0, 0.0)] * 6
+        assert driver.statuses[-1].reason == f"torque reading of joint 2 is not finite: {bad}"
+
+    def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        self.start(make(IMPATIENT), driver, spinner)
+
+        last = driver.commands[59]
+        eventually(
+            spinner, lambda: driver.aborted and driver.commands[-1] == (0.0, 0.0), "zero torque"
+        )
+        a_moment(spinner)
+
+        ramp = np.array([last, *driver.commands[60:]])
+        assert (np.diff(np.abs(ramp), axis=0) <= 0.0).all()
+        assert driver.commands[-1] == (0.0, 0.0)
+        assert driver.statuses[-1].reason == "no sensor sample arrived any more"
+
+    def test_when_samples_stay_away_after_an_abort_expect_zero_torque_and_a_node_alive(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        controller = make(IMPATIENT)
+        self.start(controller, driver, spinner)
+
+        driver.feed((math.nan, 0.0))
+        eventually(spinner, lambda: driver.aborted, "an abort")
+        a_moment(spinner)
+
+        assert set(driver.commands[60:]) == {(0.0, 0.0)}
+        assert [status.phase for status in driver.statuses].count(Phase.ABORTED) == 1
+        assert controller.trigger_deactivate() is SUCCESS
+
+    def test_when_samples_stay_away_after_the_last_trial_expect_no_abort(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        controller = make(IMPATIENT)
+        bring_up(controller, driver)
+        driver.feed_still(2 * (SETTLE + PERTURB + REST) + 1)
+        eventually(
+            spinner,
+            lambda: any(status.phase is Phase.DONE for status in driver.statuses),
+            "the end of the experiment",
+        )
+
+        a_moment(spinner)
+
+        assert not driver.aborted
+        assert driver.commands[-1] == (0.0, 0.0)
+        assert controller.trigger_shutdown() is SUCCESS
+        assert not driver.aborted
+
+
+class TestParameters:
+    def test_while_active_changes_are_refused_with_a_reason(
+        self, make: MakeController, driver: Driver
+    ) -> None:
+        controller = make()
+        bring_up(controller, driver)
+        change = Parameter("law.gamma", value=50.0)
+
+        (result,) = controller.set_parameters([change])
+        assert not result.successful
+        assert result.reason == "law.gamma cannot be changed now: a trial is running"
+        assert controller.get_parameter("law.gamma").value == 100.0
+
+        controller.trigger_deactivate()
+        (result,) = controller.set_parameters([change])
+        assert result.successful
+
+    @pytest.mark.parametrize(
+        ("changes", "reason"),
+        [
+            ({"law.model_inertia": [9.0, 0.0, 0.0, 9.0]}, "unstable when sampled"),
+            ({"law.model_inertia": [1.0]}, "parameter 'law.model_inertia' has 1 values, needs 4"),
+            ({"perturbation.peak": [1.0]}, "parameter 'perturbation.peak' has 1 values for 2"),
+            ({"target.damping": [1.0, 2.0, 3.0]}, "target_damping needs 2 finite values"),
+            ({"safety.watchdog_ticks": 101}, "watchdog_ticks must be 1 to 100, got 101"),
+        ],
+        ids=lambda value: None if isinstance(value, dict) else value[:30],
+    )
+    def test_when_values_do_not_fit_together_expect_configure_to_fail_and_the_node_alive(
+        self,
+        make: MakeController,
+        node: Node,
+        spinner: Spinner,
+        capfd: pytest.CaptureFixture[str],
+        changes: dict[str, Value],
+        reason: str,
+    ) -> None:
+        controller = make(changes)
+        manager = LifecycleManager(
+            node,
+            [contract.CONTROLLER_NODE],
+            spin_until=spinner.spin_until,
+            timeout=PATIENCE,
+        )
+
+        with pytest.raises(GraphError, match="imbic_controller failed to configure"):
+            manager.configure(contract.CONTROLLER_NODE)
+
+        assert reason in controller.transition_error
+        log = capfd.readouterr().err
+        assert log.count("\n") == 1
+        assert reason in log
+        assert manager.state(contract.CONTROLLER_NODE) == "unconfigured"
+        good = {parameter.name: parameter for parameter in overrides(PARAMETERS)}
+        controller.set_parameters([good[name] for name in changes])
+        manager.configure(contract.CONTROLLER_NODE)
+        assert controller.transition_error == ""
+
+    @pytest.mark.parametrize(
+        ("argument", "reason"),
+        [
+            ("seed:=-1", "parameter 'seed' = -1: input should be greater than or equal to 0"),
+            ("sead:=1", "parameter 'sead' does not exist; the nearest valid name is 'seed'"),
+            ("seed:=1", "parameter 'joints' is missing"),
+        ],
+    )
+    def test_when_started_with_a_wrong_value_expect_status_2_and_one_line(
+        self, domain_id: int, capfd: pytest.CaptureFixture[str], argument: str, reason: str
+    ) -> None:
+        status = run_node(ImbicControllerNode, ["imbic_controller", "--ros-args", "-p", argument])
+
+        assert status == 2
+        assert capfd.readouterr().err == f"imbic_controller: {reason}\n"
+
+
+class TestLife:
+    def test_life_can_be_gone_through_again_and_starts_anew_each_time(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        controller = make()
+        samples = wobble(30)
+        expected = expected_answers(samples)[0]
+        for _ in range(2):
+            assert controller.trigger_configure() is SUCCESS
+            for _ in range(2):
+                assert controller.trigger_activate() is SUCCESS, controller.transition_error
+                driver.wait_for_controller()
+                driver.tick = 0
+                driver.commands.clear()
+                driver.messages.clear()
+                for theta, tau_h in samples:
+                    driver.feed(theta, tau_h)
+                eventually(spinner, lambda: len(driver.commands) >= 30, "an answer to every sample")
+                assert driver.commands == expected
+                assert controller.trigger_deactivate() is SUCCESS
+                eventually(
+                    spinner,
+                    lambda: driver.aborted and driver.commands[-1] == (0.0, 0.0),
+                    "zero torque at the end",
+                )
+                assert driver.statuses[-1].reason == "the controller was deactivated"
+            assert controller.trigger_cleanup() is SUCCESS
+        assert controller.trigger_shutdown() is SUCCESS
+
+    def test_when_shut_down_during_a_trial_expect_zero_torque_and_an_abort(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        controller = make()
+        bring_up(controller, driver)
+        for theta, tau_h in wobble(60):
+            driver.feed(theta, tau_h)
+        eventually(spinner, answered(driver), "an answer to every sample")
+
+        assert controller.trigger_shutdown() is SUCCESS
+
+        eventually(spinner, lambda: driver.aborted and len(driver.commands) == 61, "an abort")
+        assert driver.commands[-1] == (0.0, 0.0)
+
+    def test_inactive_node_answers_nothing(
+        self, make: MakeController, driver: Driver, spinner: Spinner
+    ) -> None:
+        controller = make()
+        controller.trigger_configure()
+        driver.wait_for_controller()
+
+        driver.feed_still(10)
+        driver.channels[contract.JOINT_STATES].publisher.publish(b"rubbish")
+        a_moment(spinner)
+
+        assert (driver.commands, driver.perturbations, driver.messages) == ([], [], [])
+
+    def test_when_there_is_no_rig_expect_activation_to_fail_with_the_topics_named(
+        self, make: MakeController, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("armimp_control.node._MATCH_TIMEOUT", 0.05)
+        controller = make()
+        controller.trigger_configure()
+
+        assert controller.trigger_activate() is FAILURE
+
+        assert controller.transition_error == (
+            "nobody at the other end of /effort_controller/commands, /joint_states, /torque_sensors"
+        )
+
+    def test_node_in_a_namespace_keeps_to_it(
+        self, make: MakeController, context: Context, spinner: Spinner, driver: Driver
+    ) -> None:
+        left = Node("driver", context=context, namespace="/left")
+        spinner.add_node(left)
+        left_driver = Driver(left)
+        bring_up(make(cli_args=["--ros-args", "-r", "__ns:=/left"]), left_driver)
+
+        left_driver.feed_still(5)
+        eventually(spinner, answered(left_driver), "an answer to every sample")
+
+        assert left_driver.trial.topic_name == "/left/imbic_controller/trial"
+        assert len(left_driver.statuses) == 1
+        assert driver.commands == []
+        spinner.remove_node(left)
+        left.destroy_node()

@@ -1,0 +1,327 @@
+"""The controller without ROS: phases, perturbation, faults, the account of the samples."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import ConfigurationError
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_control.experiment import Experiment
+from armimp_control.imbic import ImbicController
+from armimp_control.parameters import (
+    ControllerParameters,
+    LawParameters,
+    SafetyParameters,
+    SequenceParameters,
+)
+from armimp_control.perturbation import perturbation
+
+POSTURE = np.radians([62.708, 77.260])
+SETTLE, PERTURB, REST = 50, 200, 60
+TRIAL = SETTLE + PERTURB + REST
+START = 7_000_000_000
+STILL = (0.0, 0.0)
+
+
+def parameters(*, seed: int = 1, torque_limit: float = 80.0) -> ControllerParameters:
+    preset = ControllerParameters.preset(
+        joints=("shoulder", "elbow"),
+        posture=POSTURE,
+        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
+        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+        seed=seed,
+    )
+    return preset.model_copy(
+        update={
+            "sequence": SequenceParameters(
+                duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
+            ),
+            "safety": SafetyParameters(torque_limit=torque_limit),
+        }
+    )
+
+
+@dataclass
+class Bench:
+    """An experiment that is fed, with a diary of what it says and answers."""
+
+    parameters: ControllerParameters = field(default_factory=parameters)
+    stamp_ns: int = START
+    statuses: list[TrialStatus] = field(default_factory=list)
+    commands: list[NDArray[np.float64]] = field(default_factory=list)
+    perturbations: list[NDArray[np.float64]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.experiment = Experiment(self.parameters, self.statuses.append)
+
+    def answer(
+        self, theta: Sequence[float] | NDArray[np.float64], tau_h: Sequence[float] = STILL
+    ) -> None:
+        self.experiment.answer(self.stamp_ns, tuple(theta), tau_h)
+        self.commands.append(self.experiment.command.copy())
+        self.perturbations.append(self.experiment.tau_delta.copy())
+        self.stamp_ns += PERIOD_NS
+
+    def run(self, ticks: int) -> None:
+        for _ in range(ticks):
+            self.answer(POSTURE)
+
+    def wobble(
+        self, ticks: int, seed: int = 0
+    ) -> list[tuple[NDArray[np.float64], tuple[float, ...]]]:
+        """Feed a random movement, and return it."""
+        rng = np.random.default_rng(seed)
+        samples = []
+        for theta in POSTURE + np.cumsum(rng.normal(scale=1e-6, size=(ticks, 2)), axis=0):
+            tau_h = tuple(rng.normal(scale=0.1, size=2).tolist())
+            self.answer(theta, tau_h)
+            samples.append((theta, tau_h))
+        return samples
+
+    @property
+    def phases(self) -> list[tuple[Phase, int, int]]:
+        return [(status.phase, status.trial, status.tick) for status in self.statuses]
+
+
+def test_phases_are_announced_at_their_first_tick() -> None:
+    bench = Bench()
+
+    bench.run(2 * TRIAL + 10)
+
+    assert bench.phases == [
+        (Phase.SETTLE, 1, 0),
+        (Phase.PERTURB, 1, SETTLE),
+        (Phase.REST, 1, SETTLE + PERTURB),
+        (Phase.SETTLE, 2, TRIAL),
+        (Phase.PERTURB, 2, TRIAL + SETTLE),
+        (Phase.REST, 2, TRIAL + SETTLE + PERTURB),
+        (Phase.DONE, 2, 2 * TRIAL),
+    ]
+    first, second = (START + tick * PERIOD_NS for tick in (SETTLE, TRIAL + SETTLE))
+    assert [status.start_ns for status in bench.statuses] == [None, *[first] * 2, None] + (
+        [second] * 3
+    )
+    for status in bench.statuses:
+        assert status.valid
+        assert (status.trials, status.ticks, status.seed) == (2, PERTURB, 1)
+        assert (status.joint, status.joint_name) == (
+            status.trial - 1,
+            ("shoulder", "elbow")[status.trial - 1],
+        )
+    assert bench.experiment.finished
+
+
+def test_status_is_announced_before_the_command_which_it_concerns() -> None:
+    seen: list[tuple[Phase, bool]] = []
+    experiment = Experiment(
+        parameters(),
+        lambda status: seen.append((status.phase, bool(experiment.tau_delta.any()))),
+    )
+
+    for tick in range(SETTLE + 1):
+        experiment.answer(tick * PERIOD_NS, tuple(POSTURE), STILL)
+
+    assert seen == [(Phase.SETTLE, False), (Phase.PERTURB, False)]
+    assert experiment.tau_delta.any()
+
+
+def test_perturbation_is_that_of_the_seed_on_one_joint_and_only_while_perturbing() -> None:
+    bench = Bench()
+
+    bench.run(2 * TRIAL + 10)
+
+    expected = np.zeros((2 * TRIAL + 10, 2))
+    for joint in (0, 1):
+        first = joint * TRIAL + SETTLE
+        expected[first : first + PERTURB, joint] = perturbation(
+            bench.parameters.perturbation_config(),
+            joint=joint,
+            trial=joint + 1,
+            ticks=PERTURB,
+            seed=1,
+        )
+    np.testing.assert_array_equal(bench.perturbations, expected)
+
+
+def test_commands_are_those_of_the_law_with_the_role_of_each_trial() -> None:
+    bench = Bench()
+
+    samples = bench.wobble(TRIAL + 40)
+
+    law = ImbicController(bench.parameters.imbic_config(), torque_limit=80.0)
+    expected = []
+    for tick, (theta, tau_h) in enumerate(samples):
+        law.perturb_joint(tick // TRIAL)
+        law.tick(theta, np.array(tau_h), bench.perturbations[tick])
+        expected.append(law.command.copy())
+    np.testing.assert_array_equal(bench.commands, expected)
+    assert np.abs(expected).max() > 0.1
+
+
+def test_when_all_trials_are_over_expect_zero_torque_and_silence() -> None:
+    bench = Bench()
+    bench.run(2 * TRIAL + 1)
+    said = len(bench.statuses)
+
+    bench.wobble(20)
+
+    assert not np.any(bench.commands[-20:])
+    assert not np.any(bench.perturbations[-20:])
+    assert len(bench.statuses) == said
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("what", ["position", "torque reading"])
+def test_when_a_reading_is_not_finite_expect_zero_torque_the_same_tick_and_ever_after(
+    what: str, joint: int, value: float
+) -> None:
+    bench = Bench()
+    bench.wobble(SETTLE + 20)
+    assert bench.commands[-1].any()
+    assert bench.perturbations[-1].any()
+    theta, tau_h = list(POSTURE), list(STILL)
+    (theta if what == "position" else tau_h)[joint] = value
+
+    bench.answer(theta, tau_h)
+    bench.wobble(TRIAL)
+
+    assert not np.any(bench.commands[SETTLE + 20 :])
+    assert not np.any(bench.perturbations[SETTLE + 20 :])
+    *_, last = bench.statuses
+    assert (last.phase, last.valid, last.tick) == (Phase.ABORTED, False, SETTLE + 20)
+    assert last.reason == f"{what} of joint {joint + 1} is not finite: {value}"
+    assert [phase for phase, _, _ in bench.phases].count(Phase.ABORTED) == 1
+    assert bench.experiment.finished
+
+
+def test_when_the_first_reading_is_not_finite_expect_an_abort_of_the_first_trial() -> None:
+    bench = Bench()
+
+    bench.answer((math.nan, 0.0))
+
+    assert bench.phases == [(Phase.ABORTED, 1, 0)]
+    assert not bench.commands[0].any()
+
+
+def test_when_the_law_overflows_expect_zero_torque_and_an_abort() -> None:
+    bench = Bench()
+    bench.run(5)
+
+    bench.answer(POSTURE, (1e308, 0.0))
+
+    assert not bench.commands[-1].any()
+    assert bench.statuses[-1].phase is Phase.ABORTED
+    assert "not finite" in bench.statuses[-1].reason
+
+
+@pytest.mark.parametrize("step", [0, -PERIOD_NS, -START])
+def test_when_stamps_do_not_move_forward_expect_an_abort(step: int) -> None:
+    bench = Bench()
+    bench.wobble(10)
+    bench.stamp_ns += step - PERIOD_NS
+
+    bench.answer(POSTURE)
+
+    assert not bench.commands[-1].any()
+    status = bench.statuses[-1]
+    assert status.phase is Phase.ABORTED
+    assert status.reason == (
+        f"stamp {START + 9 * PERIOD_NS + step} ns follows {START + 9 * PERIOD_NS} ns: "
+        "samples must move forward"
+    )
+
+
+@pytest.mark.parametrize("gap_at", [SETTLE, SETTLE + 1, SETTLE + PERTURB - 1])
+def test_when_samples_are_missing_expect_them_counted_and_only_that_trial_invalid(
+    gap_at: int,
+) -> None:
+    bench = Bench()
+    bench.run(gap_at)
+    bench.stamp_ns += 3 * PERIOD_NS
+    bench.run(1)
+    bench.stamp_ns += 2 * PERIOD_NS
+    bench.run(TRIAL - gap_at - 1)
+
+    assert bench.experiment.lost == 5
+    rest = bench.statuses[-1]
+    assert (rest.phase, rest.valid) == (Phase.REST, False)
+    assert rest.reason == "5 samples did not arrive"
+
+    bench.run(TRIAL + 1)
+    assert [status.valid for status in bench.statuses[-4:]] == [True] * 4
+    assert bench.statuses[-1].phase is Phase.DONE
+
+
+def test_jitter_below_half_a_period_is_no_gap() -> None:
+    bench = Bench()
+    rng = np.random.default_rng(3)
+    for tick in range(TRIAL):
+        bench.stamp_ns = START + tick * PERIOD_NS + int(rng.integers(-240_000, 240_000))
+        bench.answer(POSTURE)
+
+    assert bench.experiment.lost == 0
+    assert all(status.valid for status in bench.statuses)
+
+
+def test_runs_with_one_seed_are_equal_and_with_another_differ() -> None:
+    first, again = Bench(), Bench()
+    other = Bench(parameters=parameters(seed=2))
+    for bench in (first, again, other):
+        bench.wobble(2 * TRIAL)
+
+    np.testing.assert_array_equal(first.commands, again.commands)
+    np.testing.assert_array_equal(first.perturbations, again.perturbations)
+    assert first.statuses == again.statuses
+    perturbing = slice(SETTLE, SETTLE + PERTURB)
+    assert not np.array_equal(first.perturbations[perturbing], other.perturbations[perturbing])
+    assert other.statuses[0].seed == 2
+
+
+def test_trials_of_one_experiment_are_perturbed_differently() -> None:
+    bench = Bench()
+
+    bench.run(2 * TRIAL)
+
+    first = np.array(bench.perturbations)[SETTLE : SETTLE + PERTURB, 0]
+    second = np.array(bench.perturbations)[TRIAL + SETTLE : TRIAL + SETTLE + PERTURB, 1]
+    peaks = bench.parameters.perturbation.peak
+    assert (np.abs(first).max(), np.abs(second).max()) == peaks
+    assert not np.allclose(first / peaks[0], second / peaks[1], atol=0.1)
+
+
+def test_first_reason_of_an_abort_stays() -> None:
+    bench = Bench()
+    bench.wobble(5)
+
+    bench.experiment.abort("one thing")
+    bench.experiment.abort("another thing")
+
+    assert not bench.experiment.command.any()
+    assert [status.reason for status in bench.statuses] == ["", "one thing"]
+
+
+def test_saturated_commands_are_counted_for_each_trial() -> None:
+    bench = Bench(parameters=parameters(torque_limit=1e-3))
+
+    bench.wobble(TRIAL)
+
+    clipped = int((np.abs(bench.commands) == 1e-3).sum())
+    assert bench.experiment.clipped == clipped > TRIAL
+    assert np.abs(bench.commands).max() <= 1e-3
+    bench.run(1)
+    assert bench.experiment.clipped <= 2
+
+
+def test_when_the_loop_would_be_unstable_expect_a_refusal() -> None:
+    wild = parameters().model_copy(
+        update={"law": LawParameters(model_inertia=(9.0, 0.0, 0.0, 9.0))}
+    )
+
+    with pytest.raises(ConfigurationError, match="unstable when sampled"):
+        Experiment(wild, lambda _: None)

@@ -1,0 +1,60 @@
+"""Controller settings that make no sense are refused in one line with the offending value."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armimp_common.errors import ConfigurationError
+from armimp_control.imbic import ImbicConfig
+
+
+def _config() -> ImbicConfig:
+    return ImbicConfig(
+        target_posture=np.zeros(2),
+        target_inertia=np.array([0.2, 0.1]),
+        target_damping=np.array([2.0, 1.0]),
+        target_stiffness=np.array([10.0, 10.0]),
+        model_inertia=0.1 * np.eye(2),
+    )
+
+
+def test_defaults_are_those_of_the_design() -> None:
+    config = _config()
+    assert (config.lock_frequency, config.lock_damping_ratio) == (100.0, 1.0)
+    assert (config.gamma, config.period) == (100.0, 1e-3)
+
+
+@pytest.mark.parametrize("name", ["target_inertia", "target_damping", "target_stiffness"])
+@pytest.mark.parametrize("values", [[1.0], [1.0, 2.0, 3.0], [1.0, np.nan], [np.inf, 1.0]])
+def test_vector_of_wrong_length_or_not_finite_is_refused(name: str, values: list[float]) -> None:
+    with pytest.raises(ConfigurationError, match=f"{name} needs 2 finite values: ") as caught:
+        replace(_config(), **{name: np.array(values)})
+    assert str(values).replace("np.", "") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "matrix", [np.eye(3), np.ones((2, 3)), np.array([[np.nan, 0.0], [0.0, 1.0]])]
+)
+def test_model_of_wrong_shape_or_not_finite_is_refused(matrix: Any) -> None:
+    with pytest.raises(ConfigurationError, match="model_inertia needs 2×2 finite") as caught:
+        replace(_config(), model_inertia=matrix)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [0.0, -0.25])
+def test_target_without_inertia_is_refused(value: float) -> None:
+    with pytest.raises(ConfigurationError, match=f"target_inertia of joint 2 .* got {value}"):
+        replace(_config(), target_inertia=np.array([0.2, value]))
+
+
+@pytest.mark.parametrize("name", ["lock_frequency", "lock_damping_ratio", "gamma", "period"])
+@pytest.mark.parametrize("value", [0.0, -1.5, float("nan"), float("inf")])
+def test_scalar_that_is_not_positive_is_refused(name: str, value: float) -> None:
+    changes: dict[str, Any] = {name: value}
+    with pytest.raises(ConfigurationError, match=f"{name} must be positive, got {value}"):
+        replace(_config(), **changes)

@@ -1,0 +1,244 @@
+"""The law against a plain transcription of its equations, and its behaviour at the edges."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from armimp_control.imbic import ImbicConfig, ImbicController
+from armimp_control.safety import REFUSED
+
+Array = NDArray[np.float64]
+PERIOD, GAMMA = 1e-3, 70.0
+
+
+def _config(n: int = 2) -> ImbicConfig:
+    random = np.random.default_rng(n)
+    return ImbicConfig(
+        target_posture=random.uniform(-1.0, 1.0, n),
+        target_inertia=random.uniform(0.1, 0.3, n),
+        target_damping=random.uniform(1.0, 3.0, n),
+        target_stiffness=random.uniform(5.0, 15.0, n),
+        model_inertia=0.1 * np.eye(n) + random.uniform(-0.03, 0.03, (n, n)),
+        lock_frequency=90.0,
+        lock_damping_ratio=0.8,
+        gamma=GAMMA,
+        period=PERIOD,
+    )
+
+
+@dataclass
+class Transcription:
+    """Equations 4 to 8 as they stand in the design, with whole histories instead of a memory."""
+
+    config: ImbicConfig
+    limit: float
+    positions: list[Array] = field(default_factory=list)
+    accelerations: list[Array] = field(default_factory=list)
+    sent: list[Array] = field(default_factory=list)
+
+    def tick(self, theta: Array, tau_h: Array, tau_delta: Array, perturbed: int) -> Array:
+        c, n = self.config, theta.size
+        if not self.positions:
+            self.positions = [theta.copy(), theta.copy()]
+            self.sent = [np.zeros(n)]
+        self.positions.append(theta.copy())
+        now, last, before = self.positions[-1], self.positions[-2], self.positions[-3]
+        velocity = (now - last) / PERIOD
+        delayed_acceleration = (now - 2.0 * last + before) / PERIOD**2
+        u = np.zeros(n)
+        for i in range(n):
+            inertia = c.target_inertia[i]
+            if i == perturbed:
+                damping, stiffness, felt = c.target_damping[i], c.target_stiffness[i], tau_h[i]
+            else:
+                damping, stiffness, felt = 2 * 0.8 * 90.0 * inertia, 90.0**2 * inertia, 0.0
+            deflection = theta[i] - c.target_posture[i]
+            u[i] = (tau_delta[i] - felt - damping * velocity[i] - stiffness * deflection) / inertia
+        self.accelerations.append(u)
+        ideal_velocity = PERIOD * np.sum(self.accelerations, axis=0)
+        change = c.model_inertia @ (u + GAMMA * (ideal_velocity - velocity) - delayed_acceleration)
+        self.sent.append(np.clip(self.sent[-1] + change, -self.limit, self.limit))
+        return self.sent[-1]
+
+
+@pytest.mark.parametrize("limit", [1e9, 6.0])
+@pytest.mark.parametrize("n", [1, 2, 3, 7])
+def test_law_is_that_of_the_design(n: int, limit: float) -> None:
+    config = _config(n)
+    controller, expected = ImbicController(config, torque_limit=limit), Transcription(config, limit)
+    random = np.random.default_rng(10 + n)
+    theta = config.target_posture + random.uniform(-0.01, 0.01, n)
+    saturated = 0
+    for tick in range(200):
+        perturbed = (tick // 60) % n  # roles change hands now and then
+        controller.perturb_joint(perturbed)
+        theta = theta + 1e-5 * random.normal(size=n)
+        tau_h = random.uniform(-3.0, 3.0, n)
+        tau_delta = np.where(np.arange(n) == perturbed, random.uniform(-9.0, 9.0), 0.0)
+        clipped = controller.tick(theta, tau_h, tau_delta)
+        command = expected.tick(theta, tau_h, tau_delta, perturbed)
+        assert controller.command == pytest.approx(command, rel=1e-9, abs=1e-9)
+        assert clipped == np.count_nonzero(np.abs(command) == limit)
+        saturated += clipped
+    # Unlimited it never clips; limited it does, but leaves the limit again.
+    assert (saturated == 0) if limit > 100.0 else (20 < saturated < 200 * n - 20)
+
+
+def test_inputs_are_not_changed() -> None:
+    config = _config()
+    controller = ImbicController(config, torque_limit=1.0)
+    inputs = [config.target_posture + 0.1, np.array([9.0, -8.0]), np.array([90.0, 0.0])]
+    before = [values.copy() for values in inputs]
+    target, model = config.target_posture.copy(), config.model_inertia.copy()
+    controller.tick(*inputs)
+    assert all(np.array_equal(a, b) for a, b in zip(inputs, before, strict=True))
+    assert np.array_equal(config.target_posture, target)
+    assert np.array_equal(config.model_inertia, model)
+
+
+def test_at_rest_in_the_target_posture_the_first_commands_are_zero() -> None:
+    config = _config()
+    controller = ImbicController(config, torque_limit=80.0)
+    for _ in range(10):
+        controller.tick(config.target_posture, np.zeros(2), np.zeros(2))
+        assert np.array_equal(controller.command, np.zeros(2))
+
+
+def test_first_tick_away_from_the_target_takes_the_position_for_rest() -> None:
+    config = _config()
+    controller = ImbicController(config, torque_limit=1e9)
+    deflection = np.array([0.02, -0.01])
+    controller.tick(config.target_posture + deflection, np.zeros(2), np.zeros(2))
+    role = config.role(0)
+    u = -role[3] * deflection / role[1]
+    # No velocity and no acceleration: a kick from a jump 0 → θ would be 1e4 times larger.
+    assert controller.command == pytest.approx(
+        config.model_inertia @ (u * (1.0 + GAMMA * PERIOD)), rel=1e-9
+    )
+
+
+def test_after_reset_the_law_starts_from_rest_again() -> None:
+    config = _config()
+    used, fresh = (ImbicController(config, torque_limit=80.0) for _ in range(2))
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        used.tick(config.target_posture + 1e-3 * random.normal(size=2), np.ones(2), np.zeros(2))
+    used.reset()
+    for _ in range(5):
+        sample = config.target_posture + 1e-4 * random.normal(size=2)
+        used.tick(sample, np.ones(2), np.array([2.0, 0.0]))
+        fresh.tick(sample, np.ones(2), np.array([2.0, 0.0]))
+        assert np.array_equal(used.command, fresh.command)
+
+
+def test_delayed_torque_is_the_one_sent_so_saturation_does_not_wind_up() -> None:
+    config = _config(1)
+    controller = ImbicController(config, torque_limit=1.0)
+    posture = config.target_posture
+    # Push far into the limit, in a way that leaves no ideal velocity behind.
+    for push in (500.0, 500.0, -500.0, -500.0):
+        controller.tick(posture, np.zeros(1), np.array([push]))
+    assert controller.command[0] == -1.0
+    controller.tick(posture, np.zeros(1), np.array([0.5]))
+    # From the limit itself the next small change counts at once.
+    u = 0.5 / config.target_inertia[0]
+    change = config.model_inertia[0, 0] * u * (1.0 + GAMMA * PERIOD)
+    assert controller.command[0] == pytest.approx(-1.0 + change, rel=1e-9)
+
+
+@pytest.mark.parametrize("perturbed", [0, 1, 2])
+def test_locked_joints_ignore_the_torque_transducers(perturbed: int) -> None:
+    config = _config(3)
+    deaf, hearing = (ImbicController(config, torque_limit=1e9) for _ in range(2))
+    deaf.perturb_joint(perturbed)
+    hearing.perturb_joint(perturbed)
+    random = np.random.default_rng(4)
+    only_perturbed = np.where(np.arange(3) == perturbed, 1.0, 0.0)
+    for _ in range(20):
+        theta = config.target_posture + 1e-4 * random.normal(size=3)
+        tau_h = random.uniform(-5.0, 5.0, 3)
+        deaf.tick(theta, tau_h * only_perturbed, np.zeros(3))
+        hearing.tick(theta, tau_h, np.zeros(3))
+        assert np.array_equal(deaf.command, hearing.command)
+    hearing.tick(theta, tau_h + only_perturbed, np.zeros(3))
+    deaf.tick(theta, tau_h, np.zeros(3))
+    assert not np.array_equal(deaf.command, hearing.command)
+
+
+def test_roles_hold_the_soft_target_for_one_joint_and_the_stiff_one_for_the_others() -> None:
+    config = _config(3)
+    rows = config.role(1)
+    inertia = config.target_inertia
+    assert np.array_equal(rows[0], [0.0, 1.0, 0.0])
+    assert np.array_equal(rows[1], inertia)
+    assert rows[2] == pytest.approx(
+        [2 * 0.8 * 90 * inertia[0], config.target_damping[1], 2 * 0.8 * 90 * inertia[2]]
+    )
+    assert rows[3] == pytest.approx(
+        [90.0**2 * inertia[0], config.target_stiffness[1], 90.0**2 * inertia[2]]
+    )
+
+
+def test_changing_roles_at_rest_in_the_target_does_not_move_the_command() -> None:
+    config = _config()
+    controller = ImbicController(config, torque_limit=80.0)
+    controller.tick(config.target_posture, np.zeros(2), np.array([3.0, 0.0]))
+    controller.tick(config.target_posture, np.zeros(2), np.array([-3.0, 0.0]))
+    held = controller.command.copy()
+    assert np.max(np.abs(held)) > 0.0
+    controller.perturb_joint(1)
+    controller.tick(config.target_posture, np.zeros(2), np.zeros(2))
+    assert controller.command == pytest.approx(held, abs=1e-12)
+
+
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
+SENSIBLE = st.floats(-2.0, 2.0)
+
+
+@given(
+    st.lists(st.lists(SENSIBLE | NUMBERS, min_size=6, max_size=6), min_size=1, max_size=5),
+    st.floats(1e-3, 1e6),
+)
+def test_whatever_the_inputs_the_command_is_finite_and_within_the_limit(
+    samples: list[list[float]], limit: float
+) -> None:
+    controller = ImbicController(_config(), torque_limit=limit)
+    for sample in samples:
+        theta, tau_h, tau_delta = np.array(sample).reshape(3, 2)
+        clipped = controller.tick(theta, tau_h, tau_delta)
+        assert np.all(np.abs(controller.command) <= limit)
+        assert np.all(np.isfinite(controller.memory))
+        if not np.all(np.isfinite(sample)):
+            assert clipped == REFUSED
+        if clipped == REFUSED:
+            assert np.array_equal(controller.command, np.zeros(2))
+            assert np.array_equal(controller.memory, np.zeros_like(controller.memory))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", range(6))
+def test_one_bad_number_anywhere_gives_zero_torque_on_all_joints(place: int, bad: float) -> None:
+    config = _config()
+    controller = ImbicController(config, torque_limit=80.0)
+    controller.tick(config.target_posture, np.zeros(2), np.array([5.0, 0.0]))
+    assert np.max(np.abs(controller.command)) > 0.1
+    sample = np.concatenate([config.target_posture, np.ones(4)])
+    sample[place] = bad
+    assert controller.tick(sample[:2], sample[2:4], sample[4:]) == REFUSED
+    assert np.array_equal(controller.command, np.zeros(2))
+
+
+@pytest.mark.parametrize("shape", [(1,), (3,), (1, 2)])
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_inputs_of_another_shape_are_refused(which: int, shape: tuple[int, ...]) -> None:
+    controller = ImbicController(_config(), torque_limit=80.0)
+    inputs = [np.zeros(2), np.zeros(2), np.zeros(2)]
+    inputs[which] = np.zeros(shape)
+    with pytest.raises(ValueError, match=r"must all be \(2,\)"):
+        controller.tick(*inputs)

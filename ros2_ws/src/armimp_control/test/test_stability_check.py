@@ -1,0 +1,166 @@
+"""The check of sampled stability, against the loop itself on a rig of pure inertia."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_control import presets
+from armimp_control.imbic import ImbicConfig, ImbicController
+from armimp_control.stability import check_stability, spectral_radius
+
+Array = NDArray[np.float64]
+ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
+ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
+POSTURE = np.array([1.0945, 1.3484])
+
+
+def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
+    """Defaults of the study with factors on M̄ and on the whole target impedance."""
+    config = presets.imbic(ROBOT, POSTURE)
+    return replace(
+        config,
+        model_inertia=model * config.model_inertia,
+        target_inertia=target * config.target_inertia,
+        target_damping=target * config.target_damping,
+        target_stiffness=target * config.target_stiffness,
+    )
+
+
+def _growth(config: ImbicConfig, perturbed: int) -> float:
+    """Factor per tick by which a small push grows on a rig of pure inertia, measured."""
+    controller = ImbicController(config, torque_limit=1e300)
+    controller.perturb_joint(perturbed)
+    inverse, period = np.linalg.inv(ROBOT + ARM), config.period
+    theta, velocity, acceleration = POSTURE.copy(), np.zeros(2), np.zeros(2)
+    push = np.array([1.0, 1.0])
+    sizes = []
+    for _ in range(600):
+        controller.tick(theta, ARM @ acceleration, np.zeros(2))
+        acceleration = inverse @ (controller.command + push)
+        theta = theta + period * velocity + 0.5 * period**2 * acceleration
+        velocity = velocity + period * acceleration
+        push = np.zeros(2)
+        sizes.append(np.linalg.norm(acceleration))
+    # Swinging modes make single sizes erratic, so compare the largest of two stretches.
+    return float((max(sizes[500:]) / max(sizes[300:400])) ** (1.0 / 200.0))
+
+
+def test_defaults_are_accepted_without_a_warning() -> None:
+    margins = check_stability(_config(), robot_inertia=ROBOT, arm_inertia=ARM)
+    largest = np.max(np.abs(np.linalg.eigvals(np.linalg.inv(ROBOT + ARM) @ (0.6 * ROBOT))))
+    assert margins.time_delay_estimation == pytest.approx(largest)
+    assert margins.force_feedback == pytest.approx(
+        [
+            0.6 * 0.3543 * 0.187 / (0.2 * (0.3543 + 0.187)),
+            0.6 * 0.1800 * 0.060 / (0.1 * (0.1800 + 0.060)),
+        ]
+    )
+    assert max(margins.spectral_radius) < 1.0
+    assert margins.warnings == ()
+
+
+def test_too_large_a_model_is_refused_with_the_value() -> None:
+    largest = 5.0 * np.max(np.abs(np.linalg.eigvals(np.linalg.inv(ROBOT + ARM) @ (0.6 * ROBOT))))
+    message = rf"λmax\(\(M_r \+ M_h\)⁻¹ M̄\) = {largest:.3g}, must be below 2"
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        check_stability(_config(model=5.0), robot_inertia=ROBOT, arm_inertia=ARM)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_too_light_a_target_is_refused_with_the_joint_and_the_value(joint: int) -> None:
+    config = _config()
+    inertia = config.target_inertia.copy()
+    inertia[joint] = (
+        0.5 * 0.6 * ROBOT[joint, joint] * ARM[joint, joint] / (ROBOT + ARM)[joint, joint]
+    )
+    with pytest.raises(ConfigurationError, match=rf"of joint {joint + 1} = 2, must be below 2"):
+        check_stability(
+            replace(config, target_inertia=inertia * 0.9999), robot_inertia=ROBOT, arm_inertia=ARM
+        )
+
+
+@pytest.mark.parametrize(("model", "target"), [(3.9, 1.0), (3.5, 1.0), (3.0, 0.5)])
+def test_loop_that_diverges_within_the_simple_limits_is_refused_too(
+    model: float, target: float
+) -> None:
+    """Γ and stiff locks cost stability that the two simple conditions do not see."""
+    config = _config(model=model, target=target)
+    assert max(_growth(config, k) for k in range(2)) > 1.001
+    with pytest.raises(ConfigurationError, match=r"grows by a factor of 1\.\d+ per tick"):
+        check_stability(config, robot_inertia=ROBOT, arm_inertia=ARM)
+
+
+@pytest.mark.parametrize("perturbed", [0, 1])
+@pytest.mark.parametrize("model", [3.5, 4.0, 6.0])
+def test_spectral_radius_is_the_growth_of_the_loop(model: float, perturbed: int) -> None:
+    config = _config(model=model)
+    radius = spectral_radius(config, perturbed=perturbed, robot_inertia=ROBOT, arm_inertia=ARM)
+    if radius > 1.001:
+        assert _growth(config, perturbed) == pytest.approx(radius, rel=2e-3)
+    else:
+        assert _growth(config, perturbed) < 1.001
+    assert spectral_radius(
+        _config(), perturbed=perturbed, robot_inertia=ROBOT, arm_inertia=ARM, gain=model
+    ) == pytest.approx(radius, rel=1e-9)
+
+
+@pytest.mark.parametrize(("model", "target"), [(1.0, 1.0), (2.0, 1.0), (3.0, 1.0), (1.0, 0.3)])
+def test_accepted_loop_returns_to_rest(model: float, target: float) -> None:
+    config = _config(model=model, target=target)
+    check_stability(config, robot_inertia=ROBOT, arm_inertia=ARM)
+    assert max(_growth(config, k) for k in range(2)) < 1.0
+
+
+def test_refusal_begins_where_the_loop_begins_to_diverge() -> None:
+    accepted = []
+    for model in np.arange(2.5, 4.5, 0.05):
+        config = _config(model=float(model))
+        try:
+            check_stability(config, robot_inertia=ROBOT, arm_inertia=ARM)
+        except ConfigurationError:
+            break
+        accepted.append(float(model))
+    assert 3.0 < accepted[-1] < 3.5
+    assert max(_growth(_config(model=accepted[-1]), k) for k in range(2)) < 1.0
+    assert max(_growth(_config(model=accepted[-1] + 0.1), k) for k in range(2)) > 1.001
+
+
+def test_value_near_the_edge_gives_a_warning() -> None:
+    by_gain = check_stability(_config(model=2.8), robot_inertia=ROBOT, arm_inertia=ARM)
+    assert len(by_gain.warnings) > 0
+    assert all("M̄ larger by 25%" in warning for warning in by_gain.warnings)
+    by_force = check_stability(_config(target=0.2), robot_inertia=ROBOT, arm_inertia=ARM)
+    assert any("of joint 1 = 1.84 is close" in warning for warning in by_force.warnings)
+
+
+def test_target_without_stiffness_and_damping_is_no_reason_to_refuse() -> None:
+    config = replace(_config(), target_damping=np.zeros(2), target_stiffness=np.zeros(2))
+    margins = check_stability(config, robot_inertia=ROBOT, arm_inertia=ARM)
+    assert margins.spectral_radius == pytest.approx([1.0, 1.0], abs=1e-6)
+
+
+def test_model_that_pushes_the_wrong_way_is_refused() -> None:
+    config = replace(_config(), model_inertia=np.diag([0.2, -0.1]))
+    with pytest.raises(ConfigurationError, match=r"positive real parts, got -0\.\d+"):
+        check_stability(config, robot_inertia=ROBOT, arm_inertia=ARM)
+
+
+@pytest.mark.parametrize(
+    ("robot", "message"),
+    [
+        (np.eye(3), "M_r needs 2×2"),
+        (np.array([[np.nan, 0.0], [0.0, 0.1]]), "M_r needs 2×2"),
+        (-ARM, "smallest eigenvalue is "),
+        (np.array([[0.1, 0.5], [0.5, 0.1]]), "smallest eigenvalue is -"),
+    ],
+)
+def test_inertia_that_makes_no_sense_is_refused(robot: Array, message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message) as caught:
+        check_stability(_config(), robot_inertia=robot, arm_inertia=ARM)
+    assert "\n" not in str(caught.value)

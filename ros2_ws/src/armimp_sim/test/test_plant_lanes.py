@@ -1,0 +1,101 @@
+"""Trials side by side: each gives the bits that it gives alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_sim.arm import HumanArm
+from armimp_sim.friction import LuGre
+from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.robot import PlanarChain
+from armimp_sim.sensors import Sampling, Sensors
+
+Array = NDArray[np.float64]
+TICKS = 40
+
+
+def _config(n: int, lane: int) -> PlantConfig:
+    """Another arm, robot, friction and resolution in every lane."""
+    random = np.random.default_rng([n, lane])
+    masses, centres = random.uniform(0.3, 1.0, n), random.uniform(0.05, 0.2, n)
+    law = LuGre(coulomb=0.4, static=0.5, sigma_0=400.0, sigma_1=0.8, sigma_2=0.04)
+    return PlantConfig(
+        arm=HumanArm(
+            posture=random.uniform(-1.0, 1.0, n),
+            inertia=0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n)),
+            damping=random.uniform(-0.5, 0.5, (n, n)),
+            stiffness=random.uniform(-5.0, 5.0, (n, n)),
+        ),
+        robot=PlanarChain(
+            lengths=random.uniform(0.2, 0.4, n),
+            moments=masses * centres**2 + random.uniform(0.05, 0.1, n),
+            masses=masses,
+            centres=centres,
+        ),
+        friction=tuple(law.scaled(factor) for factor in random.uniform(0.0, 3.0, n))
+        if lane
+        else (LuGre.none(),) * n,
+        sensors=Sensors(encoder_resolution=1e-5 * lane, torque_resolution=1e-3 * lane),
+        substeps=20,
+    )
+
+
+def _run(n: int, lanes: Sequence[int]) -> tuple[Array, Array, Array]:
+    """Exact states and readings, (lanes, ticks, ...), of a batch under random torques."""
+    plant = Plant([_config(n, lane) for lane in lanes])
+    commands = np.stack(
+        [np.random.default_rng([9, lane]).uniform(-9.0, 9.0, (TICKS, 2, n)) for lane in lanes],
+        axis=2,
+    )
+    states, positions, torques = [], [], []
+    for command, voluntary in commands:
+        plant.tick(command, 0.1 * voluntary)
+        states.append(plant.state())
+        positions.append(plant.position.copy())
+        torques.append(plant.torque.copy())
+    return np.stack(states, 1), np.stack(positions, 1), np.stack(torques, 1)
+
+
+@pytest.mark.parametrize(("n", "lanes"), [(1, 3), (2, 5), (3, 3)])
+def test_lane_gives_the_same_bits_alone_and_beside_others(n: int, lanes: int) -> None:
+    together = _run(n, range(lanes))
+    for lane in range(lanes):
+        alone = _run(n, [lane])
+        for one, many in zip(alone, together, strict=True):
+            assert np.array_equal(one[0], many[lane])
+    # Lanes do differ, so that none can stand in for another.
+    assert len(np.unique(together[0][:, -1, 0, 0])) == lanes
+
+
+def test_place_in_the_batch_makes_no_difference() -> None:
+    forwards, backwards = _run(2, [0, 1, 2, 3, 4]), _run(2, [4, 3, 2, 1, 0])
+    for one, other in zip(forwards, backwards, strict=True):
+        assert np.array_equal(one, other[::-1])
+
+
+def test_state_put_in_comes_out_and_is_a_copy() -> None:
+    plant = Plant([_config(2, lane) for lane in range(5)])
+    state = np.random.default_rng(1).uniform(-1.0, 1.0, (5, 3, 2))
+    plant.set_state(state)
+    taken = plant.state()
+    assert np.array_equal(taken, state)
+    taken[:] = 0.0
+    assert np.array_equal(plant.state(), state)
+
+
+def test_lanes_that_disagree_in_time_or_shape_are_refused() -> None:
+    one = _config(2, 1)
+    for other in (
+        _config(3, 1),
+        replace(one, substeps=21),
+        replace(one, period=2e-3),
+        replace(one, sensors=replace(one.sensors, sampling=Sampling.INTERVAL_MEAN)),
+    ):
+        with pytest.raises(ConfigurationError, match="lanes must agree"):
+            Plant([one, other])

@@ -1,0 +1,152 @@
+"""What the sensors tell: resolution and instant of sampling."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy.integrate import trapezoid
+
+from armimp_common.errors import ConfigurationError
+from armimp_sim import presets
+from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.sensors import Sampling, Sensors, quantise
+
+Array = NDArray[np.float64]
+
+
+def _config(sensors: Sensors, friction: int = 0) -> PlantConfig:
+    return PlantConfig(
+        arm=presets.human_arm(2),
+        robot=presets.robot(2),
+        friction=presets.friction(friction, 2),
+        sensors=sensors,
+    )
+
+
+def _torque(config: PlantConfig, state: Array, command: Array) -> Array:
+    """Torque on the arm of a frictionless plant, from the equations of motion."""
+    theta, velocity, _ = state
+    arm, robot = config.arm, config.robot
+    passive = arm.damping @ velocity + arm.stiffness @ (theta - arm.posture)
+    acceleration = np.linalg.solve(
+        robot.mass_matrix(theta) + arm.inertia,
+        command - robot.coriolis_torque(theta, velocity) - passive,
+    )
+    total: Array = arm.inertia @ acceleration + passive
+    return total
+
+
+@given(
+    st.floats(-1e6, 1e6),
+    st.floats(1e-6, 10.0) | st.sampled_from([0.005, 0.01, 0.02, 2.0 * np.pi / 51200]),
+)
+def test_reading_is_the_nearest_multiple_of_the_resolution(value: float, resolution: float) -> None:
+    reading = quantise(value, resolution)
+    counts = round(reading / resolution)
+    assert reading == counts * resolution
+    assert abs(reading - value) <= 0.5 * resolution + 4.0 * np.spacing(abs(value))
+
+
+@given(st.floats(allow_nan=False))
+def test_without_resolution_the_reading_is_the_value_itself(value: float) -> None:
+    assert quantise(value, 0.0) == value
+
+
+@given(st.floats(-100.0, 100.0))
+def test_reading_has_no_offset(value: float) -> None:
+    assert quantise(-value, 0.02) == -quantise(value, 0.02)
+    assert quantise(0.009, 0.02) == 0.0
+
+
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
+    sensors = presets.sensors(level)
+    exact = Plant([_config(presets.sensors(0), friction=1)])
+    plant = Plant([_config(sensors, friction=1)])
+    command = np.array([[3.0, -2.0]])
+    seen = set()
+    for _ in range(100):
+        exact.tick(command, np.zeros((1, 2)))
+        plant.tick(command, np.zeros((1, 2)))
+        assert np.array_equal(plant.state(), exact.state())  # readings don't touch the motion
+        assert np.array_equal(exact.position, exact.state()[:, 0])
+        for read, true, resolution in (
+            (plant.position, exact.position, sensors.encoder_resolution),
+            (plant.torque, exact.torque, sensors.torque_resolution),
+        ):
+            counts = np.rint(read / resolution)
+            assert read == pytest.approx(counts * resolution, abs=1e-15)
+            assert np.all(np.abs(read - true) <= 0.5000001 * resolution)
+        seen.add(float(plant.torque[0, 0]))
+    assert len(seen) > 10
+
+
+def test_first_sample_is_that_of_the_posture_at_rest() -> None:
+    plant = Plant([_config(presets.sensors(0))])
+    assert plant.position[0] == pytest.approx(np.radians([62.708, 77.260]))
+    assert np.array_equal(plant.torque, np.zeros((1, 2)))
+
+
+def test_torque_before_update_is_that_under_the_command_still_in_force() -> None:
+    config = _config(presets.sensors(0))
+    plant = Plant([config])
+    commands = np.random.default_rng(5).uniform(-5.0, 5.0, (20, 2))
+    for command in commands:
+        plant.tick(command[None], np.zeros((1, 2)))
+        state = plant.state()[0]
+        assert plant.torque[0] == pytest.approx(_torque(config, state, command), abs=1e-11)
+
+
+def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
+    coarse = _config(presets.sensors(0, Sampling.INTERVAL_MEAN))
+    fine = replace(coarse, period=coarse.step, substeps=1)
+    plant, watcher = Plant([coarse]), Plant([fine])
+    commands = np.random.default_rng(6).uniform(-5.0, 5.0, (10, 2))
+    last = np.zeros(2)
+    for command in commands:
+        states = [watcher.state()[0]]
+        for _ in range(coarse.substeps):
+            watcher.tick(command[None], np.zeros((1, 2)))
+            states.append(watcher.state()[0])
+        plant.tick(command[None], np.zeros((1, 2)))
+        torques = np.array([_torque(coarse, state, command) for state in states])
+        mean = trapezoid(torques, dx=1.0 / coarse.substeps, axis=0)
+        assert plant.torque[0] == pytest.approx(mean, abs=1e-8)
+        # Neither end of the interval would do, nor the command before.
+        assert np.max(np.abs(torques[-1] - mean)) > 1e-5
+        assert np.max(np.abs(_torque(coarse, states[0], last) - mean)) > 1e-3
+        last = command
+
+
+def test_sampling_instant_has_no_influence_on_the_motion() -> None:
+    before = Plant([_config(presets.sensors(0), friction=2)])
+    mean = Plant([_config(presets.sensors(0, Sampling.INTERVAL_MEAN), friction=2)])
+    for command in np.random.default_rng(7).uniform(-9.0, 9.0, (50, 1, 2)):
+        before.tick(command, np.zeros((1, 2)))
+        mean.tick(command, np.zeros((1, 2)))
+    assert np.array_equal(before.state(), mean.state())
+    assert not np.array_equal(before.torque, mean.torque)
+
+
+@pytest.mark.parametrize("sampling", list(Sampling))
+def test_voluntary_torque_is_part_of_either_reading(sampling: Sampling) -> None:
+    config = _config(presets.sensors(0, sampling))
+    relaxed, active = Plant([config]), Plant([config])
+    voluntary = np.array([[0.7, -0.3]])
+    relaxed.tick(np.zeros((1, 2)), np.zeros((1, 2)))
+    active.tick(voluntary, voluntary)  # the robot holds against it
+    assert active.torque == pytest.approx(relaxed.torque + voluntary, abs=1e-13)
+
+
+@pytest.mark.parametrize("name", ["encoder_resolution", "torque_resolution"])
+@pytest.mark.parametrize("value", [-0.25, float("nan"), float("inf")])
+def test_impossible_resolution_is_refused_with_the_offending_value(name: str, value: float) -> None:
+    values: dict[str, Any] = {"encoder_resolution": 0.0, "torque_resolution": 0.0, name: value}
+    with pytest.raises(ConfigurationError, match=f"sensors: {name} .* {value}"):
+        Sensors(**values)

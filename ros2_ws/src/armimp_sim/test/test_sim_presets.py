@@ -1,0 +1,106 @@
+"""Presets of the study: the paper's tables, and what the design assumes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armimp_common.errors import ConfigurationError
+from armimp_sim import presets
+from armimp_sim.friction import LuGre
+from armimp_sim.plant import PlantConfig
+from armimp_sim.sensors import Sampling
+
+
+def test_arm_is_that_of_table_one() -> None:
+    arm = presets.human_arm(2)
+    assert np.degrees(arm.posture) == pytest.approx([62.708, 77.260], rel=1e-14)
+    assert arm.inertia.tolist() == [[0.187, 0.084], [0.079, 0.060]]
+    assert arm.damping.tolist() == [[0.651, 0.239], [0.236, 0.407]]
+    assert arm.stiffness.tolist() == [[7.967, 3.187], [1.663, 6.901]]
+
+
+@pytest.mark.parametrize(
+    ("level", "counts", "degrees", "torque"),
+    [
+        (1, 204800, 1.758e-3, 0.005),
+        (2, 102400, 3.516e-3, 0.010),
+        (3, 51200, 7.031e-3, 0.020),
+    ],
+)
+def test_resolutions_are_those_of_table_two(
+    level: int, counts: int, degrees: float, torque: float
+) -> None:
+    sensors = presets.sensors(level)
+    assert np.degrees(sensors.encoder_resolution) == pytest.approx(360.0 / counts, rel=1e-14)
+    assert np.degrees(sensors.encoder_resolution) == pytest.approx(degrees, abs=5e-7)
+    assert sensors.torque_resolution == torque
+    assert sensors.sampling is Sampling.BEFORE_UPDATE
+
+
+def test_resolution_level_zero_is_unquantised() -> None:
+    sensors = presets.sensors(0, Sampling.INTERVAL_MEAN)
+    assert (sensors.encoder_resolution, sensors.torque_resolution) == (0.0, 0.0)
+    assert sensors.sampling is Sampling.INTERVAL_MEAN
+
+
+@pytest.mark.parametrize(
+    ("level", "values"),
+    [
+        (0, (0.0, 0.0, 0.0, 0.0, 0.0)),
+        (1, (0.4, 0.5, 400.0, 0.8, 0.04)),
+        (2, (1.0, 1.25, 1000.0, 2.0, 0.10)),
+        (3, (2.0, 2.5, 2000.0, 4.0, 0.20)),
+    ],
+)
+def test_friction_is_that_of_the_design(level: int, values: tuple[float, ...]) -> None:
+    for law in presets.friction(level, 2):
+        assert (law.coulomb, law.static, law.sigma_0, law.sigma_1, law.sigma_2) == values
+        assert law.stribeck_velocity == 0.01
+
+
+def test_friction_level_zero_is_none_at_all() -> None:
+    assert presets.friction(0, 3) == (LuGre.none(),) * 3
+
+
+@pytest.mark.parametrize("level", [-1, 4, 17])
+def test_level_out_of_range_is_refused_with_the_offending_value(level: int) -> None:
+    with pytest.raises(ConfigurationError, match=f"^friction level .* got {level}$"):
+        presets.friction(level, 2)
+    with pytest.raises(ConfigurationError, match=f"^resolution level .* got {level}$"):
+        presets.sensors(level)
+
+
+@pytest.mark.parametrize("joints", [0, 1, 4, 7])
+def test_numbers_of_joints_without_a_preset_are_refused(joints: int) -> None:
+    message = f"no preset .* {joints} joints"
+    with pytest.raises(ConfigurationError, match=message):
+        presets.human_arm(joints)
+    with pytest.raises(ConfigurationError, match=message):
+        presets.robot(joints)
+    with pytest.raises(ConfigurationError, match=message):
+        presets.friction(1, joints)
+
+
+@pytest.mark.parametrize("joints", [2, 3])
+@pytest.mark.parametrize("friction", presets.LEVELS)
+def test_every_preset_makes_a_plant_at_the_steps_of_the_design(joints: int, friction: int) -> None:
+    config = PlantConfig(
+        arm=presets.human_arm(joints),
+        robot=presets.robot(joints),
+        friction=presets.friction(friction, joints),
+        sensors=presets.sensors(3),
+    )
+    assert config.joints == joints == len(presets.JOINT_NAMES[joints])
+    assert config.step == pytest.approx(1e-5)
+    assert config.period == 1e-3
+
+
+def test_third_joint_is_added_to_the_arm_of_table_one() -> None:
+    two, three = presets.human_arm(2), presets.human_arm(3)
+    for name in ("inertia", "damping", "stiffness"):
+        assert np.array_equal(getattr(three, name)[:2, :2], getattr(two, name))
+    assert np.array_equal(three.posture[:2], two.posture)
+    # Passive: no motion gains energy from the arm.
+    for matrix in (three.inertia, three.damping, three.stiffness):
+        assert np.min(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))) > 0.0

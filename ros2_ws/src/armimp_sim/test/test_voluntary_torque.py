@@ -1,0 +1,90 @@
+"""Voluntary torque: strength, spectrum, and independence of the way it is drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from armimp_common.errors import ConfigurationError
+from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
+
+Array = NDArray[np.float64]
+PERIOD = 1e-3
+
+
+def _stream(*, rms: float = 0.5, cutoff: float = 20.0, seed: int = 1) -> VoluntaryTorque:
+    config = VoluntaryConfig(rms=rms, cutoff=cutoff)
+    return VoluntaryTorque(config, joints=2, period=PERIOD, seed=seed)
+
+
+@pytest.mark.parametrize(("cutoff", "tolerance"), [(2.0, 0.10), (20.0, 0.03), (300.0, 0.02)])
+def test_rms_of_a_long_stream_is_the_configured_one(cutoff: float, tolerance: float) -> None:
+    torque = _stream(rms=0.5, cutoff=cutoff).take(200_000)
+    assert np.sqrt(np.mean(torque**2, axis=0)) == pytest.approx([0.5, 0.5], rel=tolerance)
+    assert np.mean(torque, axis=0) == pytest.approx([0.0, 0.0], abs=0.05)
+
+
+def test_spectrum_is_that_of_second_order_low_pass_noise() -> None:
+    torque = _stream(cutoff=20.0).take(400_000)[:, 0]
+    f, density = signal.welch(torque, fs=1.0 / PERIOD, nperseg=2048)
+    smooth = np.array(
+        [np.mean(density[(f > low) & (f < high)]) for low, high in ((1, 5), (19, 21), (58, 62))]
+    )
+    # |H|² = 1/(1 + (f/fc)⁴): full in the pass band, half at the edge, 1/82 at three times the edge.
+    assert smooth[1] / smooth[0] == pytest.approx(0.5, rel=0.1)
+    assert smooth[2] / smooth[0] == pytest.approx(1.0 / 82.0, rel=0.2)
+
+
+def test_joints_move_independently() -> None:
+    torque = _stream().take(200_000)
+    assert abs(np.corrcoef(torque.T)[0, 1]) < 0.05
+
+
+@pytest.mark.parametrize("cuts", [[1] * 50, [4096, 4096], [4095, 1, 1, 5000], [9097, 0, 3]])
+def test_stream_does_not_depend_on_how_it_is_cut(cuts: list[int]) -> None:
+    whole = _stream().take(sum(cuts))
+    stream = _stream()
+    parts = [stream.take(ticks) for ticks in cuts]
+    assert [len(part) for part in parts] == cuts
+    assert np.array_equal(np.concatenate(parts), whole)
+
+
+def test_drawn_tick_by_tick_it_is_the_same_stream() -> None:
+    stream = _stream()
+    ticks = np.array([stream.next() for _ in range(20)])
+    assert np.array_equal(ticks, _stream().take(20))
+
+
+def test_relaxed_person_gives_exactly_nothing() -> None:
+    stream = _stream(rms=0.0)
+    assert np.array_equal(stream.take(5000), np.zeros((5000, 2)))
+    assert np.array_equal(stream.next(), np.zeros(2))
+
+
+def test_seed_decides_the_stream() -> None:
+    assert np.array_equal(_stream(seed=5).take(100), _stream(seed=5).take(100))
+    one, other = _stream(seed=5).take(100_000), _stream(seed=6).take(100_000)
+    assert abs(np.corrcoef(one[:, 0], other[:, 0])[0, 1]) < 0.05
+
+
+def test_strength_scales_the_same_stream() -> None:
+    assert _stream(rms=2.0).take(500) == pytest.approx(4.0 * _stream(rms=0.5).take(500))
+
+
+@pytest.mark.parametrize("value", [-0.5, float("nan"), float("inf")])
+def test_impossible_rms_is_refused_with_the_offending_value(value: float) -> None:
+    with pytest.raises(ConfigurationError, match=f"rms .* {value}"):
+        VoluntaryConfig(rms=value)
+
+
+@pytest.mark.parametrize("value", [0.0, -2.0, float("nan"), float("inf")])
+def test_impossible_cutoff_is_refused_with_the_offending_value(value: float) -> None:
+    with pytest.raises(ConfigurationError, match=f"cutoff .* {value}"):
+        VoluntaryConfig(rms=1.0, cutoff=value)
+
+
+def test_cutoff_beyond_half_the_sampling_rate_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"cutoff 500\.0 Hz is not below half"):
+        _stream(cutoff=500.0)

@@ -1,0 +1,43 @@
+"""Write the default parameter files of the nodes from their schemas: config/<node>.yaml."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.schema import to_params_yaml
+from armimp_estimation.parameters import EstimatorParameters
+
+_HEAD = "# Parameters of the default experiment; written by scripts/write_default_configs.py.\n"
+_PACKAGES = {
+    SIM_NODE: "armimp_sim",
+    CONTROLLER_NODE: "armimp_control",
+    ESTIMATOR_NODE: "armimp_estimation",
+}
+
+
+def default_configs() -> dict[str, str]:
+    """Text of each file by its path below ``ros2_ws/src``."""
+    # The metadata and the directory of a run have no place in a default.
+    models = {
+        **node_parameters(ExperimentConfig(), None).by_node(),
+        ESTIMATOR_NODE: EstimatorParameters(),
+    }
+    return {
+        f"{_PACKAGES[node]}/config/{node}.yaml": _HEAD + to_params_yaml({node: model})
+        for node, model in models.items()
+    }
+
+
+def main() -> None:
+    """Write the files."""
+    sources = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
+    for name, text in default_configs().items():
+        path = sources / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
