@@ -20,10 +20,14 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
+# Division by zero gives inf or NaN, which the callers look for, instead of a ZeroDivisionError out
+# of the middle of a simulation; and without the branch, loops with divisions become SIMD code.
+_ERROR_MODEL = "numpy"
+
 
 def compiled(function: Function) -> Function:
     """Compile a function that only other compiled functions call; they hold its code."""
-    return cast(Function, numba.njit(function))
+    return cast(Function, numba.njit(error_model=_ERROR_MODEL)(function))
 
 
 def compiled_entry(function: Function) -> Function:
@@ -36,7 +40,8 @@ def compiled_entry(function: Function) -> Function:
     before = config.CACHE_DIR
     try:
         config.CACHE_DIR = str(folder or "")
-        return cast(Function, numba.njit(cache=folder is not None, nogil=True)(function))
+        options = {"cache": folder is not None, "nogil": True, "error_model": _ERROR_MODEL}
+        return cast(Function, numba.njit(**options)(function))
     finally:
         config.CACHE_DIR = before
 

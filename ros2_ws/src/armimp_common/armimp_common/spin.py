@@ -13,13 +13,13 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias, TypeVar
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import Executor, SingleThreadedExecutor
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
@@ -119,7 +119,8 @@ class Spinner:
         self._gate = gate = Future()
         self._deadline = time.monotonic() + timeout
         future.add_done_callback(lambda _: None if gate.done() else gate.set_result(None))
-        self.executor.spin_until_future_complete(gate, timeout)
+        with suppress(ExternalShutdownException):  # `spin` looks at the context itself
+            self.executor.spin_until_future_complete(gate, timeout)
 
     def _keep_time(self) -> None:
         """Have the timer that ends a spin at its deadline on the first node there is."""

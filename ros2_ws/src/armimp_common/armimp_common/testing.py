@@ -4,19 +4,30 @@ A ``conftest.py`` takes the fixtures over by importing them.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import BaseModel
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
 
+from armimp_common import contract, qos
+from armimp_common.channels import (
+    CommandSubscription,
+    JointStatePublisher,
+    JointStateSubscription,
+    wait_until_matched,
+)
+from armimp_common.diagnostics import values_of
 from armimp_common.domain import DomainClaim
 from armimp_common.schema import Value, flatten
 from armimp_common.spin import Spinner
+from armimp_common.trial_status import Phase, TrialStatus
 
 PATIENCE = 30.0
 """How long to wait for what must happen (s): long, as the machine may have other work."""
@@ -82,9 +93,9 @@ def eventually(
     assert condition(), f"did not happen within {patience} s: {what}"
 
 
-def a_moment(spinner: Spinner) -> None:
+def a_moment(spinner: Spinner, seconds: float = MOMENT) -> None:
     """Spin for a moment, in which something could happen that must not."""
-    end = time.monotonic() + MOMENT
+    end = time.monotonic() + seconds
     spinner.spin(lambda: time.monotonic() > end, period=0.05)
 
 
@@ -100,3 +111,88 @@ def overrides(model: BaseModel, changes: Mapping[str, Value] | None = None) -> l
     """
     values = {**flatten(model), **(changes or {})}
     return [Parameter(name, value=value) for name, value in values.items()]
+
+
+class ScriptedDriver:
+    """Stands for the rig: feeds samples to a controller, and keeps what comes back.
+
+    Parameters
+    ----------
+    node
+        Publishes and listens, in its namespace.
+    names
+        Joints in the order of the values that are fed.
+    start_ns
+        Stamp of the first sample (ns).
+
+    Attributes
+    ----------
+    tick
+        Number of the next sample.
+    commands
+        Torques received (N·m).
+    perturbations
+        Stamps (ns) and torques (N·m) received.
+    messages
+        Trial statuses received, as messages.
+    """
+
+    def __init__(self, node: Node, names: Sequence[str], *, start_ns: int = 0) -> None:
+        self.names = tuple(names)
+        self.start_ns = start_ns
+        self.tick = 0
+        self.channels = {
+            topic: JointStatePublisher(node, topic, names, contract.VALUE_FIELD[topic])
+            for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
+        }
+        self.commands: list[tuple[float, ...]] = []
+        self.perturbations: list[tuple[int, tuple[float, ...]]] = []
+        self.messages: list[DiagnosticStatus] = []
+        self._node = node
+        self._subscriptions = [
+            CommandSubscription(node, contract.COMMANDS, len(names), self.commands.append),
+            JointStateSubscription(
+                node,
+                contract.PERTURBATION,
+                names,
+                "effort",
+                lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
+            ),
+        ]
+        self.trial: Subscription = node.create_subscription(
+            DiagnosticStatus, contract.TRIAL, self.messages.append, qos.LATCHED
+        )
+
+    def wait_for_controller(self) -> None:
+        """Wait until a controller listens and is heard."""
+        assert not wait_until_matched(
+            self._node,
+            publishers=self.channels.values(),
+            subscriptions=[*self._subscriptions, self.trial],
+            timeout_s=PATIENCE,
+        )
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the next sample (ns)."""
+        return self.start_ns + self.tick * contract.PERIOD_NS
+
+    @property
+    def statuses(self) -> list[TrialStatus]:
+        """Trial statuses received."""
+        return [TrialStatus.from_values(values_of(message)) for message in self.messages]
+
+    def has_said(self, phase: Phase) -> bool:
+        """Whether the controller announced this phase."""
+        return any(status.phase is phase for status in self.statuses)
+
+    @property
+    def answered(self) -> bool:
+        """Whether every sample has an answer."""
+        return min(len(self.commands), len(self.perturbations)) >= self.tick
+
+    def feed(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
+        """Publish one sample: angles (rad) and torques on the arm (N·m)."""
+        self.channels[contract.JOINT_STATES].publish(self.stamp_ns, theta)
+        self.channels[contract.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
+        self.tick += 1

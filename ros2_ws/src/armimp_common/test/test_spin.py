@@ -340,3 +340,45 @@ sys.exit(run_node(factory, ["program"]))
         process.wait()
 
     assert (process.returncode, error) == (0, "")
+
+
+def keep_busy(node: Node) -> None:
+    """Have a message answered by the next one without end."""
+    publisher = node.create_publisher(Clock, "echo", 10)
+    node.create_subscription(Clock, "echo", lambda _: publisher.publish(Clock()), 10)
+
+    def begin() -> None:
+        publisher.publish(Clock())
+        timer.cancel()
+
+    timer = node.create_timer(0.01, begin)
+
+
+@both_kinds
+def test_when_there_is_always_another_event_expect_stop_conditions_to_be_looked_at(
+    node: Node, kind: ExecutorKind
+) -> None:
+    keep_busy(node)
+    asked: list[float] = []
+    late = deadline()
+
+    def should_stop() -> bool:
+        asked.append(time.monotonic())
+        return len(asked) > 3 or late()
+
+    spin([node], should_stop, period=0.05, kind=kind)
+
+    assert not late()
+
+
+@both_kinds
+def test_when_there_is_always_another_event_expect_spin_until_to_keep_its_timeout(
+    node: Node, kind: ExecutorKind
+) -> None:
+    keep_busy(node)
+    late = deadline()
+    with Spinner([node], kind=kind) as spinner:
+        done = spinner.spin_until(Future(), 0.2)
+
+    assert not done
+    assert not late()

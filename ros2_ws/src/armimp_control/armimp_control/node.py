@@ -119,6 +119,8 @@ class ImbicControllerNode(LifecycleNode):
         # Readings of the two sensor topics that still wait for their partner, by stamp.
         self._positions: dict[int, tuple[float, ...]] = {}
         self._torques: dict[int, tuple[float, ...]] = {}
+        # What the watchdog ramps down; stays zero if the experiment is over before it expires.
+        self._last_command = self._experiment.command.copy()
         return self._experiment
 
     def _stop(self, reason: str) -> None:

@@ -6,28 +6,29 @@ from typing import Any
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.serialization import serialize_message
+from sensor_msgs.msg import JointState
 
-from armimp_common import contract, qos
-from armimp_common.cdr import JointStateEncoder
-from armimp_common.channels import (
-    CommandSubscription,
-    JointStatePublisher,
-    JointStateSubscription,
-    wait_until_matched,
-)
-from armimp_common.contract import PERIOD_NS, ValueField
-from armimp_common.diagnostics import Level, values_of
+from armimp_common import contract
+from armimp_common.contract import PERIOD_NS
+from armimp_common.diagnostics import Level
 from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner, run_node
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.stamps import to_time
+from armimp_common.testing import (
+    PATIENCE,
+    ScriptedDriver,
+    a_moment,
+    eventually,
+    overrides,
+)
+from armimp_common.trial_status import Phase
 from armimp_control.experiment import Experiment
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
@@ -53,72 +54,17 @@ PARAMETERS = ControllerParameters.preset(
         "safety": SafetyParameters(slowest_tick=10.0),
     }
 )
-IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.01, "safety.watchdog_ticks": 5}
-
-
-class Driver:
-    """Stands for the rig: feeds samples, and keeps what comes back."""
-
-    def __init__(self, node: Node, names: Sequence[str] = NAMES) -> None:
-        self.node = node
-        self.names = names
-        self.tick = 0
-        self.channels = {
-            topic: JointStatePublisher(node, topic, names, contract.VALUE_FIELD[topic])
-            for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
-        }
-        self.commands: list[tuple[float, ...]] = []
-        self.perturbations: list[tuple[int, tuple[float, ...]]] = []
-        self.messages: list[DiagnosticStatus] = []
-        self.subscriptions = [
-            CommandSubscription(node, contract.COMMANDS, 2, self.commands.append),
-            JointStateSubscription(
-                node,
-                contract.PERTURBATION,
-                NAMES,
-                "effort",
-                lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
-            ),
-        ]
-        self.trial = node.create_subscription(
-            DiagnosticStatus, contract.TRIAL, self.messages.append, qos.LATCHED
-        )
-
-    def wait_for_controller(self) -> None:
-        assert not wait_until_matched(
-            self.node,
-            publishers=self.channels.values(),
-            subscriptions=[*self.subscriptions, self.trial],
-            timeout_s=PATIENCE,
-        )
-
-    @property
-    def stamp_ns(self) -> int:
-        return START + self.tick * PERIOD_NS
-
-    @property
-    def statuses(self) -> list[TrialStatus]:
-        return [TrialStatus.from_values(values_of(message)) for message in self.messages]
-
-    @property
-    def aborted(self) -> bool:
-        return any(status.phase is Phase.ABORTED for status in self.statuses)
-
-    def feed(self, theta: Sequence[float] = POSTURE, tau_h: Sequence[float] = (0.0, 0.0)) -> None:
-        self.channels[contract.JOINT_STATES].publish(self.stamp_ns, theta)
-        self.channels[contract.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
-        self.tick += 1
-
-    def feed_still(self, ticks: int) -> None:
-        for _ in range(ticks):
-            self.feed()
+LONGER_THAN_PATIENCE = 0.5
+IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
 
 
 def wobble(ticks: int) -> list[tuple[tuple[float, float], tuple[float, float]]]:
     rng = np.random.default_rng(4)
     theta = POSTURE + np.cumsum(rng.normal(scale=1e-6, size=(ticks, 2)), axis=0)
     tau_h = rng.normal(scale=0.1, size=(ticks, 2))
-    return [((a[0], a[1]), (b[0], b[1])) for a, b in zip(theta.tolist(), tau_h.tolist())]
+    return [
+        ((a[0], a[1]), (b[0], b[1])) for a, b in zip(theta.tolist(), tau_h.tolist(), strict=True)
+    ]
 
 
 def expected_answers(
@@ -162,30 +108,31 @@ def make(context: Context, spinner: Spinner) -> Iterator[MakeController]:
 
 
 @pytest.fixture
-def driver(node: Node) -> Driver:
-    return Driver(node)
+def driver(node: Node) -> ScriptedDriver:
+    return ScriptedDriver(node, NAMES, start_ns=START)
 
 
-def bring_up(controller: ImbicControllerNode, driver: Driver) -> None:
+def bring_up(controller: ImbicControllerNode, driver: ScriptedDriver) -> None:
     assert controller.trigger_configure() is SUCCESS
     assert controller.trigger_activate() is SUCCESS, controller.transition_error
     driver.wait_for_controller()
 
 
-def answered(driver: Driver) -> Callable[[], bool]:
-    return lambda: min(len(driver.commands), len(driver.perturbations)) >= driver.tick
+def feed_still(driver: ScriptedDriver, ticks: int) -> None:
+    for _ in range(ticks):
+        driver.feed(POSTURE, (0.0, 0.0))
 
 
 class TestAnswers:
     def test_each_sample_is_answered_once_as_the_experiment_without_ros_does(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         bring_up(make(), driver)
         samples = wobble(SETTLE + 60)
 
         for theta, tau_h in samples:
             driver.feed(theta, tau_h)
-        eventually(spinner, answered(driver), "an answer to every sample")
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
         a_moment(spinner)
 
         commands, perturbations = expected_answers(samples)
@@ -198,18 +145,18 @@ class TestAnswers:
     def test_joint_order_comes_from_the_names(
         self, make: MakeController, node: Node, spinner: Spinner
     ) -> None:
-        driver = Driver(node, names=NAMES[::-1])
+        driver = ScriptedDriver(node, NAMES[::-1], start_ns=START)
         bring_up(make(), driver)
         samples = wobble(30)
 
         for theta, tau_h in samples:
             driver.feed(theta[::-1], tau_h[::-1])
-        eventually(spinner, answered(driver), "an answer to every sample")
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
 
         assert driver.commands == expected_answers(samples)[0]
 
     def test_an_answer_waits_for_both_readings_which_come_in_any_order(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         bring_up(make(), driver)
         positions, torques = driver.channels.values()
@@ -225,17 +172,17 @@ class TestAnswers:
         assert [stamp_ns for stamp_ns, _ in driver.perturbations] == [START, START + PERIOD_NS]
 
     def test_when_one_reading_of_a_sample_is_lost_expect_it_counted_and_the_trial_invalid(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         bring_up(make(), driver)
-        driver.feed_still(20)
+        feed_still(driver, 20)
         driver.channels[contract.JOINT_STATES].publish(driver.stamp_ns, POSTURE)
         driver.tick += 1
-        driver.feed_still(SETTLE + PERTURB)
+        feed_still(driver, SETTLE + PERTURB)
 
         eventually(
             spinner,
-            lambda: any(status.phase is Phase.REST for status in driver.statuses),
+            lambda: driver.has_said(Phase.REST),
             "the end of the perturbation",
         )
 
@@ -244,23 +191,23 @@ class TestAnswers:
         assert len(driver.commands) == driver.tick - 1
 
     def test_all_trials_are_led_through_to_the_end(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         bring_up(make(), driver)
 
-        driver.feed_still(2 * (SETTLE + PERTURB + REST) + 1)
+        feed_still(driver, 2 * (SETTLE + PERTURB + REST) + 1)
         eventually(
             spinner,
-            lambda: any(status.phase is Phase.DONE for status in driver.statuses),
+            lambda: driver.has_said(Phase.DONE),
             "the end of the experiment",
         )
 
-        phases = [(status.phase, status.trial) for status in driver.statuses]
-        assert phases == [
-            (phase, trial)
-            for trial in (1, 2)
-            for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
-        ] + [(Phase.DONE, 2)]
+        led = (Phase.SETTLE, Phase.PERTURB, Phase.REST)
+        assert [(status.phase, status.trial) for status in driver.statuses] == [
+            *((phase, 1) for phase in led),
+            *((phase, 2) for phase in led),
+            (Phase.DONE, 2),
+        ]
         moved = {
             joint
             for _, values in driver.perturbations
@@ -270,12 +217,15 @@ class TestAnswers:
         assert moved == {0, 1}
 
 
-def encoded(names: Sequence[str], values: Sequence[float], field: ValueField = "position") -> bytes:
-    return JointStateEncoder(names, field).encode(START + 60 * PERIOD_NS, values)
+def encoded(names: Sequence[str], values: Sequence[float], field: str = "position") -> bytes:
+    message = JointState(name=list(names), **{field: list(values)})
+    message.header.stamp = to_time(START + 60 * PERIOD_NS)
+    data: bytes = serialize_message(message)
+    return data
 
 
 MALFORMED = {
-    "truncated": encoded(NAMES, POSTURE)[:-5],
+    "truncated": encoded(NAMES, POSTURE)[:-30],
     "empty": b"",
     "a joint missing": encoded(("shoulder",), (1.0,)),
     "unknown joint": encoded(("shoulder", "wrist"), POSTURE),
@@ -286,55 +236,68 @@ MALFORMED = {
 
 
 class TestFaults:
-    def start(self, controller: ImbicControllerNode, driver: Driver, spinner: Spinner) -> None:
+    def start(
+        self, controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
+    ) -> None:
         bring_up(controller, driver)
         for theta, tau_h in wobble(60):
             driver.feed(theta, tau_h)
-        eventually(spinner, answered(driver), "an answer to every sample")
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
         assert driver.commands[-1] != (0.0, 0.0)
 
     @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
     @pytest.mark.parametrize("message", MALFORMED.values(), ids=MALFORMED.keys())
     def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
-        self, make: MakeController, driver: Driver, spinner: Spinner, topic: str, message: bytes
+        self,
+        make: MakeController,
+        driver: ScriptedDriver,
+        spinner: Spinner,
+        topic: str,
+        message: bytes,
     ) -> None:
         if message == MALFORMED["no values"] and topic == contract.TORQUE_SENSORS:
             message = encoded(NAMES, (0.0, 0.0))
         self.start(make(), driver, spinner)
 
         driver.channels[topic].publisher.publish(message)
-        eventually(spinner, lambda: driver.aborted and len(driver.commands) > 60, "an abort")
+        eventually(
+            spinner,
+            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) > 60,
+            "an abort",
+        )
 
         assert driver.commands[60:] == [(0.0, 0.0)]
         assert driver.messages[-1].level == bytes([Level.ERROR])
         assert driver.statuses[-1].reason.startswith("malformed sensor message: JointState")
         assert "\n" not in driver.statuses[-1].reason
-        driver.feed_still(10)
-        eventually(spinner, answered(driver), "an answer to every sample")
+        feed_still(driver, 10)
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
         assert set(driver.commands[60:]) == {(0.0, 0.0)}
         assert {values for _, values in driver.perturbations[60:]} == {(0.0, 0.0)}
 
     @pytest.mark.parametrize("bad", [math.nan, math.inf])
     def test_when_a_reading_is_not_finite_expect_zero_torque_and_an_abort(
-        self, make: MakeController, driver: Driver, spinner: Spinner, bad: float
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, bad: float
     ) -> None:
         self.start(make(), driver, spinner)
 
         driver.feed(POSTURE, (0.0, bad))
-        driver.feed_still(5)
-        eventually(spinner, lambda: driver.aborted and answered(driver)(), "an abort")
+        feed_still(driver, 5)
+        eventually(spinner, lambda: driver.has_said(Phase.ABORTED) and driver.answered, "an abort")
 
         assert driver.commands[60:] == [(0.0, 0.0)] * 6
         assert driver.statuses[-1].reason == f"torque reading of joint 2 is not finite: {bad}"
 
     def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         self.start(make(IMPATIENT), driver, spinner)
 
         last = driver.commands[59]
         eventually(
-            spinner, lambda: driver.aborted and driver.commands[-1] == (0.0, 0.0), "zero torque"
+            spinner,
+            lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
+            "zero torque",
         )
         a_moment(spinner)
 
@@ -344,42 +307,42 @@ class TestFaults:
         assert driver.statuses[-1].reason == "no sensor sample arrived any more"
 
     def test_when_samples_stay_away_after_an_abort_expect_zero_torque_and_a_node_alive(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         controller = make(IMPATIENT)
         self.start(controller, driver, spinner)
 
-        driver.feed((math.nan, 0.0))
-        eventually(spinner, lambda: driver.aborted, "an abort")
-        a_moment(spinner)
+        driver.feed((math.nan, 0.0), (0.0, 0.0))
+        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
+        a_moment(spinner, LONGER_THAN_PATIENCE)
 
         assert set(driver.commands[60:]) == {(0.0, 0.0)}
         assert [status.phase for status in driver.statuses].count(Phase.ABORTED) == 1
         assert controller.trigger_deactivate() is SUCCESS
 
     def test_when_samples_stay_away_after_the_last_trial_expect_no_abort(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         controller = make(IMPATIENT)
         bring_up(controller, driver)
-        driver.feed_still(2 * (SETTLE + PERTURB + REST) + 1)
+        feed_still(driver, 2 * (SETTLE + PERTURB + REST) + 1)
         eventually(
             spinner,
-            lambda: any(status.phase is Phase.DONE for status in driver.statuses),
+            lambda: driver.has_said(Phase.DONE),
             "the end of the experiment",
         )
 
-        a_moment(spinner)
+        a_moment(spinner, LONGER_THAN_PATIENCE)
 
-        assert not driver.aborted
+        assert not driver.has_said(Phase.ABORTED)
         assert driver.commands[-1] == (0.0, 0.0)
         assert controller.trigger_shutdown() is SUCCESS
-        assert not driver.aborted
+        assert not driver.has_said(Phase.ABORTED)
 
 
 class TestParameters:
     def test_while_active_changes_are_refused_with_a_reason(
-        self, make: MakeController, driver: Driver
+        self, make: MakeController, driver: ScriptedDriver
     ) -> None:
         controller = make()
         bring_up(controller, driver)
@@ -438,7 +401,7 @@ class TestParameters:
     @pytest.mark.parametrize(
         ("argument", "reason"),
         [
-            ("seed:=-1", "parameter 'seed' = -1: input should be greater than or equal to 0"),
+            ("seed:=1.5", "parameter 'seed' = 1.5: should be an integer"),
             ("sead:=1", "parameter 'sead' does not exist; the nearest valid name is 'seed'"),
             ("seed:=1", "parameter 'joints' is missing"),
         ],
@@ -454,7 +417,7 @@ class TestParameters:
 
 class TestLife:
     def test_life_can_be_gone_through_again_and_starts_anew_each_time(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         controller = make()
         samples = wobble(30)
@@ -474,7 +437,7 @@ class TestLife:
                 assert controller.trigger_deactivate() is SUCCESS
                 eventually(
                     spinner,
-                    lambda: driver.aborted and driver.commands[-1] == (0.0, 0.0),
+                    lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
                     "zero torque at the end",
                 )
                 assert driver.statuses[-1].reason == "the controller was deactivated"
@@ -482,27 +445,31 @@ class TestLife:
         assert controller.trigger_shutdown() is SUCCESS
 
     def test_when_shut_down_during_a_trial_expect_zero_torque_and_an_abort(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         controller = make()
         bring_up(controller, driver)
         for theta, tau_h in wobble(60):
             driver.feed(theta, tau_h)
-        eventually(spinner, answered(driver), "an answer to every sample")
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
 
         assert controller.trigger_shutdown() is SUCCESS
 
-        eventually(spinner, lambda: driver.aborted and len(driver.commands) == 61, "an abort")
+        eventually(
+            spinner,
+            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) == 61,
+            "an abort",
+        )
         assert driver.commands[-1] == (0.0, 0.0)
 
     def test_inactive_node_answers_nothing(
-        self, make: MakeController, driver: Driver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         controller = make()
         controller.trigger_configure()
         driver.wait_for_controller()
 
-        driver.feed_still(10)
+        feed_still(driver, 10)
         driver.channels[contract.JOINT_STATES].publisher.publish(b"rubbish")
         a_moment(spinner)
 
@@ -522,15 +489,15 @@ class TestLife:
         )
 
     def test_node_in_a_namespace_keeps_to_it(
-        self, make: MakeController, context: Context, spinner: Spinner, driver: Driver
+        self, make: MakeController, context: Context, spinner: Spinner, driver: ScriptedDriver
     ) -> None:
         left = Node("driver", context=context, namespace="/left")
         spinner.add_node(left)
-        left_driver = Driver(left)
+        left_driver = ScriptedDriver(left, NAMES)
         bring_up(make(cli_args=["--ros-args", "-r", "__ns:=/left"]), left_driver)
 
-        left_driver.feed_still(5)
-        eventually(spinner, answered(left_driver), "an answer to every sample")
+        feed_still(left_driver, 5)
+        eventually(spinner, lambda: left_driver.answered, "an answer to every sample")
 
         assert left_driver.trial.topic_name == "/left/imbic_controller/trial"
         assert len(left_driver.statuses) == 1

@@ -31,8 +31,9 @@ def test_defaults_are_those_of_the_design() -> None:
 @pytest.mark.parametrize("name", ["target_inertia", "target_damping", "target_stiffness"])
 @pytest.mark.parametrize("values", [[1.0], [1.0, 2.0, 3.0], [1.0, np.nan], [np.inf, 1.0]])
 def test_vector_of_wrong_length_or_not_finite_is_refused(name: str, values: list[float]) -> None:
+    changes: dict[str, Any] = {name: np.array(values)}
     with pytest.raises(ConfigurationError, match=f"{name} needs 2 finite values: ") as caught:
-        replace(_config(), **{name: np.array(values)})
+        replace(_config(), **changes)
     assert str(values).replace("np.", "") in str(caught.value)
     assert "\n" not in str(caught.value)
 

@@ -73,7 +73,7 @@ def test_law_is_that_of_the_design(n: int, limit: float) -> None:
     config = _config(n)
     controller, expected = ImbicController(config, torque_limit=limit), Transcription(config, limit)
     random = np.random.default_rng(10 + n)
-    theta = config.target_posture + random.uniform(-0.01, 0.01, n)
+    theta = config.target_posture + random.uniform(-1e-4, 1e-4, n)
     saturated = 0
     for tick in range(200):
         perturbed = (tick // 60) % n  # roles change hands now and then

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -117,7 +118,7 @@ def test_allowance_only_falls_and_is_gone_after_patience_and_ramp(
     watchdog.feed(0.0)
     shares = [watchdog.allowance(now) for now in sorted(times)]
     assert all(0.0 <= share <= 1.0 for share in shares)
-    assert all(one >= later for one, later in zip(shares, shares[1:], strict=False))
+    assert all(one >= later for one, later in pairwise(shares))
     assert watchdog.allowance(ticks * PERIOD + ramp + 1e-9) == 0.0
     assert watchdog.expired(ticks * PERIOD + 1e-9)
 

@@ -31,23 +31,34 @@ def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
     )
 
 
-def _growth(config: ImbicConfig, perturbed: int) -> float:
-    """Factor per tick by which a small push grows on a rig of pure inertia, measured."""
+def _sizes(config: ImbicConfig, perturbed: int, ticks: int) -> Array:
+    """Largest acceleration (ticks,) after a push, of a rig of pure inertia under the law."""
     controller = ImbicController(config, torque_limit=1e300)
     controller.perturb_joint(perturbed)
     inverse, period = np.linalg.inv(ROBOT + ARM), config.period
     theta, velocity, acceleration = POSTURE.copy(), np.zeros(2), np.zeros(2)
     push = np.array([1.0, 1.0])
-    sizes = []
-    for _ in range(600):
+    sizes = np.zeros(ticks)
+    for tick in range(ticks):
         controller.tick(theta, ARM @ acceleration, np.zeros(2))
         acceleration = inverse @ (controller.command + push)
         theta = theta + period * velocity + 0.5 * period**2 * acceleration
         velocity = velocity + period * acceleration
         push = np.zeros(2)
-        sizes.append(np.linalg.norm(acceleration))
+        sizes[tick] = np.max(np.abs(acceleration))
+    return sizes
+
+
+def _growth(config: ImbicConfig, perturbed: int) -> float:
+    """Factor per tick by which an unstable loop grows, measured."""
+    sizes = _sizes(config, perturbed, 600)
     # Swinging modes make single sizes erratic, so compare the largest of two stretches.
-    return float((max(sizes[500:]) / max(sizes[300:400])) ** (1.0 / 200.0))
+    return float((np.max(sizes[500:]) / np.max(sizes[300:400])) ** (1.0 / 200.0))
+
+
+def _returns_to_rest(config: ImbicConfig) -> bool:
+    late = [float(np.max(_sizes(config, k, 4000)[3000:])) for k in range(2)]
+    return max(late) < 1e-6
 
 
 def test_defaults_are_accepted_without_a_warning() -> None:
@@ -85,13 +96,13 @@ def test_too_light_a_target_is_refused_with_the_joint_and_the_value(joint: int) 
         )
 
 
-@pytest.mark.parametrize(("model", "target"), [(3.9, 1.0), (3.5, 1.0), (3.0, 0.5)])
+@pytest.mark.parametrize(("model", "target"), [(3.9, 1.0), (3.5, 1.0), (4.0, 2.0)])
 def test_loop_that_diverges_within_the_simple_limits_is_refused_too(
     model: float, target: float
 ) -> None:
     """Γ and stiff locks cost stability that the two simple conditions do not see."""
     config = _config(model=model, target=target)
-    assert max(_growth(config, k) for k in range(2)) > 1.001
+    assert max(_growth(config, k) for k in range(2)) > 1.01
     with pytest.raises(ConfigurationError, match=r"grows by a factor of 1\.\d+ per tick"):
         check_stability(config, robot_inertia=ROBOT, arm_inertia=ARM)
 
@@ -104,7 +115,7 @@ def test_spectral_radius_is_the_growth_of_the_loop(model: float, perturbed: int)
     if radius > 1.001:
         assert _growth(config, perturbed) == pytest.approx(radius, rel=2e-3)
     else:
-        assert _growth(config, perturbed) < 1.001
+        assert np.max(_sizes(config, perturbed, 4000)[3000:]) < 1e-6
     assert spectral_radius(
         _config(), perturbed=perturbed, robot_inertia=ROBOT, arm_inertia=ARM, gain=model
     ) == pytest.approx(radius, rel=1e-9)
@@ -114,7 +125,7 @@ def test_spectral_radius_is_the_growth_of_the_loop(model: float, perturbed: int)
 def test_accepted_loop_returns_to_rest(model: float, target: float) -> None:
     config = _config(model=model, target=target)
     check_stability(config, robot_inertia=ROBOT, arm_inertia=ARM)
-    assert max(_growth(config, k) for k in range(2)) < 1.0
+    assert _returns_to_rest(config)
 
 
 def test_refusal_begins_where_the_loop_begins_to_diverge() -> None:
@@ -127,7 +138,7 @@ def test_refusal_begins_where_the_loop_begins_to_diverge() -> None:
             break
         accepted.append(float(model))
     assert 3.0 < accepted[-1] < 3.5
-    assert max(_growth(_config(model=accepted[-1]), k) for k in range(2)) < 1.0
+    assert _returns_to_rest(_config(model=accepted[-1]))
     assert max(_growth(_config(model=accepted[-1] + 0.1), k) for k in range(2)) > 1.001
 
 

@@ -195,7 +195,7 @@ def test_curves_come_back_bit_by_bit(identification: Identification, tmp_path: P
     write_frf(path, estimates)
     with np.load(path) as file:
         assert sorted(file.files) == sorted(
-            ["f", "Z_welch_siso", "var_welch_siso", "Z_welch_full", "var_welch_full"]
+            ["f"] + [f"{kind}_{name}" for kind in ("Z", "var", "averages") for name in estimates]
         )
         assert file["Z_welch_siso"].shape == (2, 2, 122)
     back = read_frf(path)
@@ -204,6 +204,7 @@ def test_curves_come_back_bit_by_bit(identification: Identification, tmp_path: P
         assert back[name].f.tobytes() == estimate.f.tobytes()
         assert back[name].Z.tobytes() == estimate.Z.tobytes()
         assert back[name].variance.tobytes() == estimate.variance.tobytes()
+        assert back[name].averages == estimate.averages
 
 
 def test_equal_curves_give_equal_files(identification: Identification, tmp_path: Path) -> None:

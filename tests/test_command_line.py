@@ -1,0 +1,248 @@
+"""The command ``armimp`` as a user meets it: results, one clear line for errors, exit status."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armimp_bringup.cli import main
+from armimp_common import contract
+from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+
+SHORT = ["run", "--duration", "10", "--seed", "5"]
+
+
+@pytest.fixture(scope="module")
+def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished short experiment."""
+    directory = tmp_path_factory.mktemp("experiment") / "A"
+    assert main([*SHORT, "--out", str(directory)]) == 0
+    return directory
+
+
+def bags(directory: Path) -> list[str]:
+    return sorted(str(path) for path in (directory / "bags").iterdir())
+
+
+def printed(capfd: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads(capfd.readouterr().out)
+    return loaded
+
+
+def test_a_run_leaves_bags_summary_curves_figure_and_parameters(experiment: Path) -> None:
+    assert {path.name for path in experiment.iterdir()} == {
+        "bags",
+        "frf.npz",
+        "impedance.png",
+        "parameters.yaml",
+        "summary.json",
+    }
+    summary = json.loads((experiment / "summary.json").read_text())
+    assert summary["valid"] is True
+    assert [trial["bag"] for trial in summary["trials"]] == [
+        "bags/trial_1_joint_1",
+        "bags/trial_2_joint_2",
+    ]
+    assert [trial["ticks"] for trial in summary["trials"]] == [10_000, 10_000]
+    assert [trial["lost"] for trial in summary["trials"]] == [0, 0]
+    assert summary["config"]["experiment"]["seed"] == 5
+    assert summary["config"]["versions"]["numpy"] == np.__version__
+
+
+def test_estimate_and_replay_give_the_numbers_of_the_live_run_to_the_last_digit(
+    experiment: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    live = json.loads((experiment / "summary.json").read_text())
+    capfd.readouterr()
+
+    assert main(["estimate", *bags(experiment), "--json"]) == 0
+    estimated = printed(capfd)
+    assert main(["replay", *bags(experiment), "--json"]) == 0
+    replayed = printed(capfd)
+
+    assert estimated["estimators"] == live["estimators"]
+    assert replayed["estimators"] == live["estimators"]
+    assert estimated["truth"] == replayed["truth"] == live["truth"]
+    assert estimated["seed"] == replayed["seed"] == 5
+
+
+def test_a_recording_without_trial_statuses_is_replayed_too(
+    experiment: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    copies = []
+    for bag in bags(experiment):
+        copy = tmp_path / Path(bag).name
+        with BagWriter(copy, metadata={}) as writer:
+            for topic, time_ns, raw in iterate_messages(Path(bag)):
+                if topic != contract.TRIAL:
+                    writer.write(topic, raw, time_ns)
+        copies.append(str(copy))
+    capfd.readouterr()
+
+    assert main(["estimate", *copies, "--json"]) == 0
+    estimated = printed(capfd)
+    assert main(["replay", *copies, "--json"]) == 0
+    replayed = printed(capfd)
+
+    assert replayed["estimators"] == estimated["estimators"]
+    assert estimated["truth"] is None
+    assert estimated["estimators"]["welch_siso"]["vaf"] is None
+
+
+def test_the_tables_show_estimate_truth_and_error_of_every_parameter(
+    experiment: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    capfd.readouterr()
+    assert main(["estimate", *bags(experiment)]) == 0
+    shown = capfd.readouterr().out
+    for name in ("M11", "M12", "M21", "M22", "B11", "B22", "K11", "K22"):
+        assert re.search(rf"^ *{name} +[\d.]+ +[\d.]+ +[\d.]+ +[+-][\d.]+ %", shown, re.MULTILINE)
+    assert "lock ratio" in shown
+    assert "VAF" in shown
+
+
+def test_the_bag_holds_every_sample_of_every_stream(experiment: Path) -> None:
+    for bag in bags(experiment):
+        topics = [topic for topic, _, _ in iterate_messages(Path(bag))]
+        for stream in contract.DATA_STREAMS:
+            assert topics.count(stream) == 10_000
+
+
+def without(topic: str, bag: str, directory: Path) -> str:
+    copy = directory / "copy"
+    with BagWriter(copy, metadata={}) as writer:
+        for name, time_ns, raw in iterate_messages(Path(bag)):
+            if name != topic:
+                writer.write(name, raw, time_ns)
+    return str(copy)
+
+
+@pytest.mark.parametrize("command", ["estimate", "replay"])
+def test_when_torque_readings_are_missing_expect_one_line_that_says_so(
+    command: str, experiment: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bag = without(contract.TORQUE_SENSORS, bags(experiment)[0], tmp_path)
+    capfd.readouterr()
+    assert main([command, bag]) == 1
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1
+    assert bag in error
+    assert "torque_sensors" in error
+
+
+@pytest.mark.parametrize("command", ["estimate", "replay"])
+def test_when_a_joint_has_no_trial_expect_the_result_to_be_invalid(
+    command: str, experiment: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main([command, bags(experiment)[0]]) == 1
+    assert "no trial perturbs joint 2 (elbow)" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["estimate", "nowhere"], 1, "nowhere: does not exist"),
+        (["replay", "nowhere"], 1, "nowhere: does not exist"),
+        (["estimate", __file__], 1, "neither an MCAP nor an SQLite3 file"),
+        (["replay", __file__], 1, "neither an MCAP nor an SQLite3 file"),
+        (["estimate", str(Path(__file__).parent)], 1, "is not a bag"),
+        (["estimate"], 2, "bags"),
+        (["frobnicate"], 2, "frobnicate"),
+        (["run", "--frobnicate"], 2, "--frobnicate"),
+        (["run", "--friction", "9"], 2, "'friction' = 9"),
+        (["run", "--friction", "high"], 2, "--friction"),
+        (["run", "--perturbation", "0"], 2, "'perturbation' = 0"),
+        (["run", "--joints", "4"], 2, "'joints' = 4"),
+        (["run", "--duration", "nan"], 2, "'duration' = nan"),
+        (["run", "--duration", "1"], 2, "'duration' = 1.0"),
+        (["run", "--seed", "-1"], 2, "'seed' = -1"),
+        (["run", "--mode", "warp"], 2, "warp"),
+        (["run", "--processes", "many"], 2, "many"),
+        (["run", "--estimator", "guess"], 2, "guess"),
+        (["run", "--config", "nowhere.yaml"], 2, "nowhere.yaml"),
+        (["run", "--config", __file__], 2, "test_command_line.py"),
+        (["run", "--domain-id", "500"], 2, "500"),
+        (["run", "--out", str(Path(__file__).parent)], 2, "is not empty"),
+        (["run", "--out", __file__], 2, "test_command_line.py"),
+    ],
+)
+def test_an_error_of_the_user_ends_in_one_line_with_the_offending_value(
+    arguments: list[str],
+    status: int,
+    words: str,
+    capfd: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(arguments) == status
+    captured = capfd.readouterr()
+    assert captured.err.count("\n") == 1
+    assert words in captured.err
+    assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("colour: red", "'colour' does not exist"),
+        ("friction: high", "'friction'"),
+        ("[1, 2]", "names and values"),
+        ("a: [", "is not YAML"),
+        ("arm_sim: {arm: {inertia: [1.0]}}", "arm.inertia"),
+        ("arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}", "inertia of joint 1"),
+        ("imbic_controller: {law: {gama: 1.0}}", "law.gamma"),
+        ("imbic_controller: {law: {model_inertia: [9.0, 0.0, 0.0, 9.0]}}", "must be below 2"),
+        ("impedance_estimator: {directory: 5}", "directory"),
+    ],
+)
+def test_a_wrong_configuration_file_ends_in_one_line_that_names_the_parameter(
+    text: str, words: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "experiment.yaml"
+    path.write_text(text)
+    assert main(["run", "--config", str(path), "--out", str(tmp_path / "out")]) == 2
+    error = capfd.readouterr().err
+    assert error.count("\n") == 1
+    assert words in error
+    assert not (tmp_path / "out" / "bags").exists()
+
+
+@pytest.mark.parametrize("processes", ["composed", "separate"])
+def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
+    processes: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "armimp_bringup.cli", "run", "--out", str(out)]
+    command += ["--processes", processes]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        bag = out / "bags" / "trial_1_joint_1"
+        deadline = time.monotonic() + 60.0
+        while not any(bag.glob("*.mcap")) or next(bag.glob("*.mcap")).stat().st_size < 300_000:
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60.0)
+    assert process.returncode == 1
+    assert "interrupted by the user" in error
+    assert "Traceback" not in error
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["valid"] is False
+    assert read_bag(bag).trials[0].record is not None
+    mine = str(out).encode()
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and int(entry.name) != os.getpid():
+            try:
+                arguments = (entry / "cmdline").read_bytes()
+            except OSError:
+                continue
+            assert mine not in arguments

@@ -1,0 +1,132 @@
+"""The law on the plant: the perturbed joint behaves as its target says, locked joints hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_control import presets as control_presets
+from armimp_control.imbic import ImbicConfig, ImbicController
+from armimp_control.stability import check_stability
+from armimp_sim import presets as sim_presets
+from armimp_sim.plant import Plant, PlantConfig
+
+Array = NDArray[np.float64]
+PERIOD = 1e-3
+
+
+def _plant(friction: int) -> PlantConfig:
+    return PlantConfig(
+        arm=sim_presets.human_arm(2),
+        robot=sim_presets.robot(2),
+        friction=sim_presets.friction(friction, 2),
+        sensors=sim_presets.sensors(0),
+        substeps=50,
+    )
+
+
+def _law(plant: PlantConfig) -> ImbicConfig:
+    posture = plant.arm.posture
+    return control_presets.imbic(plant.robot.mass_matrix(posture), posture)
+
+
+def _run(plant_config: PlantConfig, law: ImbicConfig, tau_delta: Array, joint: int) -> Array:
+    """Deflections, torques on the arm and commands (3, n, N) under ``tau_delta`` (N,)."""
+    plant, controller = Plant([plant_config]), ImbicController(law, torque_limit=80.0)
+    controller.perturb_joint(joint)
+    record = np.zeros((3, law.joints, tau_delta.size))
+    still, push = np.zeros((1, law.joints)), np.zeros(law.joints)
+    for k, value in enumerate(tau_delta):
+        push[joint] = value
+        record[0, :, k] = plant.position[0] - plant_config.arm.posture
+        record[1, :, k] = plant.torque[0]
+        controller.tick(plant.position[0], plant.torque[0], push)
+        record[2, :, k] = controller.command
+        plant.tick(controller.command[None, :], still)
+    return record
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("friction", [0, 3])
+@pytest.mark.parametrize(
+    ("frequency", "tolerance"), [(0.5, 0.005), (1.0, 0.01), (3.0, 0.03), (8.0, 0.08), (15.0, 0.15)]
+)
+def test_perturbed_joint_shows_its_target_impedance_whatever_the_friction(
+    frequency: float, tolerance: float, friction: int, joint: int
+) -> None:
+    """The delay of one tick costs accuracy in proportion to frequency."""
+    plant = _plant(friction)
+    law = _law(plant)
+    t = np.arange(4000) * PERIOD
+    tau_delta = 2.0 * np.sin(2.0 * np.pi * frequency * t)
+    position, torque, _ = _run(plant, law, tau_delta, joint)
+    # Whole periods after the onset has died down.
+    demodulator = np.exp(-2j * np.pi * frequency * t[2000:])
+    theta = position[joint, 2000:] @ demodulator
+    net = (tau_delta[2000:] - torque[joint, 2000:]) @ demodulator
+    s = 2j * np.pi * frequency
+    target = (
+        law.target_inertia[joint] * s**2
+        + law.target_damping[joint] * s
+        + law.target_stiffness[joint]
+    )
+    assert abs(net / theta / target - 1.0) < tolerance
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize("friction", [0, 3])
+def test_locked_joint_holds_still_beside_the_perturbed_one(friction: int, joint: int) -> None:
+    plant = _plant(friction)
+    t = np.arange(3000) * PERIOD
+    tau_delta = 9.0 * np.sin(2.0 * np.pi * 2.0 * t)
+    position, torque, _ = _run(plant, _law(plant), tau_delta, joint)
+    moved = np.std(position, axis=1)
+    assert moved[joint] > 0.05
+    assert moved[1 - joint] < 1e-3 * moved[joint]
+    # It is not for want of load: the arm pulls at the locked joint through its coupling.
+    assert np.std(torque[1 - joint]) > 0.1
+
+
+@pytest.mark.parametrize("friction", [0, 2])
+def test_after_the_perturbation_all_joints_return_to_the_posture(friction: int) -> None:
+    plant = _plant(friction)
+    tau_delta = np.zeros(4000)
+    tau_delta[:300] = 6.0
+    position, _, _ = _run(plant, _law(plant), tau_delta, 0)
+    assert np.max(np.abs(position[0, :600])) > 0.05
+    assert np.max(np.abs(position[:, 3500:])) < 5e-4
+
+
+def _late_command(model: float, joint: int) -> float:
+    """Largest command one second after a short push, with M̄ scaled by ``model``, N·m."""
+    plant = _plant(0)
+    law = _law(plant)
+    scaled = replace(law, model_inertia=model * law.model_inertia)
+    tau_delta = np.zeros(1500)
+    tau_delta[:5] = 1.0
+    _, _, command = _run(plant, scaled, tau_delta, joint)
+    return float(np.max(np.abs(command[:, 1000:])))
+
+
+def test_loop_within_the_stability_check_settles_and_beyond_it_runs_into_the_limit() -> None:
+    plant = _plant(0)
+    law, robot = _law(plant), plant.robot.mass_matrix(plant.arm.posture)
+
+    def accepted(model: float) -> bool:
+        try:
+            check_stability(
+                replace(law, model_inertia=model * law.model_inertia),
+                robot_inertia=robot,
+                arm_inertia=plant.arm.inertia,
+            )
+        except ConfigurationError:
+            return False
+        return True
+
+    largest = max(model for model in np.arange(1.0, 6.0, 0.05) if accepted(float(model)))
+    assert max(_late_command(largest, joint) for joint in (0, 1)) < 2.0
+    assert max(_late_command(1.1 * largest, joint) for joint in (0, 1)) > 79.0

@@ -1,0 +1,182 @@
+"""The experiment without ROS: reproducible to the bit, alone or side by side."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_bringup.offline import OfflineTrial, Rig, run_offline
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.trial_status import Phase
+from armimp_control import presets as control_presets
+from armimp_control.imbic import ImbicController
+from armimp_control.perturbation import perturbation
+from armimp_control.safety import SafetyConfig
+from armimp_control.sequence import SequenceConfig, timetable
+from armimp_sim import presets as sim_presets
+from armimp_sim.plant import IntegrationError, Plant, PlantConfig
+from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
+
+Array = NDArray[np.float64]
+TICKS = 400
+
+
+def _rig(*, joints: int = 2, friction: int = 2, level: int = 3, seed: int = 1) -> Rig:
+    arm, robot = sim_presets.human_arm(joints), sim_presets.robot(joints)
+    return Rig(
+        plant=PlantConfig(
+            arm=arm,
+            robot=robot,
+            friction=sim_presets.friction(friction, joints),
+            sensors=sim_presets.sensors(level),
+        ),
+        voluntary=VoluntaryConfig(rms=0.2),
+        controller=control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture),
+        safety=SafetyConfig(),
+        perturbation=control_presets.perturbation(level, joints),
+        sequence=SequenceConfig(duration=TICKS * 1e-3, settle=0.05, rest=0.06),
+        seed=seed,
+    )
+
+
+def _arrays(trial: OfflineTrial) -> dict[str, Array]:
+    return {
+        name: getattr(trial, name) for name in ("position", "torque", "command", "perturbation")
+    }
+
+
+def _same(one: OfflineTrial, other: OfflineTrial) -> bool:
+    return all(
+        np.array_equal(getattr(one, field.name), getattr(other, field.name))
+        for field in fields(OfflineTrial)
+    )
+
+
+@pytest.mark.parametrize("joints", [2, 3])
+def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
+    (trials,) = run_offline([_rig(joints=joints)])
+    assert [trial.joint for trial in trials] == list(range(joints))
+    assert [trial.first_tick for trial in trials] == [50 + k * 510 for k in range(joints)]
+    for trial in trials:
+        for values in _arrays(trial).values():
+            assert values.shape == (joints, TICKS)
+            assert values.flags.c_contiguous
+            assert np.all(np.isfinite(values))
+        others = np.delete(trial.perturbation, trial.joint, axis=0)
+        assert np.array_equal(others, np.zeros((joints - 1, TICKS)))
+        assert (
+            np.max(np.abs(trial.perturbation)) == _rig(joints=joints).perturbation.peak[trial.joint]
+        )
+        # The perturbed joint moves most, about the posture.
+        deflection = trial.position - sim_presets.human_arm(joints).posture[:, None]
+        assert np.argmax(np.std(deflection, axis=1)) == trial.joint
+
+
+def test_experiment_is_that_of_the_nodes_tick_by_tick() -> None:
+    """Sample k, command k, one period of the plant, sample k + 1; nothing else."""
+    rig = _rig(seed=4)
+    (trials,) = run_offline([rig])
+    plant = Plant([rig.plant])
+    controller = ImbicController(rig.controller, torque_limit=rig.safety.torque_limit)
+    voluntary = VoluntaryTorque(rig.voluntary, joints=2, period=1e-3, seed=rig.seed)
+    for segment in timetable(rig.sequence, joints=2, period=1e-3):
+        controller.perturb_joint(segment.joint)
+        tau_delta = np.zeros((segment.ticks, 2))
+        if segment.phase is Phase.PERTURB:
+            tau_delta[:, segment.joint] = perturbation(
+                rig.perturbation,
+                joint=segment.joint,
+                trial=segment.trial,
+                ticks=segment.ticks,
+                seed=rig.seed,
+            )
+        record = np.zeros((3, 2, segment.ticks))
+        for k in range(segment.ticks):
+            controller.tick(plant.position[0], plant.torque[0], tau_delta[k])
+            record[:, :, k] = plant.position[0], plant.torque[0], controller.command
+            plant.tick(controller.command[None, :], voluntary.next()[None, :])
+        if segment.phase is Phase.PERTURB:
+            trial = trials[segment.joint]
+            assert np.array_equal(trial.position, record[0])
+            assert np.array_equal(trial.torque, record[1])
+            assert np.array_equal(trial.command, record[2])
+            assert np.array_equal(trial.perturbation, tau_delta.T)
+
+
+def test_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
+    first, again, other = (run_offline([_rig(seed=seed)])[0] for seed in (3, 3, 8))
+    assert all(_same(one, two) for one, two in zip(first, again, strict=True))
+    for one, two in zip(first, other, strict=True):
+        for name, values in _arrays(one).items():
+            assert not np.array_equal(values, _arrays(two)[name]), name
+
+
+def test_experiments_side_by_side_give_the_bits_that_each_gives_alone() -> None:
+    rigs = [_rig(friction=level, level=max(level, 1), seed=10 + level) for level in (0, 1, 3)]
+    together = run_offline(rigs)
+    assert len(together) == 3
+    for rig, trials in zip(rigs, together, strict=True):
+        (alone,) = run_offline([rig])
+        assert len(alone) == len(trials) == 2
+        assert all(_same(one, many) for one, many in zip(alone, trials, strict=True))
+
+
+def test_voluntary_torque_does_not_change_the_perturbation() -> None:
+    rig = _rig()
+    relaxed = replace(rig, voluntary=VoluntaryConfig(rms=0.0))
+    (active_trials,), (relaxed_trials,) = run_offline([rig]), run_offline([relaxed])
+    for one, two in zip(active_trials, relaxed_trials, strict=True):
+        assert np.array_equal(one.perturbation, two.perturbation)
+        assert not np.array_equal(one.torque, two.torque)
+
+
+def test_saturated_commands_stay_within_the_limit_and_are_counted() -> None:
+    rig = replace(_rig(), safety=SafetyConfig(torque_limit=6.0))
+    (trials,) = run_offline([rig])
+    for trial in trials:
+        assert np.max(np.abs(trial.command)) == 6.0
+        assert trial.clipped == np.count_nonzero(np.abs(trial.command) == 6.0) > 0
+    (free,) = run_offline([_rig(friction=0, level=1)])
+    assert [trial.clipped for trial in free] == [0, 0]
+
+
+def test_integration_that_breaks_down_is_reported() -> None:
+    rig = _rig()
+    wild = replace(
+        rig,
+        safety=SafetyConfig(torque_limit=1e5),
+        perturbation=replace(rig.perturbation, peak=(1e5, 1e5)),
+    )
+    with pytest.raises(IntegrationError, match="plant: ") as caught:
+        run_offline([wild])
+    assert "\n" not in str(caught.value)
+
+
+def test_experiments_of_unequal_sequence_are_refused() -> None:
+    longer = replace(_rig(), sequence=SequenceConfig(duration=1.0))
+    with pytest.raises(DataError, match="same trial sequence"):
+        run_offline([_rig(), longer])
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"controller": _rig(joints=3).controller}, "have 2, 3 and 2 joints"),
+        ({"perturbation": control_presets.perturbation(1, 3)}, "have 2, 2 and 3 joints"),
+        (
+            {"controller": replace(_rig().controller, period=2e-3)},
+            r"periods of 0\.001, 0\.002 and 0\.001 s",
+        ),
+        (
+            {"perturbation": replace(_rig().perturbation, period=2e-3)},
+            r"periods of 0\.001, 0\.001 and 0\.002 s",
+        ),
+    ],
+)
+def test_rig_of_parts_that_do_not_fit_is_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        replace(_rig(), **changes)
