@@ -4,6 +4,10 @@ numba keeps machine code on disk and takes it as fresh while the file of the fun
 changed. What the function calls is compiled into it, though, often from other files: after an
 update of those alone, old code would go on running without a word. Here the name of the cache
 folder is a digest of all files that a function is compiled from.
+
+Division by zero gives inf or NaN (``error_model="numpy"``), which the callers look for, and not a
+ZeroDivisionError out of the middle of a simulation; without that branch, loops with divisions can
+become SIMD code, too.
 """
 
 from __future__ import annotations
@@ -20,14 +24,10 @@ import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-# Division by zero gives inf or NaN, which the callers look for, instead of a ZeroDivisionError out
-# of the middle of a simulation; and without the branch, loops with divisions become SIMD code.
-_ERROR_MODEL = "numpy"
-
 
 def compiled(function: Function) -> Function:
     """Compile a function that only other compiled functions call; they hold its code."""
-    return cast(Function, numba.njit(error_model=_ERROR_MODEL)(function))
+    return cast(Function, numba.njit(error_model="numpy")(function))
 
 
 def compiled_entry(function: Function) -> Function:
@@ -40,15 +40,15 @@ def compiled_entry(function: Function) -> Function:
     before = config.CACHE_DIR
     try:
         config.CACHE_DIR = str(folder or "")
-        options = {"cache": folder is not None, "nogil": True, "error_model": _ERROR_MODEL}
-        return cast(Function, numba.njit(**options)(function))
+        compiler = numba.njit(cache=folder is not None, nogil=True, error_model="numpy")
+        return cast(Function, compiler(function))
     finally:
         config.CACHE_DIR = before
 
 
 def source_digest(function: Callable[..., Any]) -> str:
     """Digest of everything that is compiled into ``function``: files and imported constants."""
-    files: set[Path] = set()
+    files = {Path(__file__)}  # it holds the compiler's options
     constants: set[str] = set()
     _collect(function, files, constants)
     digest = hashlib.sha256()

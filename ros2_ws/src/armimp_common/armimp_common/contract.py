@@ -23,6 +23,7 @@ PERTURBATION: Final = "imbic_controller/perturbation"
 TRIAL: Final = "imbic_controller/trial"
 PROGRESS: Final = "impedance_estimator/progress"
 RESULT: Final = "impedance_estimator/result"
+RECEIVED: Final = "impedance_estimator/received"
 CLOCK: Final = "/clock"
 DIAGNOSTICS: Final = "/diagnostics"
 
@@ -37,9 +38,16 @@ MESSAGE_TYPES: Final[dict[str, str]] = {
     TRIAL: "diagnostic_msgs/msg/DiagnosticStatus",
     PROGRESS: "diagnostic_msgs/msg/DiagnosticStatus",
     RESULT: "diagnostic_msgs/msg/DiagnosticStatus",
+    RECEIVED: "std_msgs/msg/UInt64",
     CLOCK: "rosgraph_msgs/msg/Clock",
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
 }
+
+RECORDER_GONE: Final = 2**64 - 1
+"""On ``impedance_estimator/received``: nothing is recorded any more, nobody has to wait."""
+
+RECEIVED_EVERY: Final = 250
+"""Samples after which the recorder tells how many it has received."""
 
 VALUE_FIELD: Final[dict[str, ValueField]] = {
     JOINT_STATES: "position",

@@ -35,6 +35,7 @@ PROFILES: Final[dict[str, QoSProfile]] = {
     **dict.fromkeys(contract.DATA_STREAMS, SAMPLE),
     contract.TRIAL: LATCHED,
     contract.RESULT: LATCHED,
+    contract.RECEIVED: LATCHED,
     contract.PROGRESS: PROGRESS,
     contract.CLOCK: CLOCK,
     contract.DIAGNOSTICS: DIAGNOSTICS,

@@ -1,12 +1,13 @@
 """Picking the messages of one trial after another out of the live streams.
 
-The streams arrive interleaved in any way, each in its own order. The perturbation leads: a trial is
-its first ``ticks`` messages from ``start_ns`` on, the sensor samples up to the same stamps, and the
-commands of the same ordinal numbers, since every tick has one of each.
+Streams and statuses arrive interleaved in any way, each in its own order. The perturbation leads:
+a trial is its first ``ticks`` messages from ``start_ns`` on, the sensor samples up to the same
+stamps, and the commands of the same ordinal numbers, since every tick has one of each.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,9 @@ from armimp_common.trial_status import Phase, TrialStatus
 
 Sink = Callable[[str, bytes, int], None]
 
-_SENSORS = (JOINT_STATES, TORQUE_SENSORS)
+_FOLLOWERS = (JOINT_STATES, TORQUE_SENSORS, COMMANDS)
+_KEPT_EARLY = 2000
+"""Messages of each stream that may be ahead of the status, or of the perturbation."""
 _DRIFT = 2e-4
 """By how much the clock of a driver may go wrong relative to the nominal period."""
 _OVERDUE_NS = 100_000_000
@@ -56,14 +59,23 @@ class TrialCollector:
         Called with topic, message and time (ns) of every accepted message.
     on_complete : callable
         Called with each trial when it is complete, or as complete as it will get.
+    on_begin : callable
+        Called with the first status of each trial.
     """
 
-    def __init__(self, sink: Sink, on_complete: Callable[[CollectedTrial], None]) -> None:
+    def __init__(
+        self,
+        sink: Sink,
+        on_complete: Callable[[CollectedTrial], None],
+        on_begin: Callable[[TrialStatus], None] = lambda _: None,
+    ) -> None:
         self._sink = sink
         self._on_complete = on_complete
+        self._on_begin = on_begin
         self._waiting_statuses: deque[TrialStatus] = deque()
         self._commands: deque[bytes] = deque()
         self._stamps_without_command: deque[int] = deque()
+        self._early = _nothing_early()
         self._forget()
 
     @property
@@ -84,9 +96,6 @@ class TrialCollector:
     def _forget(self) -> None:
         self._statuses: list[TrialStatus] = []
         self._messages: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
-        # Sensor samples ahead of the perturbation, and all messages before the start is known.
-        self._ahead: dict[str, deque[tuple[int, bytes]]] = {topic: deque() for topic in _SENSORS}
-        self._before_start: list[tuple[str, bytes, int]] = []
         self._start_ns: int | None = None
         self._up_to_ns = -1
         self._latest = dict.fromkeys(DATA_STREAMS, -1)
@@ -98,8 +107,10 @@ class TrialCollector:
         if present is not None and status.trial != present.trial:
             self._waiting_statuses.append(status)
             return
-        if present is None and status.phase not in (Phase.SETTLE, Phase.PERTURB):
-            return
+        if present is None:
+            if status.phase not in (Phase.SETTLE, Phase.PERTURB):
+                return
+            self._on_begin(status)
         self._statuses.append(status)
         if status.phase is Phase.PERTURB and self._start_ns is None:
             self._begin(status)
@@ -150,41 +161,37 @@ class TrialCollector:
         self._ticks = status.ticks
         planned = status.ticks * PERIOD_NS
         self._end_ns = status.start_ns + planned + int(planned * _DRIFT) - PERIOD_NS // 2
-        earlier, self._before_start = self._before_start, []
-        for topic, message, stamp_ns in earlier:
+        early, self._early = self._early, _nothing_early()
+        for stamp_ns, topic, message in heapq.merge(*early.values(), key=lambda entry: entry[0]):
             self._accept(topic, message, stamp_ns)
 
     def _accept(self, topic: str, message: bytes, stamp_ns: int) -> None:
-        start_ns = self._start_ns
-        if start_ns is None:
-            if self._statuses:
-                self._before_start.append((topic, message, stamp_ns))
+        if self._start_ns is None:
+            self._early[topic].append((stamp_ns, topic, message))
             return
-        if stamp_ns < start_ns:
+        if stamp_ns < self._start_ns:
             return
         self._latest[topic] = stamp_ns
-        if topic == PERTURBATION:
-            if not self._finished:
-                self._lead(message, stamp_ns)
-        elif stamp_ns <= self._up_to_ns:
+        if topic == PERTURBATION and not self._finished and stamp_ns < self._end_ns:
+            self._lead(message, stamp_ns)
+        elif topic != PERTURBATION and stamp_ns <= self._up_to_ns:
             self._keep(topic, message, stamp_ns)
-        elif topic != COMMANDS and not self._finished:
-            self._ahead[topic].append((stamp_ns, message))
+        else:
+            self._early[topic].append((stamp_ns, topic, message))
+            self._finished = self._finished or topic == PERTURBATION
         if self._finished:
             self._complete_if_all_there()
 
     def _lead(self, message: bytes, stamp_ns: int) -> None:
         """A perturbation extends the trial up to its stamp."""
-        if stamp_ns < self._end_ns:
-            self._up_to_ns = max(stamp_ns, self._up_to_ns)
-            for topic, waiting in self._ahead.items():
-                while waiting and waiting[0][0] <= self._up_to_ns:
-                    sensor_stamp, sample = waiting.popleft()
-                    self._keep(topic, sample, sensor_stamp)
-            self._keep(PERTURBATION, message, stamp_ns)
-            self._finished = len(self._messages[PERTURBATION]) == self._ticks
-        else:
-            self._finished = True
+        self._up_to_ns = max(stamp_ns, self._up_to_ns)
+        for topic in _FOLLOWERS:
+            waiting = self._early[topic]
+            while waiting and waiting[0][0] <= self._up_to_ns:
+                early_ns, _, early = waiting.popleft()
+                self._keep(topic, early, early_ns)
+        self._keep(PERTURBATION, message, stamp_ns)
+        self._finished = len(self._messages[PERTURBATION]) == self._ticks
 
     def _keep(self, topic: str, message: bytes, stamp_ns: int) -> None:
         self._messages[topic].append(message)
@@ -196,3 +203,7 @@ class TrialCollector:
         overdue = self._latest[PERTURBATION] >= self._end_ns + _OVERDUE_NS
         if overdue or all(self._latest[topic] >= self._up_to_ns for topic in DATA_STREAMS):
             self.finish()
+
+
+def _nothing_early() -> dict[str, deque[tuple[int, str, bytes]]]:
+    return {topic: deque(maxlen=_KEPT_EARLY) for topic in DATA_STREAMS}

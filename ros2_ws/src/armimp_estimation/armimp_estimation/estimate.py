@@ -90,6 +90,9 @@ class ImpedanceEstimate:
         Number of independent averages behind each value and its variance.
     T, R : ndarray, shape (n, n, n_freq)
         Responses of torques and of angles (rad/(N·m)) to the perturbation.
+    weight_floor : float or None
+        Relative error beside the variance that the M-B-K fit should allow for in its weights, see
+        :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit.
     """
 
     name: str
@@ -100,6 +103,7 @@ class ImpedanceEstimate:
     averages: float
     T: ComplexArray
     R: ComplexArray
+    weight_floor: float | None = None
 
     @property
     def joints(self) -> int:

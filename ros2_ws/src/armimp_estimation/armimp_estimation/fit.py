@@ -1,7 +1,7 @@
 """Inertia, viscosity and stiffness from an impedance estimate, by weighted least squares."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class FitConfig:
         whose random errors are tiny decide alone and bring in those errors. With 0 the skew of
         half a millisecond biases B by up to 55 % on a quiet simulated rig, with 0.2 by 7 %.
         Where the random errors are larger than the floor, weights are those of the variance.
+        An estimate that knows better carries a floor of its own, which takes precedence.
     """
 
     smoothing: float = 0.6
@@ -113,6 +114,8 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
     if not (np.isfinite(estimate.Z).all() and np.isfinite(estimate.variance).all()):
         raise DataError(f"{estimate.name}: impedance or its variance is not finite")
     options = config if config is not None else FitConfig()
+    if estimate.weight_floor is not None:
+        options = replace(options, weight_floor=estimate.weight_floor)
     n = estimate.joints
     values = np.zeros((3, n, n))
     errors = np.zeros((3, n, n))

@@ -7,10 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import contract, qos
 from armimp_common.channels import RawSubscription, wait_until_matched
@@ -38,6 +39,7 @@ _MESSAGE_CLASSES = {
     "sensor_msgs/msg/JointState": JointState,
     "std_msgs/msg/Float64MultiArray": Float64MultiArray,
 }
+_RECORDED_BESIDE = {contract.CLOCK: Clock, contract.DIAGNOSTICS: DiagnosticArray}
 
 
 class ImpedanceEstimatorNode(LifecycleNode):
@@ -58,6 +60,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._reset()
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
+        self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
         self._streams = [
             RawSubscription(
                 self,
@@ -66,6 +69,16 @@ class ImpedanceEstimatorNode(LifecycleNode):
                 partial(self._on_message, topic),
             )
             for topic in contract.DATA_STREAMS
+        ]
+        self._beside = [
+            RawSubscription(
+                self,
+                topic,
+                kind,
+                partial(self._on_beside, topic),
+                profile=qos.PROFILES[topic],
+            )
+            for topic, kind in _RECORDED_BESIDE.items()
         ]
         self._trial = self.create_subscription(
             DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED
@@ -84,6 +97,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if lonely:
             raise GraphError(f"nobody publishes {', '.join(lonely)}")
         self._active = True
+        self._samples = 0
+        self._received.publish(UInt64(data=0))
         self._timer.reset()
         return super().on_activate(state)
 
@@ -99,8 +114,9 @@ class ImpedanceEstimatorNode(LifecycleNode):
         """Forget everything, so that new parameters can be used."""
         self.destroy_timer(self._timer)
         self.destroy_subscription(self._trial)
-        for stream in self._streams:
+        for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
+        self.destroy_publisher(self._received)
         self.destroy_publisher(self._progress)
         self.destroy_publisher(self._result)
         return TransitionCallbackReturn.SUCCESS
@@ -127,6 +143,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     def _stop(self, reason: str) -> None:
         self._active = False
+        self._received.publish(UInt64(data=contract.RECORDER_GONE))
         self._timer.cancel()
         self._recording.stop()
         self._conclude(reason)
@@ -138,6 +155,18 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._recording.add(topic, message)
         except MalformedMessageError as error:
             self._note(f"{topic}: {error}")
+        except ArmimpError as error:
+            self._give_up(str(error))
+        if topic == contract.PERTURBATION:
+            self._samples += 1
+            if self._samples % contract.RECEIVED_EVERY == 0:
+                self._received.publish(UInt64(data=self._samples))
+
+    def _on_beside(self, topic: str, message: bytes) -> None:
+        if not self._active:
+            return
+        try:
+            self._recording.add_beside(topic, message)
         except ArmimpError as error:
             self._give_up(str(error))
 
@@ -204,6 +233,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         """Recording failed: keep what there is, and say so."""
         self._note(problem)
         self._active = False
+        self._received.publish(UInt64(data=contract.RECORDER_GONE))
         self._timer.cancel()
         try:
             self._recording.close()

@@ -15,7 +15,7 @@ FloatArray = NDArray[np.float64]
 class TrialRecord:
     """One trial: what was commanded as perturbation and what the sensors read.
 
-    The three arrays are converted to C-contiguous float64, so that the estimates do not
+    The arrays are converted to C-contiguous float64, so that the estimates do not
     depend on how the caller happened to lay them out.
 
     Parameters
@@ -38,6 +38,8 @@ class TrialRecord:
         Stamp of the first sample, ns.
     seed : int or None
         Seed of the perturbation, if known.
+    command : ndarray, shape (n, N), or None
+        Torque command sent in answer to each sample, in force until the next, N·m; if known.
 
     Raises
     ------
@@ -54,6 +56,7 @@ class TrialRecord:
     torque: FloatArray
     start_ns: int
     seed: int | None
+    command: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
@@ -64,7 +67,10 @@ class TrialRecord:
             raise DataError(f"{where}: no joint {self.perturbed_joint + 1} among {n} joints")
         if not (math.isfinite(self.rate) and self.rate > 0.0):
             raise DataError(f"{where}: sampling rate must be positive, got {self.rate!r} Hz")
-        for name in ("perturbation", "position", "torque"):
+        signals = ["perturbation", "position", "torque"]
+        if self.command is not None:
+            signals.append("command")
+        for name in signals:
             values: FloatArray = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if values.ndim != 2 or values.shape[0] != n:
                 raise DataError(f"{where}: {name} has shape {values.shape}, expected ({n}, N)")

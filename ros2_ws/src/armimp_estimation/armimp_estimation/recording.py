@@ -8,7 +8,7 @@ from pathlib import Path
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS, TRIAL
 from armimp_common.errors import ArmimpError, DataError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.trial_status import TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.statuses import encode_trial_status
@@ -45,7 +45,7 @@ class Recording:
         self._directory = directory
         self._metadata = metadata
         self._on_finished = on_finished
-        self._collector = TrialCollector(self._write, self._on_complete)
+        self._collector = TrialCollector(self._write, self._on_complete, self._open)
         self._writer: BagWriter | None = None
         self._bag: Path | None = None
         self._running: RunningCoherence | None = None
@@ -77,10 +77,18 @@ class Recording:
         BagError
             If the bag of a new trial can't be written.
         """
-        before = self._collector.status
-        if before is None and status.phase in (Phase.SETTLE, Phase.PERTURB):
-            self._open(status)
         self._collector.add_status(status)
+
+    def add_beside(self, topic: str, message: bytes) -> None:
+        """Record a message that is no sample, such as diagnostics, beside the last sample.
+
+        Raises
+        ------
+        BagError
+            If it can't be written.
+        """
+        if self._writer is not None and self._statuses_written:
+            self._writer.write(topic, message, self._last_ns)
 
     def update(self) -> tuple[float, float] | None:
         """Running coherence (motion, torque) of the present trial, see `RunningCoherence`."""

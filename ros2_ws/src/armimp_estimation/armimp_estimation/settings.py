@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from armimp_estimation.fit import FitConfig
+from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.verdict import Limits
 
@@ -15,6 +16,8 @@ class IdentifyConfig:
     ----------
     welch : WelchConfig
         Segments and band.
+    lpm : LpmConfig
+        Options of the estimator ``lpm_full``, which takes the same band.
     fit : FitConfig
         Fit of M, B and K.
     limits : Limits
@@ -22,5 +25,6 @@ class IdentifyConfig:
     """
 
     welch: WelchConfig = field(default_factory=WelchConfig)
+    lpm: LpmConfig = field(default_factory=LpmConfig)
     fit: FitConfig = field(default_factory=FitConfig)
     limits: Limits = field(default_factory=Limits)

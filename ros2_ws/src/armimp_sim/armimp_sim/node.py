@@ -8,6 +8,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import UInt64
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
@@ -21,6 +22,7 @@ from armimp_common.lifecycle import reported
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.stamps import to_time
+from armimp_sim.backlog import Backlog
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
@@ -55,6 +57,11 @@ class ArmSimNode(LifecycleNode):
         self._commands = CommandSubscription(
             self, contract.COMMANDS, len(names), self._on_command, on_malformed=self._on_malformed
         )
+        self._backlog = Backlog()
+        self._holding = False
+        self._received = self.create_subscription(
+            UInt64, contract.RECEIVED, self._on_received, qos.LATCHED
+        )
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -69,6 +76,7 @@ class ArmSimNode(LifecycleNode):
         if lonely:
             raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
         self._active = True
+        self._holding = False
         self._publish()
         return super().on_activate(state)
 
@@ -89,6 +97,7 @@ class ArmSimNode(LifecycleNode):
         ):
             self.destroy_publisher(publisher)
         self.destroy_subscription(self._commands.subscription)
+        self.destroy_subscription(self._received)
         self._rig = None
         return TransitionCallbackReturn.SUCCESS
 
@@ -106,7 +115,7 @@ class ArmSimNode(LifecycleNode):
         rig.step(command)
         if sound and rig.fault:
             self._report(rig)
-        self._publish()
+        self._publish_or_hold()
 
     def _on_malformed(self, error: ArmimpError) -> None:
         rig = self._rig
@@ -115,12 +124,25 @@ class ArmSimNode(LifecycleNode):
         rig.latch(f"malformed command: {error}")
         self._report(rig)
         rig.step((0.0,) * rig.position.size)
-        self._publish()
+        self._publish_or_hold()
+
+    def _on_received(self, message: UInt64) -> None:
+        self._backlog.acknowledge(message.data)
+        if self._holding and self._active and not self._backlog.full:
+            self._holding = False
+            self._publish()
+
+    def _publish_or_hold(self) -> None:
+        if self._backlog.full:
+            self._holding = True
+        else:
+            self._publish()
 
     def _publish(self) -> None:
         rig = self._rig
         assert rig is not None
         stamp_ns = rig.stamp_ns
+        self._backlog.count_sent()
         self._joint_states.publish(stamp_ns, rig.position)
         self._torque_sensors.publish(stamp_ns, rig.torque)
         if rig.tick % _CLOCK_TICKS == 0:

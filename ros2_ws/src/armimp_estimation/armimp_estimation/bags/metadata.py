@@ -29,6 +29,7 @@ _QOS: Final[dict[str, tuple[int, str, str]]] = {
     **dict.fromkeys(contract.DATA_STREAMS, _SAMPLE),
     contract.TRIAL: _LATCHED,
     contract.RESULT: _LATCHED,
+    contract.RECEIVED: _LATCHED,
     contract.PROGRESS: (10, "reliable", "volatile"),
     contract.CLOCK: (1, "best_effort", "volatile"),
     contract.DIAGNOSTICS: (10, "reliable", "volatile"),

@@ -1,0 +1,225 @@
+"""Frequency response of one record by the local polynomial method, without averaging segments.
+
+Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*, 2nd ed., ch. 7. A record
+that is cut out of an ongoing experiment obeys, between the discrete Fourier transforms of its input
+and outputs, ``Y(k) = G(k) U(k) + T(k) + V(k)``. T is what the ends of the record leave behind
+(leakage); like G it is smooth over frequency, whereas U is not. So within a few bins around k both
+are taken as polynomials, whose coefficients follow by least squares; the residual gives the noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Smallest ratio of the parts of the regressors that are independent of each other.
+_DEGENERATE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalPolynomialConfig:
+    """Bins and degree of the local polynomials.
+
+    Parameters
+    ----------
+    order : int
+        Degree of the polynomials in frequency, for response and leakage alike.
+    half_width : int
+        Bins on either side that take part in the estimate at a bin. At the ends of the spectrum
+        the window of ``2·half_width + 1`` bins is not centred.
+
+    Raises
+    ------
+    ConfigurationError
+        If the window has not more bins than there are coefficients.
+    """
+
+    order: int = 2
+    half_width: int = 12
+
+    def __post_init__(self) -> None:
+        if self.order < 0:
+            raise ConfigurationError(f"order must not be negative, got {self.order}")
+        if self.freedom < 1:
+            raise ConfigurationError(
+                f"{self.window} bins are too few for polynomials of order {self.order}: "
+                f"half_width must be at least {self.order + 1}, got {self.half_width}"
+            )
+
+    @property
+    def window(self) -> int:
+        """Number of bins in a window."""
+        return 2 * self.half_width + 1
+
+    @property
+    def freedom(self) -> int:
+        """Complex degrees of freedom of the residual."""
+        return self.window - 2 * (self.order + 1)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LocalResponse:
+    """Responses of C outputs to one input.
+
+    Attributes
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    response : ndarray, shape (C, n_freq)
+        Frequency responses, in units of output over input.
+    noise : ndarray, shape (C, C, n_freq)
+        ``E[V_c conj(V_d)]`` of the Fourier transforms of the outputs, from the residuals.
+    weights : ndarray, shape (n_freq, window)
+        ``response = Σ_w weights[:, w] · Y(first + w)`` for any output Y.
+    first : ndarray of int, shape (n_freq,)
+        First bin of each window.
+    freedom : int
+        Complex degrees of freedom behind the noise.
+    """
+
+    f: FloatArray
+    response: ComplexArray
+    noise: ComplexArray
+    weights: ComplexArray
+    first: NDArray[np.intp]
+    freedom: int
+
+    @property
+    def gain(self) -> FloatArray:
+        """Variance of a response per unit of noise variance: ``Σ_w |weights|²``, (n_freq,)."""
+        gain: FloatArray = np.sum(np.abs(self.weights) ** 2, axis=1)
+        return gain
+
+    def combined_variance(self, coefficients: ComplexArray) -> FloatArray:
+        """Variance of ``Σ_c a_c G_c`` over the outputs c, from their joint covariance.
+
+        Parameters
+        ----------
+        coefficients : ndarray, shape (C, n_freq)
+            Coefficient of each output at each frequency.
+
+        Returns
+        -------
+        ndarray, shape (n_freq,)
+            Never below what rounding alone would leave.
+        """
+        noise = np.einsum("cf,cdf,df->f", coefficients, self.noise, np.conj(coefficients)).real
+        terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, self.noise).real
+        variance: FloatArray = self.gain * np.maximum(noise, np.finfo(np.float64).eps * terms)
+        return variance
+
+    def bin_correlation(self) -> FloatArray:
+        """Correlation of the errors of bins 0, 1, 2... places apart, averaged over the band.
+
+        Noise of different bins is uncorrelated, so the covariance of two estimates is the sum of
+        the products of their weights over the bins that both use.
+
+        Returns
+        -------
+        ndarray, shape (lags,)
+            From 1 at lag 0 to the largest at which windows overlap.
+        """
+        size, window = self.weights.shape
+        deviation = np.sqrt(self.gain)
+        correlation = np.ones(min(window, size))
+        for lag in range(1, correlation.size):
+            shift = self.first[lag:] - self.first[:-lag]
+            # Place, in the window of the lower bin, of each place in that of the upper one.
+            place = np.arange(window) + shift[:, None]
+            common = np.take_along_axis(
+                self.weights[:-lag], np.minimum(place, window - 1), axis=1
+            ) * np.conj(self.weights[lag:])
+            sums = np.sum(np.where(place < window, common, 0.0), axis=1).real
+            correlation[lag] = np.mean(sums / (deviation[lag:] * deviation[:-lag]))
+        return correlation
+
+
+def bins_in_band(samples: int, rate: float, f_low: float, f_high: float) -> NDArray[np.intp]:
+    """Bins of the Fourier transform of a record that lie in a band, both ends included.
+
+    Zero frequency and the Nyquist frequency are never among them.
+    """
+    resolution = rate / samples
+    first = max(1, int(np.ceil(f_low / resolution * (1.0 - 1e-12))))
+    last = min((samples - 1) // 2, int(np.floor(f_high / resolution * (1.0 + 1e-12))))
+    return np.arange(first, last + 1)
+
+
+def local_response(
+    source: FloatArray,
+    outputs: FloatArray,
+    rate: float,
+    band: tuple[float, float],
+    config: LocalPolynomialConfig,
+) -> LocalResponse:
+    """Estimate the responses of outputs to one input at every bin of a band.
+
+    Parameters
+    ----------
+    source : ndarray, shape (N,)
+        Input, known without error.
+    outputs : ndarray, shape (C, N)
+        Outputs.
+    rate : float
+        Samples per second, Hz.
+    band : tuple of float
+        Lowest and highest frequency, Hz.
+    config : LocalPolynomialConfig
+        Bins and degree.
+
+    Raises
+    ------
+    DataError
+        If the record is too short, or the input has no power or too few lines around a bin.
+    """
+    samples, window = source.size, config.window
+    bins = bins_in_band(samples, rate, *band)
+    highest = (samples - 1) // 2
+    if bins.size == 0 or highest < window:
+        raise DataError(
+            f"{samples} samples are too few for local polynomials over {window} bins "
+            f"between {band[0]:.4g} and {band[1]:.4g} Hz"
+        )
+    f = bins.astype(np.float64) * float(rate / samples)
+    first = np.clip(bins - config.half_width, 1, highest - window + 1)
+    places = first[:, None] + np.arange(window)
+
+    inputs = _transform(source)[places]
+    scale = np.sqrt(np.mean(np.abs(inputs) ** 2, axis=1))
+    if not (scale > 0.0).all():
+        raise DataError(f"no perturbation at {f[~(scale > 0.0)][0]:.4g} Hz")
+    distance = (places - bins[:, None]) / config.half_width
+    powers = distance[:, :, None] ** np.arange(config.order + 1)
+    regressors = np.concatenate(((inputs / scale[:, None])[:, :, None] * powers, powers), axis=2)
+    basis, triangle = np.linalg.qr(regressors)
+    diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
+    poor = np.min(diagonal, axis=1) < _DEGENERATE * np.max(diagonal, axis=1)
+    if poor.any():
+        raise DataError(f"perturbation has too few spectral lines around {f[poor][0]:.4g} Hz")
+
+    adjoint = np.conj(np.swapaxes(basis, 1, 2))
+    to_response = np.linalg.inv(triangle)[:, :1, :]
+    weights = (to_response @ adjoint)[:, 0, :] / scale[:, None]
+    observed = np.moveaxis(_transform(outputs)[:, places], 0, 2)
+    residual = observed - basis @ (adjoint @ observed)
+    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / config.freedom
+    return LocalResponse(
+        f=f,
+        response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
+        noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
+        weights=weights,
+        first=first,
+        freedom=config.freedom,
+    )
+
+
+def _transform(signal: FloatArray) -> ComplexArray:
+    """Fourier transform along the last axis, without the mean, whose rounding would leak."""
+    centred = signal - signal.mean(axis=-1, keepdims=True)
+    transform: ComplexArray = np.fft.rfft(centred, axis=-1)
+    return transform

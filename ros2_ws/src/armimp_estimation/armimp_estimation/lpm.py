@@ -1,0 +1,162 @@
+"""Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.frf import order_trials
+from armimp_estimation.local_polynomial import (
+    LocalPolynomialConfig,
+    LocalResponse,
+    local_response,
+)
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import TrialData
+from armimp_estimation.update_jump import command_steps, jump_transmission
+from armimp_estimation.welch import invert, multiply
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class TorqueTiming(str, Enum):
+    """When torques are read, relative to the update of the command at the same sample."""
+
+    BEFORE_UPDATE = "before_update"
+    """Just before: what jumps with the command is late."""
+    INTERVAL_MEAN = "interval_mean"
+    """As the mean since the last sample: everything is late."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LpmConfig:
+    """Options of the estimator ``lpm_full``.
+
+    Parameters
+    ----------
+    local : LocalPolynomialConfig
+        Local polynomials.
+    torque_delay : float
+        How late torque readings are against angles, samples; 0 if they are simultaneous.
+    timing : TorqueTiming
+        What it is that is late, see :mod:`armimp_estimation.update_jump`. Without commands in the
+        records it has to be everything.
+    weight_floor : float
+        Relative error that is allowed for in the weights of the M-B-K fit, beside the variance;
+        see :class:`armimp_estimation.fit.FitConfig`.
+    """
+
+    local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
+    torque_delay: float = 0.5
+    timing: TorqueTiming = TorqueTiming.BEFORE_UPDATE
+    weight_floor: float = 0.005
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.torque_delay):
+            raise ConfigurationError(f"torque_delay must be finite, got {self.torque_delay!r}")
+        if not 0.0 <= self.weight_floor < np.inf:
+            raise ConfigurationError(
+                f"weight_floor must not be negative, got {self.weight_floor!r}"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LpmFull:
+    """``Z = T R⁻¹`` from local polynomials, at every bin of the record.
+
+    Parameters
+    ----------
+    config : LpmConfig
+        Options.
+    band : tuple of float
+        Lowest and highest frequency, Hz; bins on its ends belong to it.
+    name : str
+        Name of the estimator.
+    """
+
+    config: LpmConfig = field(default_factory=LpmConfig)
+    band: tuple[float, float] = (WelchConfig.f_low, WelchConfig.f_high)
+    name: str = "lpm_full"
+
+    def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
+        """Whole matrix from n trials in any order, one for each joint.
+
+        With ``T + S C`` and ``R`` estimated from one trial, where C is the response of the steps of
+        the command and S what skew makes of them, errors of all of them are correlated, since
+        the noise moves the joints and the torques. So the variance of ``Z = (T + S C) R⁻¹`` is that
+        of ``(δT + S δC - Z δR) R⁻¹``, from the joint covariance of all channels of each trial.
+
+        Trials of different length are cut to that of the shortest.
+
+        Raises
+        ------
+        DataError
+            If a joint has no trial, a record is too short, or R cannot be inverted.
+        """
+        records = [trial.record for trial in order_trials(trials)]
+        options = self.config
+        jump = self._jump(records)
+        columns = self._columns(records, with_steps=jump is not None)
+        f, n = columns[0].f, len(records)
+        stacked = np.stack([column.response for column in columns], axis=1)
+        R = stacked[:n]
+        inverse = invert(R, f)
+
+        # Coefficients of torques, and of steps if there are any, in the torque without skew.
+        skew = np.zeros((n, len(stacked) - n, f.size), dtype=np.complex128)
+        diagonal = np.arange(n)
+        if jump is None:
+            radians = 2.0 * np.pi * f / records[0].rate
+            skew[diagonal, diagonal] = np.exp(1j * options.torque_delay * radians)
+        else:
+            skew[diagonal, diagonal] = 1.0
+            skew[:, n:] = options.torque_delay * jump[:, :, None]
+        torque = multiply(skew, stacked[n:])
+        impedance = multiply(torque, inverse)
+
+        coefficients = np.concatenate((-impedance, skew), axis=1)
+        variance = np.zeros(impedance.shape)
+        for k, column in enumerate(columns):
+            for i in range(n):
+                disturbance = column.combined_variance(coefficients[i])
+                variance[i] += disturbance * np.abs(inverse[k]) ** 2
+        return ImpedanceEstimate(
+            name=self.name,
+            f=f,
+            Z=impedance,
+            variance=variance,
+            bin_correlation=np.mean([column.bin_correlation() for column in columns], axis=0),
+            averages=options.local.freedom + 1.0,
+            T=torque,
+            R=R,
+            weight_floor=options.weight_floor,
+        )
+
+    def _jump(self, records: Sequence[TrialRecord]) -> FloatArray | None:
+        """Jump of torques with the commands, if that is what is late and can be known."""
+        late = self.config.timing is TorqueTiming.BEFORE_UPDATE and self.config.torque_delay != 0.0
+        if late and all(record.command is not None for record in records):
+            return jump_transmission(records)
+        return None
+
+    def _columns(self, records: Sequence[TrialRecord], *, with_steps: bool) -> list[LocalResponse]:
+        """Responses of angles, torques and, if wanted, steps of the commands, by trial."""
+        samples = min(record.samples for record in records)
+        columns = []
+        for record in records:
+            outputs = [record.position[:, :samples], record.torque[:, :samples]]
+            if with_steps:
+                outputs.append(command_steps(record, samples))
+            source = record.perturbation[record.perturbed_joint, :samples]
+            columns.append(
+                local_response(
+                    source, np.concatenate(outputs), record.rate, self.band, self.config.local
+                )
+            )
+        return columns

@@ -1,0 +1,321 @@
+"""Collector of trials: whatever the interleaving, exactly the messages of each trial."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armimp_common import contract
+from armimp_common.cdr import CommandEncoder, JointStateEncoder, stamp_of
+from armimp_common.contract import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATION, TRIAL
+from armimp_common.errors import MalformedMessageError
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
+from armimp_estimation.collector import CollectedTrial, TrialCollector
+
+SETTLE, TICKS, REST = 4, 30, 5
+LENGTH = SETTLE + TICKS + REST
+RECORDING = synthetic_recording(perturbed=(0, 1, 0), ticks=TICKS, settle=SETTLE, rest=REST)
+TOPICS = (*DATA_STREAMS, TRIAL)
+STAMPED = (contract.JOINT_STATES, contract.TORQUE_SENSORS, PERTURBATION)
+
+Messages = dict[str, list[bytes]]
+Turns = Sequence[tuple[str, int]]
+
+
+def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
+    statuses = [decode_trial_status(raw) for raw in recording.by_topic()[TRIAL]]
+    return [*statuses, replace(statuses[-1], phase=Phase.DONE)]
+
+
+class Desk:
+    """A collector with a diary."""
+
+    def __init__(self) -> None:
+        self.events: list[tuple[str, int]] = []
+        self.sunk: list[tuple[str, bytes, int]] = []
+        self.trials: list[CollectedTrial] = []
+        self.collector = TrialCollector(
+            lambda topic, raw, stamp_ns: self.sunk.append((topic, raw, stamp_ns)),
+            self.on_complete,
+            lambda status: self.events.append(("begin", status.trial)),
+        )
+
+    def on_complete(self, trial: CollectedTrial) -> None:
+        self.events.append(("complete", trial.statuses[0].trial))
+        self.trials.append(trial)
+
+    def feed(
+        self, messages: Mapping[str, Sequence[bytes]], statuses: Sequence[TrialStatus], turns: Turns
+    ) -> None:
+        """Feed so many messages of a stream at each turn, and what is left in the end."""
+        data = {topic: iter(messages[topic]) for topic in DATA_STREAMS}
+        others = iter(statuses)
+        for topic, count in [*turns, *((topic, 10_000) for topic in TOPICS)]:
+            for _ in range(count):
+                if not (self.feed_status(others) if topic == TRIAL else self.feed_one(topic, data)):
+                    break
+
+    def feed_status(self, statuses: Iterator[TrialStatus]) -> bool:
+        status = next(statuses, None)
+        if status is not None:
+            self.collector.add_status(status)
+        return status is not None
+
+    def feed_one(self, topic: str, data: Mapping[str, Iterator[bytes]]) -> bool:
+        raw = next(data[topic], None)
+        if raw is not None:
+            self.collector.add(topic, raw)
+        return raw is not None
+
+    def assert_orderly(self, trials: int) -> None:
+        """Each trial began and was completed once, one after the other, and went to the sink."""
+        assert self.events == [
+            (what, trial) for trial in range(1, trials + 1) for what in ("begin", "complete")
+        ]
+        for topic in DATA_STREAMS:
+            assert [raw for name, raw, _ in self.sunk if name == topic] == [
+                raw for trial in self.trials for raw in trial.messages[topic]
+            ]
+
+
+def own_messages(recording: SyntheticRecording, number: int) -> Messages:
+    first = (number - 1) * LENGTH + SETTLE
+    topics = recording.by_topic()
+    return {topic: topics[topic][first : first + TICKS] for topic in DATA_STREAMS}
+
+
+def natural_turns() -> list[tuple[str, int]]:
+    """The order of the graph, with each status before the command that it concerns."""
+    turns: list[tuple[str, int]] = []
+    for tick in range(3 * LENGTH):
+        turns += [(contract.JOINT_STATES, 1), (contract.TORQUE_SENSORS, 1)]
+        if tick % LENGTH in (0, SETTLE, SETTLE + TICKS):
+            turns.append((TRIAL, 1))
+        turns += [(COMMANDS, 1), (PERTURBATION, 1)]
+    return turns
+
+
+turns_of_any_kind = st.lists(
+    st.tuples(st.sampled_from(TOPICS), st.integers(1, 2 * LENGTH)), max_size=40
+)
+
+
+@settings(max_examples=300, deadline=None)
+@given(turns=turns_of_any_kind, order=st.permutations(TOPICS))
+def test_in_every_interleaving_each_trial_has_exactly_its_messages_in_order(
+    turns: Turns, order: Sequence[str]
+) -> None:
+    desk = Desk()
+
+    desk.feed(RECORDING.by_topic(), statuses_of(RECORDING), [*turns, *((t, 1000) for t in order)])
+
+    desk.assert_orderly(3)
+    for number, trial in enumerate(desk.trials, 1):
+        assert trial.messages == own_messages(RECORDING, number)
+        phases = [status.phase for status in trial.statuses]
+        assert phases[:3] == [Phase.SETTLE, Phase.PERTURB, Phase.REST]
+        assert {status.trial for status in trial.statuses} == {number}
+
+
+def test_in_natural_order_a_trial_is_complete_with_its_first_sample_of_rest() -> None:
+    desk = Desk()
+    topics = RECORDING.by_topic()
+    data = {topic: iter(topics[topic]) for topic in DATA_STREAMS}
+    statuses = iter(statuses_of(RECORDING))
+    for tick in range(LENGTH):
+        desk.feed_one(contract.JOINT_STATES, data)
+        desk.feed_one(contract.TORQUE_SENSORS, data)
+        if tick in (0, SETTLE, SETTLE + TICKS):
+            desk.feed_status(statuses)
+        desk.feed_one(COMMANDS, data)
+        desk.feed_one(PERTURBATION, data)
+        completed = tick >= SETTLE + TICKS
+        assert len(desk.trials) == completed
+        assert (desk.collector.status is None) == completed
+        kept = min(max(tick + 1 - SETTLE, 0), TICKS) * (not completed)
+        assert {len(raws) for raws in desk.collector.messages.values()} == {kept}
+    # What goes into the bag is in the order of the graph, with the stamp of the sample.
+    first_ns = RECORDING.records[0].start_ns
+    assert [(topic, stamp_ns) for topic, _, stamp_ns in desk.sunk[:8]] == [
+        (topic, first_ns + k * PERIOD_NS)
+        for k in range(2)
+        for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS, PERTURBATION, COMMANDS)
+    ]
+
+
+lost_ticks = st.sets(st.integers(0, 3 * LENGTH - 1), max_size=12)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    lost=st.fixed_dictionaries(dict.fromkeys(DATA_STREAMS, lost_ticks)),
+    order=st.permutations(DATA_STREAMS),
+)
+def test_lost_messages_are_missing_and_nothing_else(
+    lost: Mapping[str, set[int]], order: Sequence[str]
+) -> None:
+    desk = Desk()
+    present = {
+        topic: [raw for tick, raw in enumerate(RECORDING.by_topic()[topic]) if tick not in gone]
+        for topic, gone in lost.items()
+    }
+    order_of_arrival = [(topic, 1) for _ in range(LENGTH * 3) for topic in order]
+
+    statuses = statuses_of(RECORDING)
+    desk.feed(present, statuses, [(TRIAL, len(statuses)), *order_of_arrival])
+    desk.collector.finish()
+
+    desk.assert_orderly(3)
+    for number, trial in enumerate(desk.trials, 1):
+        own = own_messages(RECORDING, number)
+        expected = {
+            topic: [raw for raw in own[topic] if raw in present[topic]] for topic in STAMPED
+        }
+        ordinals = [present[PERTURBATION].index(raw) for raw in expected[PERTURBATION]]
+        expected[COMMANDS] = [present[COMMANDS][i] for i in ordinals if i < len(present[COMMANDS])]
+        last_ns = max(map(stamp_of, expected[PERTURBATION]), default=-1)
+        for topic in STAMPED:
+            # A sample is known to belong to the trial by a perturbation that is not earlier.
+            expected[topic] = [raw for raw in expected[topic] if stamp_of(raw) <= last_ns]
+        assert trial.messages == expected
+
+
+def test_commands_are_paired_with_perturbations_by_their_number_from_the_beginning() -> None:
+    topics = RECORDING.by_topic()
+    first = SETTLE
+    del topics[COMMANDS][0]
+    desk = Desk()
+
+    desk.feed(topics, statuses_of(RECORDING), natural_turns())
+
+    assert desk.trials[0].messages[COMMANDS] == topics[COMMANDS][first : first + TICKS]
+    assert desk.trials[0].messages[PERTURBATION] == own_messages(RECORDING, 1)[PERTURBATION]
+
+
+def test_when_a_stream_falls_silent_expect_the_trial_without_it_once_it_is_overdue() -> None:
+    recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=150)
+    topics = recording.by_topic()
+    del topics[contract.TORQUE_SENSORS][25:]
+    desk = Desk()
+    turns = [(topic, 1) for _ in range(410) for topic in DATA_STREAMS]
+
+    desk.feed(topics, statuses_of(recording), [(TRIAL, 10), *turns])
+
+    desk.assert_orderly(2)
+    assert [len(trial.messages[contract.TORQUE_SENSORS]) for trial in desk.trials] == [20, 0]
+    assert [len(trial.messages[contract.JOINT_STATES]) for trial in desk.trials] == [50, 50]
+
+
+def test_an_abort_completes_the_trial_with_what_there_is() -> None:
+    statuses = statuses_of(RECORDING)
+    aborted = replace(statuses[1], phase=Phase.ABORTED, valid=False, reason="a fault")
+    desk = Desk()
+    topics = RECORDING.by_topic()
+
+    data = {topic: iter(raws) for topic, raws in topics.items()}
+    desk.feed_status(iter(statuses[:1]))
+    desk.collector.add_status(statuses[1])
+    for _ in range(SETTLE + 10):
+        for topic in DATA_STREAMS:
+            desk.feed_one(topic, data)
+    desk.collector.add_status(aborted)
+
+    desk.assert_orderly(1)
+    (trial,) = desk.trials
+    assert trial.statuses == (*statuses[:2], aborted)
+    assert {topic: len(raws) for topic, raws in trial.messages.items()} == dict.fromkeys(
+        DATA_STREAMS, 10
+    )
+    for _ in range(50):
+        for topic in DATA_STREAMS:
+            desk.feed_one(topic, data)
+    desk.collector.finish()
+    assert len(desk.trials) == 1
+
+
+def test_when_aborted_before_the_perturbation_expect_no_trial() -> None:
+    statuses = statuses_of(RECORDING)
+    desk = Desk()
+
+    desk.feed(
+        RECORDING.by_topic(),
+        [statuses[0], replace(statuses[0], phase=Phase.ABORTED, valid=False, reason="a fault")],
+        [(TRIAL, 2)],
+    )
+    desk.collector.finish()
+
+    assert desk.events == [("begin", 1)]
+    assert desk.sunk == []
+    assert desk.collector.status is None
+
+
+def test_when_finished_early_expect_what_there_is_and_the_next_trial_whole() -> None:
+    desk = Desk()
+    topics = RECORDING.by_topic()
+    statuses = statuses_of(RECORDING)
+    data = {topic: iter(raws) for topic, raws in topics.items()}
+    desk.collector.add_status(statuses[0])
+    desk.collector.add_status(statuses[1])
+    for _ in range(SETTLE + 7):
+        for topic in DATA_STREAMS:
+            desk.feed_one(topic, data)
+
+    desk.collector.finish()
+    desk.collector.finish()
+    assert [len(raws) for raws in desk.trials[0].messages.values()] == [7] * 4
+
+    desk.feed({topic: list(rest) for topic, rest in data.items()}, statuses[3:6], [(TRIAL, 3)])
+    assert desk.events == [("begin", 1), ("complete", 1), ("begin", 2), ("complete", 2)]
+    assert desk.trials[1].messages == own_messages(RECORDING, 2)
+
+
+@pytest.mark.parametrize("phase", [Phase.REST, Phase.DONE, Phase.ABORTED])
+def test_status_of_a_trial_that_is_over_begins_nothing(phase: Phase) -> None:
+    late = replace(statuses_of(RECORDING)[2], phase=phase)
+    desk = Desk()
+
+    desk.collector.add_status(late)
+
+    assert desk.events == []
+    assert desk.collector.status is None
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_clock_of_a_driver_may_drift(drift: float) -> None:
+    ticks = 5000
+    stamps = [round(k * PERIOD_NS * (1 + drift)) for k in range(ticks + 20)]
+    states, efforts = (JointStateEncoder(("a",), field) for field in ("position", "effort"))
+    topics = {
+        contract.JOINT_STATES: [states.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
+        contract.TORQUE_SENSORS: [efforts.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
+        COMMANDS: [CommandEncoder(1).encode((0.0,))] * len(stamps),
+        PERTURBATION: [efforts.encode(stamp_ns, (1.0,)) for stamp_ns in stamps],
+    }
+    settle, perturb, rest = statuses_of(RECORDING)[:3]
+    statuses = [settle, *(replace(s, start_ns=0, ticks=ticks) for s in (perturb, rest))]
+    desk = Desk()
+    turns = [(topic, 1) for _ in stamps for topic in DATA_STREAMS]
+
+    desk.feed(topics, statuses, [(TRIAL, 3), *turns])
+
+    desk.assert_orderly(1)
+    for topic, raws in desk.trials[0].messages.items():
+        assert raws == topics[topic][:ticks]
+
+
+def test_without_statuses_there_is_no_trial() -> None:
+    desk = Desk()
+
+    desk.feed(RECORDING.by_topic(), [], [])
+    desk.collector.finish()
+
+    assert (desk.events, desk.sunk) == ([], [])
+
+
+def test_message_without_a_stamp_is_refused() -> None:
+    with pytest.raises(MalformedMessageError):
+        TrialCollector(print, print).add(contract.JOINT_STATES, b"\0\1\0\0")

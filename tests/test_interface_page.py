@@ -1,0 +1,358 @@
+"""The tables of docs/interfaces.md say what the code does: names, types, QoS, defaults, keys."""
+
+from __future__ import annotations
+
+import enum
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import numpy as np
+import pytest
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+
+from armimp_bringup.config import ExperimentConfig, bag_metadata, node_parameters
+from armimp_common import contract, qos
+from armimp_common.diagnostics import values_of
+from armimp_common.schema import defaults, flatten, leaves
+from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
+from armimp_control.parameters import ControllerParameters
+from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.conclusion import Conclusion
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.messages import (
+    CONCLUSION_NAME,
+    PROGRESS_NAME,
+    column_message,
+    conclusion_message,
+    progress_message,
+)
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.registry import estimator_names
+from armimp_estimation.results import (
+    EstimatorSummary,
+    Summary,
+    TrialLedger,
+    TrialSummary,
+    summarise,
+    write_frf,
+)
+from armimp_estimation.sample_ledger import SampleLedger
+from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.trial import TrialData
+from armimp_estimation.trial_windows import TrialWindow
+from armimp_estimation.welch import WelchSiso
+from armimp_sim.backlog import LIMIT
+from armimp_sim.parameters import SimulatorParameters
+
+Row = dict[str, str]
+Table = list[Row]
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+PAGE = (DOCS / "interfaces.md").read_text(encoding="utf-8")
+SCHEMAS: dict[str, type[BaseModel]] = {
+    contract.SIM_NODE: SimulatorParameters,
+    contract.CONTROLLER_NODE: ControllerParameters,
+    contract.ESTIMATOR_NODE: EstimatorParameters,
+}
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+
+
+def _tables(page: str) -> dict[str, list[Table]]:
+    """The tables under each heading, by its text without number and backticks."""
+    found: dict[str, list[Table]] = {}
+    heading, header = "", None
+    for line in page.splitlines():
+        if line.startswith("#"):
+            heading = re.sub(r"^#+ (\d+\. )?", "", line).replace("`", "")
+        if not line.startswith("|"):
+            header = None
+        elif header is None:
+            header = _cells(line)
+            found.setdefault(heading, []).append([])
+        elif not set(line) <= set("|-: "):
+            cells = _cells(line)
+            assert len(cells) == len(header), f"wrong number of cells: {line}"
+            found[heading][-1].append(dict(zip(header, cells, strict=True)))
+    return found
+
+
+TABLES = _tables(PAGE)
+
+
+def _table(heading: str, column: str, place: int = 0) -> dict[str, Row]:
+    """One table under a heading by what its first column names, without backticks."""
+    rows = TABLES[heading][place]
+    names = [row[column].strip("`") for row in rows]
+    assert len(set(names)) == len(names), f"{heading}: named twice"
+    return dict(zip(names, rows, strict=True))
+
+
+def _keys(heading: str, place: int = 0) -> set[str]:
+    return set(_table(heading, "key", place))
+
+
+# --- nodes and topics --------------------------------------------------------------------------
+
+
+def test_the_nodes_of_the_page_are_those_of_the_contract() -> None:
+    assert list(_table("Nodes", "node")) == list(SCHEMAS)
+    assert list(_table("Lifecycle", "node")) == list(SCHEMAS)
+
+
+def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
+    assert set(_table("Topics", "topic")) == set(contract.MESSAGE_TYPES) == set(qos.PROFILES)
+
+
+@pytest.mark.parametrize("topic", contract.MESSAGE_TYPES)
+def test_type_and_qos_of_every_topic_are_those_of_the_code(topic: str) -> None:
+    row, profile = _table("Topics", "topic")[topic], qos.PROFILES[topic]
+    assert row["type"] == f"`{contract.MESSAGE_TYPES[topic]}`"
+    reliability = {
+        ReliabilityPolicy.RELIABLE: "reliable",
+        ReliabilityPolicy.BEST_EFFORT: "best effort",
+    }
+    durability = {
+        DurabilityPolicy.VOLATILE: "volatile",
+        DurabilityPolicy.TRANSIENT_LOCAL: "transient local",
+    }
+    assert row["reliability"] == reliability[profile.reliability]
+    assert row["durability"] == durability[profile.durability]
+    assert row["depth"] == str(profile.depth)
+    assert profile.history == HistoryPolicy.KEEP_LAST
+
+
+def test_the_arrays_of_the_data_streams_are_those_of_the_contract() -> None:
+    rows = _table("Messages of the data streams", "topic")
+    expected = {**contract.VALUE_FIELD, contract.COMMANDS: "data"}
+    assert {topic: row["array"] for topic, row in rows.items()} == {
+        topic: f"`{expected[topic]}`" for topic in contract.DATA_STREAMS
+    }
+
+
+def test_the_numbers_of_the_timing_are_those_of_the_contract() -> None:
+    assert f"The period is {contract.PERIOD_NS // 10**6} ms." in PAGE
+    assert f"then every {contract.RECEIVED_EVERY}, " in PAGE
+    assert f"while {LIMIT} or more are under way" in PAGE
+
+
+# --- parameters --------------------------------------------------------------------------------
+
+
+def _fields(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
+    for key, field in model.model_fields.items():
+        annotation = field.annotation
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            yield from _fields(annotation, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", field
+
+
+def _range(field: FieldInfo) -> str:
+    annotation: Any = field.annotation
+    choices: tuple[Any, ...] = ()
+    if get_origin(annotation) is Literal:
+        choices = get_args(annotation)
+    elif isinstance(annotation, type) and issubclass(annotation, enum.Enum):
+        choices = tuple(member.value for member in annotation)
+    bounds = [f"`{choice}`" for choice in choices]
+    for constraint in field.metadata:
+        for name, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
+            if (value := getattr(constraint, name, None)) is not None:
+                bounds.append(f"{sign} {value:g}")
+    return ", ".join(bounds) or "–"
+
+
+def _in_force(node: str) -> dict[str, Any]:
+    """What `armimp run` gives a node by default; the estimator's own defaults."""
+    if node == contract.ESTIMATOR_NODE:
+        return dict(flatten(EstimatorParameters()))
+    return dict(flatten(node_parameters(ExperimentConfig(), None).by_node()[node]))
+
+
+def _default(cell: str) -> tuple[bool, Any]:
+    """Whether a parameter is required, and the value of the cell."""
+    match = re.fullmatch(r"(required \()?`(.*)`\)?", cell)
+    assert match is not None, cell
+    return match[1] is not None, json.loads(match[2])
+
+
+@pytest.mark.parametrize("node", SCHEMAS)
+def test_the_parameters_of_the_page_are_those_of_the_node(node: str) -> None:
+    assert list(_table(node, "parameter")) == list(leaves(SCHEMAS[node]))
+
+
+@pytest.mark.parametrize(
+    ("node", "name"), [(node, name) for node, model in SCHEMAS.items() for name in leaves(model)]
+)
+def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(
+    node: str, name: str
+) -> None:
+    row, model = _table(node, "parameter")[name], SCHEMAS[node]
+    assert row["type"] == leaves(model)[name].type_name
+    assert row["range"] == _range(dict(_fields(model))[name])
+    # The simulator node takes its preset where its schema has no default.
+    required = name not in defaults(model) and node != contract.SIM_NODE
+    value = _in_force(node)[name]
+    numbers = leaves(model)[name].item is float
+    assert _default(row["default"]) == (
+        required,
+        pytest.approx(value, rel=1e-5) if numbers else value,
+    )
+
+
+@pytest.mark.parametrize("page", ["interfaces.md", "theory.md"])
+def test_every_dotted_name_on_a_page_that_looks_like_a_parameter_is_one(page: str) -> None:
+    known = {name for model in SCHEMAS.values() for name in leaves(model)}
+    groups = {name.split(".")[0] for name in known if "." in name}
+    text = (DOCS / page).read_text(encoding="utf-8")
+    named = set(re.findall(r"`([a-z_]+\.[a-z_0-9]+)`", text))
+    assert {name for name in named if name.split(".")[0] in groups} <= known
+
+
+def test_the_page_names_all_estimators_that_exist() -> None:
+    meaning = _table(contract.ESTIMATOR_NODE, "parameter")["estimators"]["meaning"]
+    assert re.findall(r"`(\w+)`", meaning) == list(estimator_names())
+
+
+# --- messages ----------------------------------------------------------------------------------
+
+
+def test_the_keys_of_the_trial_status_are_those_of_the_code() -> None:
+    status = TrialStatus(
+        phase=Phase.SETTLE,
+        trial=1,
+        trials=2,
+        joint=0,
+        joint_name="shoulder",
+        tick=0,
+        start_ns=None,
+        ticks=10,
+        seed=1,
+        valid=True,
+    )
+    rows = _table("Trial status", "key")
+    assert list(rows) == list(status.to_values())
+    assert re.findall(r"`(\w+)`", rows["phase"]["value"]) == [phase.value for phase in Phase]
+    assert f"`{STATUS_NAME}`" in PAGE
+
+
+def test_the_keys_of_progress_are_those_of_the_code() -> None:
+    message = progress_message(
+        trial=1,
+        trials=2,
+        joint=0,
+        phase="perturb",
+        samples=1,
+        planned=2,
+        rate=1.0,
+        coherence=(1.0, 1.0),
+    )
+    assert list(_table("Progress", "key")) == list(values_of(message))
+    assert f"`{PROGRESS_NAME}`" in PAGE
+
+
+@pytest.fixture(scope="module")
+def trials() -> list[TrialData]:
+    config = SyntheticConfig(samples=40_000)
+    return [
+        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, joint, config, 1)) for joint in (0, 1)
+    ]
+
+
+@pytest.fixture(scope="module")
+def identification(trials: list[TrialData]) -> Identification:
+    return identify(trials, estimator_names(), TWO_JOINT_ARM)
+
+
+def _general(key: str) -> str:
+    """A key as the page writes it: for any estimator and any element."""
+    for name in estimator_names():
+        key = re.sub(rf"(^|_){name}(\.|$)", r"\1ESTIMATOR\2", key)
+    return re.sub(r"_[12][12]\.", "_IK.", key)
+
+
+def test_the_keys_of_a_column_are_those_of_the_code(trials: list[TrialData]) -> None:
+    data = trials[0]
+    window = TrialWindow(
+        trial=1, joint=0, joint_name="", start_ns=0, ticks=1, seed=None, ended=True
+    )
+    assembled = AssembledTrial(
+        window=window,
+        record=data.record,
+        segments=(data.record,),
+        ledger=SampleLedger(streams={}),
+        problem="",
+    )
+    message = column_message(assembled, data.spectra, WelchSiso().column(data.spectra))
+    assert _keys("Column") == {_general(key) for key in values_of(message)}
+    assert message.name.replace("1", "K") in PAGE
+
+
+def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identification) -> None:
+    ledgers = {joint: TrialLedger(bag=None, ticks=1) for joint in (0, 1)}
+    summary = summarise(identification, ledgers, config={}, seed=1)
+    message = conclusion_message(Conclusion(summary=summary, identification=identification))
+    assert _keys("Conclusion") == {_general(key) for key in values_of(message)}
+    assert f"`{CONCLUSION_NAME}`" in PAGE
+
+
+# --- bags and files ----------------------------------------------------------------------------
+
+
+def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
+    config = ExperimentConfig()
+    parameters = node_parameters(config, None)
+    stored = bag_metadata(config, parameters.simulator, parameters.controller)
+    rows = _table("Bags", "key")
+    assert set(rows) == set(stored)
+    assert all(f"`{part}`" in rows["config"]["value"] for part in json.loads(stored["config"]))
+
+
+@pytest.mark.parametrize(
+    ("place", "model"), [(0, Summary), (1, TrialSummary), (2, EstimatorSummary)]
+)
+def test_the_keys_of_summary_json_are_those_of_its_model(
+    place: int, model: type[BaseModel]
+) -> None:
+    expected = {field.alias or name for name, field in model.model_fields.items()}
+    assert _keys("summary.json", place) == expected
+
+
+def test_the_arrays_of_frf_npz_are_those_that_are_written(
+    identification: Identification, tmp_path: Path
+) -> None:
+    estimates = {name: r.estimate for name, r in identification.estimators.items()}
+    last = list(estimates)[-1]
+    estimates[last] = replace(estimates[last], f=estimates[last].f + 1.0)
+    write_frf(tmp_path / "frf.npz", estimates)
+    with np.load(tmp_path / "frf.npz") as file:
+        assert set(_table("frf.npz", "array")) == {_general(name) for name in file.files}
+
+
+# --- links -------------------------------------------------------------------------------------
+
+
+def _anchors(page: str) -> set[str]:
+    headings = re.findall(r"^#+ (.*)$", page, flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
+
+
+@pytest.mark.parametrize("page", ["interfaces.md", "theory.md"])
+def test_every_link_on_a_page_leads_somewhere(page: str) -> None:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    links = re.findall(r"\]\(([^)]+)\)", text)
+    assert links
+    for link in links:
+        name, _, anchor = link.partition("#")
+        target = DOCS / (name or page)
+        assert target.exists(), link
+        assert not anchor or anchor in _anchors(target.read_text(encoding="utf-8")), link

@@ -1,0 +1,104 @@
+"""What the layout of the workspace promises: mathematics apart from ROS, and honest manifests."""
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+
+SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
+PACKAGES = sorted(path.name for path in SOURCES.iterdir() if (path / "package.xml").exists())
+MESSAGE_PACKAGES = {
+    "builtin_interfaces",
+    "diagnostic_msgs",
+    "lifecycle_msgs",
+    "rcl_interfaces",
+    "rosgraph_msgs",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+}
+ROS = {"rclpy", *MESSAGE_PACKAGES}
+
+WITH_ROS = {
+    "armimp_common.channels",
+    "armimp_common.lifecycle",
+    "armimp_common.parameters",
+    "armimp_common.qos",
+    "armimp_common.spin",
+    "armimp_common.stamps",
+    "armimp_common.testing",
+    "armimp_control.node",
+    "armimp_estimation.messages",
+    "armimp_estimation.node",
+    "armimp_sim.node",
+    "armimp_bringup.display",
+    "armimp_bringup.graph",
+    "armimp_bringup.orchestrator",
+    "armimp_bringup.replay",
+}
+"""Every other module must work where there is no ROS at all."""
+
+
+def modules(package: str) -> Iterator[tuple[str, Path]]:
+    root = SOURCES / package
+    for path in sorted((root / package).rglob("*.py")):
+        name = ".".join(path.relative_to(root).with_suffix("").parts)
+        yield name.removesuffix(".__init__"), path
+
+
+def imported(path: Path) -> set[str]:
+    """Top-level packages that a file imports anywhere."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module.split(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_modules_without_ros_can_be_imported_where_there_is_none(package: str) -> None:
+    names = [name for name, _ in modules(package) if name not in WITH_ROS]
+    assert names
+    program = (
+        "import importlib, sys\n"
+        f"for name in {sorted(ROS)!r}: sys.modules[name] = None\n"
+        f"for name in {names!r}: importlib.import_module(name)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_list_of_modules_with_ros_has_no_name_too_many() -> None:
+    everything = {name: path for package in PACKAGES for name, path in modules(package)}
+    assert set(everything) >= WITH_ROS
+    # A module may come to ROS through another one of the list.
+    allowed = ROS | {"armimp_common", "armimp_bringup"}
+    assert {name for name in WITH_ROS if not imported(everything[name]) & allowed} == set()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_manifest_declares_what_the_package_imports(package: str) -> None:
+    manifest = ElementTree.parse(SOURCES / package / "package.xml").getroot()
+    declared = {
+        element.text
+        for kind in ("depend", "exec_depend")
+        for element in manifest.iter(kind)
+        if element.text
+    }
+    used = set().union(*(imported(path) for _, path in modules(package)))
+    needed = (used & (ROS | set(PACKAGES))) - {package}
+    assert needed <= declared
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_source_file_grows_beyond_one_concern(package: str) -> None:
+    lengths = {name: len(path.read_text().splitlines()) for name, path in modules(package)}
+    assert {name: length for name, length in lengths.items() if length > 420} == {}
