@@ -16,12 +16,18 @@ from std_msgs.msg import Float64MultiArray, UInt64
 from armimp_common import contract, qos
 from armimp_common.channels import RawSubscription, wait_until_matched
 from armimp_common.diagnostics import values_of
-from armimp_common.errors import ArmimpError, DataError, GraphError, MalformedMessageError
+from armimp_common.errors import (
+    ArmimpError,
+    ConfigurationError,
+    DataError,
+    GraphError,
+    MalformedMessageError,
+)
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_estimation.conclusion import FinishedTrial, conclude
+from armimp_estimation.conclusion import FinishedTrial, conclude, truth_of
 from armimp_estimation.messages import (
     column_message,
     conclusion_message,
@@ -57,6 +63,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
         """Make the topics."""
         self._settings = load(self, EstimatorParameters)
         self._metadata = self._settings.bag_metadata()
+        truth, joints = truth_of(self._metadata), len(self._settings.joints)
+        if truth is not None and truth.joints != joints:
+            raise ConfigurationError(
+                f"parameter 'metadata': truth is of {truth.joints} joints, not of {joints}"
+            )
         self._reset()
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
@@ -145,8 +156,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._active = False
         self._received.publish(UInt64(data=contract.RECORDER_GONE))
         self._timer.cancel()
+        if not self._concluded:
+            # Before the trial is finished, which may be the last one that was awaited.
+            self._note(reason)
         self._recording.stop()
-        self._conclude(reason)
+        self._conclude()
 
     def _on_message(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -183,7 +197,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
             return
         if status.phase in (Phase.ABORTED, Phase.DONE):
             self._recording.stop()
-            self._conclude("")
+            self._conclude()
 
     def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
         if trial is None:
@@ -200,15 +214,13 @@ class ImpedanceEstimatorNode(LifecycleNode):
         else:
             self._result.publish(column_message(assembled, data.spectra, column))
         if len(self._finished) == len(self._settings.joints):
-            self._conclude("")
+            self._conclude()
 
-    def _conclude(self, problem: str) -> None:
+    def _conclude(self) -> None:
         """Publish and store the result, once; without any trial there is none."""
         if self._concluded:
             return
         self._concluded = True
-        if problem:
-            self._note(problem)
         conclusion = conclude(
             self._finished,
             metadata=self._metadata,
@@ -239,7 +251,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._recording.close()
         except ArmimpError as error:
             self._note(str(error))
-        self._conclude("")
+        self._conclude()
 
     def _on_timer(self) -> None:
         status = self._recording.status

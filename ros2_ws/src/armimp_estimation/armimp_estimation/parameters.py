@@ -38,8 +38,12 @@ class EstimatorParameters(Schema):
         Raises
         ------
         ConfigurationError
-            If it is not a JSON object of strings, or an estimator does not exist.
+            If it is not a JSON object of strings, or the estimators can't be used.
         """
+        if not self.estimators or len(set(self.estimators)) != len(self.estimators):
+            raise ConfigurationError(
+                f"parameter 'estimators' needs distinct names, at least one: {self.estimators}"
+            )
         for name in self.estimators:
             if name not in estimator_names():
                 raise ConfigurationError(

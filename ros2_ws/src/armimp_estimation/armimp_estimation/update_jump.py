@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 
 _DIFFERENCES = 4
 _CHATTER_EXPLAINS = 0.9
-_MOTION_EXPLAINS = 0.999
+_MOTION_EXPLAINS = 0.99
 
 
 def command_steps(record: TrialRecord, samples: int) -> FloatArray:

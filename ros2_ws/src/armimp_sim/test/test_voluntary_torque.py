@@ -57,6 +57,12 @@ def test_drawn_tick_by_tick_it_is_the_same_stream() -> None:
     assert np.array_equal(ticks, _stream().take(20))
 
 
+def test_torque_of_a_slow_person_has_no_jumps() -> None:
+    torque = _stream(rms=0.5, cutoff=2.0).take(30_000)
+    # At 2 Hz the slope is 0.5·2π·2 N·m/s or so, now and then a few times that.
+    assert np.max(np.abs(np.diff(torque, axis=0))) < 0.04
+
+
 def test_relaxed_person_gives_exactly_nothing() -> None:
     stream = _stream(rms=0.0)
     assert np.array_equal(stream.take(5000), np.zeros((5000, 2)))

@@ -132,7 +132,9 @@ def table(
         return "words" if column in left else None
 
     heads = [
-        element("th", title, scope="colgroup", colspan=width) if title else element("td", colspan=width)
+        element("th", title, scope="colgroup", colspan=width)
+        if title
+        else element("td", colspan=width)
         for title, width in spans
     ]
     header = element("tr", *heads, class_="spans") if heads else Html("")

@@ -1,0 +1,58 @@
+"""Flow control: the simulator waits for a recorder, and for nobody else."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armimp_common.contract import RECORDER_GONE
+from armimp_sim.backlog import LIMIT, Backlog
+
+
+def sent(backlog: Backlog, samples: int) -> Backlog:
+    for _ in range(samples):
+        backlog.count_sent()
+    return backlog
+
+
+def test_without_a_recorder_nothing_waits() -> None:
+    assert not sent(Backlog(), 10 * LIMIT).full
+
+
+def test_with_a_recorder_that_falls_behind_the_next_sample_waits() -> None:
+    backlog = Backlog()
+    backlog.acknowledge(0)
+    assert not sent(backlog, LIMIT - 1).full
+    assert sent(backlog, 1).full
+    backlog.acknowledge(250)
+    assert not backlog.full
+
+
+def test_when_the_recorder_leaves_nothing_waits_any_more() -> None:
+    backlog = Backlog()
+    backlog.acknowledge(0)
+    assert sent(backlog, LIMIT).full
+    backlog.acknowledge(RECORDER_GONE)
+    assert not backlog.full
+
+
+def test_a_recorder_that_begins_later_counts_from_there() -> None:
+    backlog = sent(Backlog(), 5 * LIMIT)
+    backlog.acknowledge(0)
+    assert not sent(backlog, LIMIT - 1).full
+    assert sent(backlog, 1).full
+
+
+@given(st.lists(st.integers(min_value=0, max_value=400), max_size=60))
+def test_never_more_samples_are_under_way_than_the_limit(batches: list[int]) -> None:
+    backlog = Backlog()
+    backlog.acknowledge(0)
+    under_way = received = 0
+    for batch in batches:
+        for _ in range(batch):
+            if not backlog.full:
+                backlog.count_sent()
+                under_way += 1
+        assert under_way <= LIMIT
+        received += under_way // 2
+        under_way -= under_way // 2
+        if received:
+            backlog.acknowledge(received)

@@ -1,0 +1,51 @@
+"""In lockstep a recorder that is held up loses nothing: the simulator waits for it."""
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+from armimp_bringup.config import load_config
+from armimp_bringup.orchestrator import Progress, run_experiment
+
+HELD_UP = 1.5
+"""Seconds, in which the simulator could send several thousand samples."""
+
+
+def child(module: str, marker: str) -> int:
+    """Process id of the node that runs `module` with a parameter file under `marker`."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                arguments = (entry / "cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            if module.encode() in arguments and any(marker.encode() in a for a in arguments):
+                return int(entry.name)
+    raise AssertionError(f"no process runs {module}")
+
+
+def hold_up(process: int) -> None:
+    os.kill(process, signal.SIGSTOP)
+    time.sleep(HELD_UP)
+    os.kill(process, signal.SIGCONT)
+
+
+def test_when_the_estimator_process_is_held_up_expect_no_sample_lost(tmp_path: Path) -> None:
+    threads: list[threading.Thread] = []
+
+    def on_progress(progress: Progress) -> None:
+        if not threads and progress.samples > 500:
+            process = child("armimp_estimation.node", str(tmp_path))
+            threads.append(threading.Thread(target=hold_up, args=(process,)))
+            threads[0].start()
+
+    config = load_config(None, {"duration": 10.0, "processes": "separate"})
+    summary = run_experiment(config, tmp_path / "out", on_progress=on_progress)
+    for thread in threads:
+        thread.join()
+
+    assert threads
+    assert summary.problems == []
+    assert [(trial.ticks, trial.lost) for trial in summary.trials] == [(10_000, 0)] * 2
