@@ -13,7 +13,7 @@ from armimp_bringup.offline import OfflineTrial, Rig, run_offline
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.trial_status import Phase
 from armimp_control import presets as control_presets
-from armimp_control.imbic import ImbicController
+from armimp_control.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_control.safety import SafetyConfig
 from armimp_control.sequence import SequenceConfig, timetable
@@ -81,7 +81,7 @@ def test_experiment_is_that_of_the_nodes_tick_by_tick() -> None:
     rig = _rig(seed=4)
     (trials,) = run_offline([rig])
     plant = Plant([rig.plant])
-    controller = ImbicController(rig.controller, torque_limit=rig.safety.torque_limit)
+    controller = Controller(rig.controller, torque_limit=rig.safety.torque_limit)
     voluntary = VoluntaryTorque(rig.voluntary, joints=2, period=1e-3, seed=rig.seed)
     for segment in timetable(rig.sequence, joints=2, period=1e-3):
         controller.perturb_joint(segment.joint)
@@ -146,6 +146,19 @@ def test_voluntary_torque_does_not_change_the_perturbation() -> None:
     for one, two in zip(active_trials, relaxed_trials, strict=True):
         assert np.array_equal(one.perturbation, two.perturbation)
         assert not np.array_equal(one.torque, two.torque)
+
+
+def test_perturbation_and_voluntary_torque_of_one_seed_have_nothing_in_common() -> None:
+    rig = _rig()
+    voluntary = VoluntaryTorque(
+        VoluntaryConfig(rms=1.0, cutoff=15.0), joints=2, period=1e-3, seed=rig.seed
+    ).take(100_000)
+    for trial in (1, 2):
+        tau_delta = perturbation(
+            rig.perturbation, joint=0, trial=trial, ticks=100_000, seed=rig.seed
+        )
+        # 100 s at 15 Hz are about 3000 independent values.
+        assert np.max(np.abs(np.corrcoef(tau_delta, voluntary.T)[0, 1:])) < 0.08
 
 
 def test_saturated_commands_stay_within_the_limit_and_are_counted() -> None:

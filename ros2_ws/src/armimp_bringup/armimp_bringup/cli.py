@@ -106,7 +106,7 @@ def estimate(
         _say(f"note: {note}")
     if out is not None:
         conclusion.write(out)
-    return _present(conclusion.summary, out, json)
+    return _present(conclusion.summary, out, json, bags, namespace)
 
 
 @app.command()
@@ -131,7 +131,7 @@ def replay(
             on_progress=display.show,
             interrupted=stopped,
         )
-    return _present(summary, out, json)
+    return _present(summary, out, json, bags)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -159,16 +159,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return status if isinstance(status, int) else 0
 
 
-def _present(summary: Summary, directory: Path | None, as_json: bool) -> int:
-    """Draw and print a result, and return the exit status that it deserves."""
-    from armimp_estimation.conclusion import FRF_FILE
+def _present(
+    summary: Summary,
+    directory: Path | None,
+    as_json: bool,
+    bags: Sequence[Path] | None = None,
+    namespace: str | None = None,
+) -> int:
+    """Draw, report and print a result, and return the exit status that it deserves."""
+    if directory is not None:
+        from armimp_estimation.figures import write_figures
+        from armimp_estimation.report import load_result, write_report
 
-    if directory is not None and summary.estimators:
-        from armimp_estimation.figures import FIGURE_FILE, write_impedance_figure
-        from armimp_estimation.results import read_frf
-
-        curves = read_frf(directory / FRF_FILE)
-        write_impedance_figure(directory / FIGURE_FILE, summary, curves)
+        result = load_result(directory, bags, namespace=namespace)
+        write_figures(directory, result)
+        write_report(directory, result)
     if as_json:
         print(summary.model_dump_json(by_alias=True))
     else:

@@ -104,7 +104,7 @@ class NodeParameters:
         return Rig(
             plant=self.simulator.plant_config(),
             voluntary=self.simulator.voluntary_config(),
-            controller=self.controller.imbic_config(),
+            controller=self.controller.law_config(),
             safety=self.controller.safety_config(),
             perturbation=self.controller.perturbation_config(),
             sequence=self.controller.sequence_config(),

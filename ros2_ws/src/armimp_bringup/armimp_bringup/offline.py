@@ -6,6 +6,7 @@ period of the plant, sample k + 1. For the same seed the trajectories are equal 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -15,11 +16,12 @@ from numpy.typing import NDArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.trial_status import Phase
-from armimp_control.imbic import MEMORY_ROWS, ImbicConfig, imbic
+from armimp_control.law import LawConfig, LawNumbers, control_tick
+from armimp_control.layout import MEMORY_ROWS
 from armimp_control.perturbation import PerturbationConfig, perturbation
 from armimp_control.safety import REFUSED, SafetyConfig
-from armimp_control.sequence import SequenceConfig, timetable
-from armimp_sim.kernel import Tag
+from armimp_control.sequence import Segment, SequenceConfig, timetable
+from armimp_sim.packed import Tag
 from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
 from armimp_sim.sensors import Sampling
 from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
@@ -33,7 +35,7 @@ class Rig:
     ----------
     plant : arm, robot, friction and sensors
     voluntary : voluntary torque of the person
-    controller : target impedance and internal model
+    controller : the law: target impedance, and internal model or gains
     safety : limits of the command
     perturbation : τ_Δ
     sequence : phases of the trials
@@ -47,7 +49,7 @@ class Rig:
 
     plant: PlantConfig
     voluntary: VoluntaryConfig
-    controller: ImbicConfig
+    controller: LawConfig
     safety: SafetyConfig
     perturbation: PerturbationConfig
     sequence: SequenceConfig
@@ -75,7 +77,7 @@ class OfflineTrial:
 
     Attributes
     ----------
-    joint : perturbed joint, 0-based
+    joint : perturbed joint, 0-based; the first one if all were perturbed at once
     first_tick : tick of the first sample since the start of the experiment
     position, torque, command, perturbation : (n, N) rad, N·m, N·m, N·m
     clipped : number of saturated joint commands
@@ -94,13 +96,14 @@ class OfflineTrial:
 def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     batch: NDArray[np.float64],
     joints: Tag,
-    lanes: Tag,
+    width: Tag,
     substeps: int,
     step: float,
     interval_mean: bool,
     resolutions: NDArray[np.float64],
     position: NDArray[np.float64],
     torque: NDArray[np.float64],
+    laws: NDArray[np.int64],
     roles: NDArray[np.float64],
     targets: NDArray[np.float64],
     models: NDArray[np.float64],
@@ -115,10 +118,11 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
     Parameters
     ----------
-    batch, joints, lanes : the batch, as in :mod:`armimp_sim.kernel`
+    batch, joints, width : the batch, as in :mod:`armimp_sim.kernel`
     substeps, step, interval_mean, resolutions : as for :func:`armimp_sim.plant.tick`
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
-    roles : (lanes, 4, n) from :meth:`armimp_control.imbic.ImbicConfig.role`
+    laws : (lanes,) numbers of the laws, from :class:`armimp_control.law.LawNumbers`
+    roles : (lanes, 4, n) from the configurations of the laws
     targets, models : (lanes, n) θ_rd, rad, and (lanes, n, n) M̄, kg·m²
     scalars : (lanes, 3) Γ, rad/s; L, s; torque limit, N·m
     memory : (lanes, MEMORY_ROWS, n) of the law, updated
@@ -131,12 +135,13 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     float
         The worst h·σ0|v|/g(v), NaN if a lane went astray.
     """
-    n, m = len(joints), len(lanes)
+    m, n = position.shape
     command = np.zeros((m, n))
     worst = 0.0
     for k in range(tau_delta.shape[0]):
         for lane in range(m):
-            count = imbic(
+            count = control_tick(
+                laws[lane],
                 position[lane],
                 torque[lane],
                 tau_delta[k, lane],
@@ -159,7 +164,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         ratio = tick(
             batch,
             joints,
-            lanes,
+            width,
             substeps,
             step,
             interval_mean,
@@ -196,45 +201,85 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
         If the plant left the stability region of the integrator.
     """
     first = rigs[0]
+    joints, period = first.plant.joints, first.plant.period
+    return _run(rigs, timetable(first.sequence, joints=joints, period=period), together=False)
+
+
+def run_together(rigs: Sequence[Rig]) -> list[OfflineTrial]:
+    """Run, side by side, single trials in which every joint yields and is perturbed at once.
+
+    The perturbation of each joint is that of its own trial in :func:`run_offline`.
+
+    Parameters
+    ----------
+    rigs : as for :func:`run_offline`
+
+    Returns
+    -------
+    list of OfflineTrial
+        One for each rig.
+
+    Raises
+    ------
+    DataError, IntegrationError
+        As :func:`run_offline`.
+    """
+    segments = timetable(rigs[0].sequence, joints=1, period=rigs[0].plant.period)
+    return [trials[0] for trials in _run(rigs, segments, together=True)]
+
+
+def _run(
+    rigs: Sequence[Rig], segments: Sequence[Segment], *, together: bool
+) -> list[list[OfflineTrial]]:
+    """Run a timetable with one perturbed joint in each trial, or with all of them together."""
+    first = rigs[0]
     if any(rig.sequence != first.sequence for rig in rigs):
         raise DataError("offline run: all rigs must have the same trial sequence")
     plant = Plant([rig.plant for rig in rigs])
     n, lanes = first.plant.joints, len(rigs)
     memory = np.zeros((lanes, MEMORY_ROWS, n))
-    targets = np.array([rig.controller.target_posture for rig in rigs])
-    models = np.array([rig.controller.model_inertia for rig in rigs])
+    numbers = [LawNumbers.of(rig.controller) for rig in rigs]
+    laws = np.array([law.law for law in numbers])
+    targets = np.array([law.target for law in numbers])
+    models = np.array([law.model for law in numbers])
     scalars = np.array(
-        [(rig.controller.gamma, rig.controller.period, rig.safety.torque_limit) for rig in rigs]
+        [
+            (law.gamma, law.period, rig.safety.torque_limit)
+            for law, rig in zip(numbers, rigs, strict=True)
+        ]
     )
     streams = [
         VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
         for rig in rigs
     ]
     trials: list[list[OfflineTrial]] = [[] for _ in rigs]
-    for segment in timetable(first.sequence, joints=n, period=first.plant.period):
+    for segment in segments:
         tau_delta = np.zeros((segment.ticks, lanes, n))
+        perturbed = range(n) if together else (segment.joint,)
         if segment.phase is Phase.PERTURB:
-            for lane, rig in enumerate(rigs):
-                tau_delta[:, lane, segment.joint] = perturbation(
+            for (lane, rig), joint in itertools.product(enumerate(rigs), perturbed):
+                tau_delta[:, lane, joint] = perturbation(
                     rig.perturbation,
-                    joint=segment.joint,
-                    trial=segment.trial,
+                    joint=joint,
+                    trial=segment.trial + joint - segment.joint,
                     ticks=segment.ticks,
                     seed=rig.seed,
                 )
+        role = None if together else segment.joint
         record = np.empty((3, lanes, n, segment.ticks))
         clipped = np.zeros(lanes, dtype=np.int64)
         worst = _run_segment(
             plant.batch,
             plant.joint_tag,
-            plant.lane_tag,
+            plant.width_tag,
             plant.config.substeps,
             plant.config.step,
             plant.config.sensors.sampling is Sampling.INTERVAL_MEAN,
             plant.resolutions,
             plant.position,
             plant.torque,
-            np.array([rig.controller.role(segment.joint) for rig in rigs]),
+            laws,
+            np.array([rig.controller.role(role) for rig in rigs]),
             targets,
             models,
             scalars,

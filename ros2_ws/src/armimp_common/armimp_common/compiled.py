@@ -26,8 +26,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Compile a function that only other compiled functions call; they hold its code."""
-    return cast(Function, numba.njit(error_model="numpy")(function))
+    """Compile a function that only other compiled functions call; they hold its code.
+
+    It is always inlined: what is left of a call would be the copying of its arguments, and where
+    values are packed (:mod:`armimp_sim.packed`) also of registers.
+    """
+    return cast(Function, numba.njit(error_model="numpy", forceinline=True)(function))
 
 
 def compiled_entry(function: Function) -> Function:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_control.imbic import ImbicController
+from armimp_control.law import Controller
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety import REFUSED
@@ -46,8 +46,8 @@ class Experiment:
         self._parameters = parameters
         self._announce = announce
         self._perturbation_config = parameters.perturbation_config()
-        self._law = ImbicController(
-            parameters.imbic_config(), torque_limit=parameters.safety_config().torque_limit
+        self._law = Controller(
+            parameters.law_config(), torque_limit=parameters.safety_config().torque_limit
         )
         n = len(parameters.joints)
         self._segments = timetable(parameters.sequence_config(), joints=n, period=PERIOD)

@@ -19,15 +19,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.compiled import compiled_entry
+from armimp_common.compiled import compiled
 from armimp_common.errors import ConfigurationError
-from armimp_control.safety import REFUSED, limit_torque
-
-# Rows of the memory between ticks.
-_THETA_1, _THETA_2, _IDEAL_VELOCITY, _COMMAND, _STARTED = range(5)
-MEMORY_ROWS = 5
-# Rows of the role parameters.
-_SENSED, _INERTIA, _DAMPING, _STIFFNESS = range(4)
+from armimp_control.layout import (
+    COMMAND,
+    DAMPING,
+    IDEAL_VELOCITY,
+    INERTIA,
+    ROLE_ROWS,
+    SENSED,
+    STARTED,
+    STIFFNESS,
+    THETA_1,
+    THETA_2,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,27 +96,29 @@ class ImbicConfig:
         """Number of joints n."""
         return self.target_posture.size
 
-    def role(self, perturbed: int) -> NDArray[np.float64]:
+    def role(self, perturbed: int | None) -> NDArray[np.float64]:
         """Law parameters (4, n) while joint ``perturbed`` (0-based) yields and the others lock.
 
-        Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad).
+        With None all joints yield. Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd
+        (N·m·s/rad), K_rd (N·m/rad).
         """
-        locked = np.arange(self.joints) != perturbed
-        rows = np.empty((4, self.joints))
-        rows[_SENSED] = ~locked
-        rows[_INERTIA] = self.target_inertia
-        rows[_DAMPING] = np.where(
+        every = np.arange(self.joints)
+        locked = every != (every if perturbed is None else perturbed)
+        rows = np.empty((ROLE_ROWS, self.joints))
+        rows[SENSED] = ~locked
+        rows[INERTIA] = self.target_inertia
+        rows[DAMPING] = np.where(
             locked,
             2.0 * self.lock_damping_ratio * self.lock_frequency * self.target_inertia,
             self.target_damping,
         )
-        rows[_STIFFNESS] = np.where(
+        rows[STIFFNESS] = np.where(
             locked, self.lock_frequency**2 * self.target_inertia, self.target_stiffness
         )
         return rows
 
 
-@compiled_entry
+@compiled
 def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
@@ -121,11 +128,10 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     model: NDArray[np.float64],
     gamma: float,
     period: float,
-    torque_limit: float,
     memory: NDArray[np.float64],
     command: NDArray[np.float64],
-) -> int:
-    """One tick of the law.
+) -> None:
+    """One tick of the law, before the safety gate.
 
     Parameters
     ----------
@@ -133,104 +139,33 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     role : (4, n) from :meth:`ImbicConfig.role`
     target : (n,) θ_rd, rad
     model : (n, n) M̄, kg·m²
-    gamma, period, torque_limit : rad/s, s, N·m
-    memory : (MEMORY_ROWS, n), updated; zeros before the first tick
+    gamma, period : rad/s, s
+    memory : (MEMORY_ROWS, n), updated; zeros before the first tick; COMMAND holds what was sent
     command : (n,) N·m, written
-
-    Returns
-    -------
-    int
-        Number of saturated joints; :data:`armimp_control.safety.REFUSED` if the result or an input
-        is not finite: the command is then zero and the memory starts anew.
     """
     n = theta.size
-    if memory[_STARTED, 0] == 0.0:
+    if memory[STARTED, 0] == 0.0:
         for i in range(n):
-            memory[_THETA_1, i] = memory[_THETA_2, i] = theta[i]
-        memory[_STARTED, 0] = 1.0
+            memory[THETA_1, i] = memory[THETA_2, i] = theta[i]
+        memory[STARTED, 0] = 1.0
     for i in range(n):
-        velocity = (theta[i] - memory[_THETA_1, i]) / period
+        velocity = (theta[i] - memory[THETA_1, i]) / period
         u = (
             tau_delta[i]
-            - role[_SENSED, i] * tau_h[i]
-            - role[_DAMPING, i] * velocity
-            - role[_STIFFNESS, i] * (theta[i] - target[i])
-        ) / role[_INERTIA, i]
-        memory[_IDEAL_VELOCITY, i] += period * u
-        acceleration = (theta[i] - 2.0 * memory[_THETA_1, i] + memory[_THETA_2, i]) / (
+            - role[SENSED, i] * tau_h[i]
+            - role[DAMPING, i] * velocity
+            - role[STIFFNESS, i] * (theta[i] - target[i])
+        ) / role[INERTIA, i]
+        memory[IDEAL_VELOCITY, i] += period * u
+        acceleration = (theta[i] - 2.0 * memory[THETA_1, i] + memory[THETA_2, i]) / (
             period * period
         )
-        memory[_THETA_2, i] = memory[_THETA_1, i]
-        memory[_THETA_1, i] = theta[i]
-        command[i] = u + gamma * (memory[_IDEAL_VELOCITY, i] - velocity) - acceleration
+        memory[THETA_2, i] = memory[THETA_1, i]
+        memory[THETA_1, i] = theta[i]
+        command[i] = u + gamma * (memory[IDEAL_VELOCITY, i] - velocity) - acceleration
     for i in range(n):
-        total = memory[_COMMAND, i]
+        total = memory[COMMAND, i]
         for j in range(n):
             total += model[i, j] * command[j]
-        memory[_COMMAND, i] = total
-    command[:] = memory[_COMMAND]
-    clipped = limit_torque(command, torque_limit)
-    if clipped == REFUSED:
-        memory[:] = 0.0
-    else:
-        memory[_COMMAND] = command
-    return clipped
-
-
-class ImbicController:
-    """The law with its memory, for use tick by tick.
-
-    Arrays given back are reused; copy what must last.
-
-    Parameters
-    ----------
-    config : ImbicConfig
-    torque_limit : N·m
-    """
-
-    def __init__(self, config: ImbicConfig, *, torque_limit: float) -> None:
-        self.config = config
-        self.torque_limit = torque_limit
-        self.memory = np.zeros((MEMORY_ROWS, config.joints))
-        self.command = np.zeros(config.joints)
-        self.role = config.role(0)
-
-    def perturb_joint(self, joint: int) -> None:
-        """Make ``joint`` (0-based) the compliant one and lock the others, without a jump."""
-        self.role = self.config.role(joint)
-
-    def reset(self) -> None:
-        """Forget the past: the next tick starts from rest with zero torque."""
-        self.memory[:] = 0.0
-
-    def tick(
-        self,
-        theta: NDArray[np.float64],
-        tau_h: NDArray[np.float64],
-        tau_delta: NDArray[np.float64],
-    ) -> int:
-        """Compute :attr:`command` from one sample; parameters and result as of :func:`imbic`.
-
-        Raises
-        ------
-        ValueError
-            If an input has another shape; compiled code would read beyond its end.
-        """
-        if not theta.shape == tau_h.shape == tau_delta.shape == self.command.shape:
-            raise ValueError(
-                f"controller: theta {theta.shape}, tau_h {tau_h.shape} and tau_delta "
-                f"{tau_delta.shape} must all be {self.command.shape}"
-            )
-        return imbic(
-            theta,
-            tau_h,
-            tau_delta,
-            self.role,
-            self.config.target_posture,
-            self.config.model_inertia,
-            self.config.gamma,
-            self.config.period,
-            self.torque_limit,
-            self.memory,
-            self.command,
-        )
+        memory[COMMAND, i] = total
+    command[:] = memory[COMMAND]

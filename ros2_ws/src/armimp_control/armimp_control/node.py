@@ -114,6 +114,12 @@ class ImbicControllerNode(LifecycleNode):
             self._stop("the controller was shut down")
         return TransitionCallbackReturn.SUCCESS
 
+    def destroy_node(self) -> None:
+        """Take torque away, should the node end while it is active."""
+        if self._active and self.context.ok():
+            self._stop("the controller was ended")
+        super().destroy_node()
+
     def _prepare(self) -> Experiment:
         self._experiment = Experiment(self._settings, self._announce)
         # Readings of the two sensor topics that still wait for their partner, by stamp.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -11,6 +13,8 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
 from armimp_control import presets
 from armimp_control.imbic import ImbicConfig
+from armimp_control.law import LawConfig
+from armimp_control.pd import PdConfig
 from armimp_control.perturbation import PerturbationConfig
 from armimp_control.safety import SafetyConfig
 from armimp_control.sequence import SequenceConfig
@@ -33,14 +37,21 @@ class TargetParameters(Schema):
 
 
 class LawParameters(Schema):
-    """Time-delay estimation and ideal-velocity feedback; assumptions."""
+    """Which law; time-delay estimation and ideal-velocity feedback of IMBIC; assumptions."""
 
-    model_inertia: Vector = Field(description="M̄, n×n row by row (kg·m²)")
-    gamma: float = Field(default=100.0, gt=0.0, description="Γ (rad/s)")
+    kind: Literal["imbic", "pd"] = Field(
+        default="imbic", description="imbic; or pd: plain PD locking, the negative control"
+    )
+    model_inertia: Vector = Field(description="M̄ of imbic, n×n row by row (kg·m²)")
+    gamma: float = Field(default=100.0, gt=0.0, description="Γ of imbic (rad/s)")
+    pd_frequency: float = Field(
+        default=25.0, gt=0.0, description="natural frequency of joints locked by pd (rad/s)"
+    )
+    pd_damping_ratio: float = Field(default=1.0, gt=0.0, description="their damping ratio (–)")
 
 
 class KnownParameters(Schema):
-    """What is known of rig and arm beforehand; used by the stability check only."""
+    """What is known of rig and arm beforehand: for the stability check, and gains of pd."""
 
     robot_inertia: Vector = Field(description="M_r(θ_0), n×n row by row (kg·m²)")
     arm_inertia: Vector = Field(description="expected M_h, n×n row by row (kg·m²)")
@@ -67,7 +78,7 @@ class SafetyParameters(Schema):
 
     torque_limit: float = Field(default=80.0, gt=0.0, description="limit of each command (N·m)")
     watchdog_ticks: int = Field(
-        default=5, ge=1, description="periods without a sample until torque is taken away"
+        default=5, ge=1, le=100, description="periods without a sample until torque is gone"
     )
     slowest_tick: float = Field(
         default=1.0,
@@ -135,8 +146,12 @@ class ControllerParameters(Schema):
             sequence=SequenceParameters(duration=duration),
         )
 
+    def law_config(self) -> LawConfig:
+        """The law that was chosen."""
+        return self.imbic_config() if self.law.kind == "imbic" else self.pd_config()
+
     def imbic_config(self) -> ImbicConfig:
-        """The law."""
+        """The law of the study, whichever was chosen."""
         return ImbicConfig(
             target_posture=np.array(self.target.posture),
             target_inertia=np.array(self.target.inertia),
@@ -146,6 +161,18 @@ class ControllerParameters(Schema):
             lock_damping_ratio=self.target.lock_damping_ratio,
             model_inertia=self._matrix("law.model_inertia", self.law.model_inertia),
             gamma=self.law.gamma,
+            period=PERIOD,
+        )
+
+    def pd_config(self) -> PdConfig:
+        """The negative control, whichever was chosen; its gains follow from diag(M_r(θ_0))."""
+        return PdConfig(
+            target_posture=np.array(self.target.posture),
+            target_damping=np.array(self.target.damping),
+            target_stiffness=np.array(self.target.stiffness),
+            inertia=np.diag(self._matrix("known.robot_inertia", self.known.robot_inertia)).copy(),
+            frequency=self.law.pd_frequency,
+            damping_ratio=self.law.pd_damping_ratio,
             period=PERIOD,
         )
 
@@ -185,7 +212,7 @@ class ControllerParameters(Schema):
         ConfigurationError
             If not; the message carries the offending value.
         """
-        law = self.imbic_config()
+        law = self.law_config()
         if law.joints != len(self.joints):
             raise ConfigurationError(
                 f"parameter 'target.posture' has {law.joints} values for {len(self.joints)} joints"

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.imbic import ImbicConfig
+from armimp_control.layout import DAMPING, INERTIA, SENSED, STIFFNESS
+from armimp_control.law import LawConfig
 
 LIMIT = 2.0
 WARNING_SHARE = 0.8
@@ -22,36 +24,38 @@ class StabilityMargins:
     """How far a sampled loop is from instability.
 
     The first two numbers must stay below 2; they are simple, but hold only for a soft target and
-    small Γ. The third must stay below 1 and takes all of the law into account.
+    small Γ, and exist for IMBIC alone. The third must stay below 1 and takes all of the law into
+    account.
 
     Attributes
     ----------
-    time_delay_estimation : largest |eigenvalue| of (M_r + M_h)⁻¹ M̄
-    force_feedback : per joint, M̄_kk M_h,kk / (M_rd,k (M_r + M_h)_kk) while joint k is perturbed
+    time_delay_estimation : largest |eigenvalue| of (M_r + M_h)⁻¹ M̄; None without such a model
+    force_feedback : per joint, M̄_kk M_h,kk / (M_rd,k (M_r + M_h)_kk) while joint k is perturbed;
+        empty without feedback of the measured torque
     spectral_radius : per joint, of the sampled loop while joint k is perturbed
     warnings : sentences for values near the edge
     """
 
-    time_delay_estimation: float
+    time_delay_estimation: float | None
     force_feedback: tuple[float, ...]
     spectral_radius: tuple[float, ...]
     warnings: tuple[str, ...]
 
 
 def check_stability(
-    config: ImbicConfig,
+    config: LawConfig,
     *,
     robot_inertia: NDArray[np.float64],
     arm_inertia: NDArray[np.float64],
 ) -> StabilityMargins:
     """Check the sampled loop with every joint perturbed in turn.
 
-    The conditions are λmax((M_r + M_h)⁻¹ M̄) < 2, M̄ M_h/(M_rd (M_r + M_h)) < 2, and that the loop
-    of law and inertia returns to rest, see :func:`spectral_radius`.
+    The condition is that the loop of law and inertia returns to rest, see :func:`spectral_radius`;
+    for IMBIC also λmax((M_r + M_h)⁻¹ M̄) < 2 and M̄ M_h/(M_rd (M_r + M_h)) < 2.
 
     Parameters
     ----------
-    config : ImbicConfig
+    config : ImbicConfig or PdConfig
     robot_inertia : (n, n) M_r(θ_0), kg·m²
     arm_inertia : (n, n) M_h as far as it is known beforehand, kg·m²
 
@@ -60,8 +64,51 @@ def check_stability(
     ConfigurationError
         If a condition is violated or the inertia makes no sense; the message carries the value.
     """
-    n = config.joints
-    total = _total_inertia(n, robot_inertia, arm_inertia)
+    total = _total_inertia(config.joints, robot_inertia, arm_inertia)
+    if isinstance(config, ImbicConfig):
+        values, gains = _simple_conditions(config, total, arm_inertia), "M̄"
+    else:
+        values, gains = {}, "gains"
+    warnings = [
+        f"{name} = {value:.3g} is close to its stability limit {LIMIT:g}"
+        for name, value in values.items()
+        if not value < WARNING_SHARE * LIMIT
+    ]
+    radii = []
+    for k in range(config.joints):
+        radius, stronger = (
+            spectral_radius(
+                config,
+                perturbed=k,
+                robot_inertia=robot_inertia,
+                arm_inertia=arm_inertia,
+                gain=gain,
+            )
+            for gain in (1.0, 1.0 / WARNING_SHARE)
+        )
+        if not radius < 1.0 + _GROWTH:
+            raise ConfigurationError(
+                "controller: unstable when sampled: while joint "
+                f"{k + 1} is perturbed, motion grows by a factor of {radius:.4g} per tick"
+            )
+        if not stronger < 1.0 + _GROWTH:
+            warnings.append(
+                f"with {gains} larger by {1.0 / WARNING_SHARE - 1.0:.0%} the loop would be "
+                f"unstable while joint {k + 1} is perturbed"
+            )
+        radii.append(radius)
+    return StabilityMargins(
+        time_delay_estimation=next(iter(values.values()), None),
+        force_feedback=tuple(values.values())[1:],
+        spectral_radius=tuple(radii),
+        warnings=tuple(warnings),
+    )
+
+
+def _simple_conditions(
+    config: ImbicConfig, total: NDArray[np.float64], arm_inertia: NDArray[np.float64]
+) -> dict[str, float]:
+    """Check the conditions on M̄ alone; their values by name."""
     eigenvalues = np.linalg.eigvals(np.linalg.solve(total, config.model_inertia))
     if not np.min(eigenvalues.real) > 0.0:
         raise ConfigurationError(
@@ -69,54 +116,22 @@ def check_stability(
             f"got {np.min(eigenvalues.real):.3g}"
         )
     values = {"λmax((M_r + M_h)⁻¹ M̄)": float(np.max(np.abs(eigenvalues)))}
-    for k in range(n):
+    for k in range(config.joints):
         values[f"M̄ M_h/(M_rd (M_r + M_h)) of joint {k + 1}"] = float(
             config.model_inertia[k, k]
             * arm_inertia[k, k]
             / (config.target_inertia[k] * total[k, k])
         )
-    warnings = []
     for name, value in values.items():
         if not value < LIMIT:
             raise ConfigurationError(
                 f"controller: unstable when sampled: {name} = {value:.3g}, must be below {LIMIT:g}"
             )
-        if not value < WARNING_SHARE * LIMIT:
-            warnings.append(f"{name} = {value:.3g} is close to its stability limit {LIMIT:g}")
-    radii = []
-    for k in range(n):
-        radius = spectral_radius(
-            config, perturbed=k, robot_inertia=robot_inertia, arm_inertia=arm_inertia
-        )
-        if not radius < 1.0 + _GROWTH:
-            raise ConfigurationError(
-                "controller: unstable when sampled: while joint "
-                f"{k + 1} is perturbed, motion grows by a factor of {radius:.4g} per tick"
-            )
-        stronger = spectral_radius(
-            config,
-            perturbed=k,
-            robot_inertia=robot_inertia,
-            arm_inertia=arm_inertia,
-            gain=1.0 / WARNING_SHARE,
-        )
-        if not stronger < 1.0 + _GROWTH:
-            warnings.append(
-                f"with M̄ larger by {1.0 / WARNING_SHARE - 1.0:.0%} the loop would be unstable "
-                f"while joint {k + 1} is perturbed"
-            )
-        radii.append(radius)
-    feedback = tuple(values.values())[1:]
-    return StabilityMargins(
-        time_delay_estimation=next(iter(values.values())),
-        force_feedback=feedback,
-        spectral_radius=tuple(radii),
-        warnings=tuple(warnings),
-    )
+    return values
 
 
 def spectral_radius(
-    config: ImbicConfig,
+    config: LawConfig,
     *,
     perturbed: int,
     robot_inertia: NDArray[np.float64],
@@ -125,29 +140,36 @@ def spectral_radius(
 ) -> float:
     """Largest factor by which a deviation from rest can grow from tick to tick.
 
-    Exact for the law of :mod:`armimp_control.imbic` on a rig that consists of inertia only, with
-    torque held between ticks and sensors read just before it changes.
+    Exact for the laws as coded on a rig that consists of inertia only, with torque held between
+    ticks and sensors read just before it changes.
 
     Parameters
     ----------
-    config : ImbicConfig
+    config : ImbicConfig or PdConfig
     perturbed : joint that yields, 0-based
     robot_inertia, arm_inertia : (n, n) M_r(θ_0) and M_h, kg·m²
-    gain : factor on M̄
+    gain : factor on M̄, or on the gains of a law without it
     """
     n, period = config.joints, config.period
     role = config.role(perturbed)
-    sensed, damping, stiffness = (np.diag(role[row] / role[1]) for row in (0, 2, 3))
     per_inertia = np.linalg.inv(robot_inertia + arm_inertia)
     # Everything is linear in the state: each of these (n, 6n) gives one vector of it.
     theta, velocity, theta_1, theta_2, ideal, torque = np.eye(6 * n).reshape(6, n, 6 * n)
     measured = (theta - theta_1) / period
-    u = -sensed @ arm_inertia @ per_inertia @ torque - damping @ measured - stiffness @ theta
-    ideal = ideal + period * u
-    delayed = (theta - 2.0 * theta_1 + theta_2) / period**2
-    torque = torque + gain * config.model_inertia @ (
-        u + config.gamma * (ideal - measured) - delayed
-    )
+    if isinstance(config, ImbicConfig):
+        sensed, damping, stiffness = (
+            np.diag(role[row] / role[INERTIA]) for row in (SENSED, DAMPING, STIFFNESS)
+        )
+        u = -sensed @ arm_inertia @ per_inertia @ torque - damping @ measured - stiffness @ theta
+        ideal = ideal + period * u
+        delayed = (theta - 2.0 * theta_1 + theta_2) / period**2
+        torque = torque + gain * config.model_inertia @ (
+            u + config.gamma * (ideal - measured) - delayed
+        )
+    else:
+        damping, stiffness = np.diag(role[DAMPING]), np.diag(role[STIFFNESS])
+        torque = -gain * (damping @ measured + stiffness @ theta)
+        ideal = np.zeros_like(ideal)
     acceleration = per_inertia @ torque
     following = (
         theta + period * velocity + 0.5 * period**2 * acceleration,

@@ -364,7 +364,6 @@ class TestParameters:
             ({"law.model_inertia": [1.0]}, "parameter 'law.model_inertia' has 1 values, needs 4"),
             ({"perturbation.peak": [1.0]}, "parameter 'perturbation.peak' has 1 values for 2"),
             ({"target.damping": [1.0, 2.0, 3.0]}, "target_damping needs 2 finite values"),
-            ({"safety.watchdog_ticks": 101}, "watchdog_ticks must be 1 to 100, got 101"),
         ],
         ids=lambda value: None if isinstance(value, dict) else value[:30],
     )
@@ -444,8 +443,9 @@ class TestLife:
             assert controller.trigger_cleanup() is SUCCESS
         assert controller.trigger_shutdown() is SUCCESS
 
-    def test_when_shut_down_during_a_trial_expect_zero_torque_and_an_abort(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
+    @pytest.mark.parametrize("how", ["trigger_shutdown", "destroy_node"])
+    def test_when_ended_during_a_trial_expect_zero_torque_and_an_abort(
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, how: str
     ) -> None:
         controller = make()
         bring_up(controller, driver)
@@ -453,7 +453,7 @@ class TestLife:
             driver.feed(theta, tau_h)
         eventually(spinner, lambda: driver.answered, "an answer to every sample")
 
-        assert controller.trigger_shutdown() is SUCCESS
+        getattr(controller, how)()
 
         eventually(
             spinner,

@@ -12,7 +12,7 @@ from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
-from armimp_control.imbic import ImbicController
+from armimp_control.law import Controller
 from armimp_control.parameters import (
     ControllerParameters,
     LawParameters,
@@ -153,7 +153,7 @@ def test_commands_are_those_of_the_law_with_the_role_of_each_trial() -> None:
 
     samples = bench.wobble(TRIAL + 40)
 
-    law = ImbicController(bench.parameters.imbic_config(), torque_limit=80.0)
+    law = Controller(bench.parameters.imbic_config(), torque_limit=80.0)
     expected = []
     for tick, (theta, tau_h) in enumerate(samples):
         law.perturb_joint(tick // TRIAL)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal, stats
@@ -20,6 +20,7 @@ def _signal(*, joint: int = 0, trial: int = 1, ticks: int = 5000, seed: int = 1)
     return perturbation(CONFIG, joint=joint, trial=trial, ticks=ticks, seed=seed)
 
 
+@settings(deadline=None)
 @given(
     st.floats(1e-3, 100.0),
     st.integers(1, 2000),

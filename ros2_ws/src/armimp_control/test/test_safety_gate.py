@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
@@ -19,6 +19,7 @@ LARGEST = float(np.finfo(np.float64).max)
 SMALLEST = float(np.finfo(np.float64).smallest_subnormal)
 
 
+@settings(deadline=None)
 @given(st.lists(ANY, min_size=1, max_size=7), st.floats(1e-6, 1e6))
 @example([LARGEST, -LARGEST], 80.0)
 @example([SMALLEST, -SMALLEST, 0.0, -0.0], 80.0)
@@ -106,6 +107,7 @@ def test_after_the_patience_torque_ramps_down_to_zero_within_the_ramp() -> None:
     assert watchdog.allowance(1e6) == 0.0
 
 
+@settings(deadline=None)
 @given(
     st.integers(1, 100),
     st.floats(0.0, 0.05),

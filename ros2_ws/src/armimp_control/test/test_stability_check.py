@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
-from armimp_control.imbic import ImbicConfig, ImbicController
+from armimp_control.imbic import ImbicConfig
+from armimp_control.law import Controller
 from armimp_control.stability import check_stability, spectral_radius
 
 Array = NDArray[np.float64]
@@ -33,7 +34,7 @@ def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
 
 def _sizes(config: ImbicConfig, perturbed: int, ticks: int) -> Array:
     """Largest acceleration (ticks,) after a push, of a rig of pure inertia under the law."""
-    controller = ImbicController(config, torque_limit=1e300)
+    controller = Controller(config, torque_limit=1e300)
     controller.perturb_joint(perturbed)
     inverse, period = np.linalg.inv(ROBOT + ARM), config.period
     theta, velocity, acceleration = POSTURE.copy(), np.zeros(2), np.zeros(2)

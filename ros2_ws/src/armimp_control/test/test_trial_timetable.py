@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
@@ -13,6 +13,7 @@ from armimp_common.trial_status import Phase
 from armimp_control.sequence import SequenceConfig, timetable
 
 
+@settings(deadline=None)
 @given(st.floats(0.001, 100.0), st.floats(0.05, 3.0), st.floats(0.05, 3.0), st.integers(1, 7))
 def test_segments_follow_each_other_without_gap_or_overlap(
     duration: float, settle: float, rest: float, joints: int

@@ -184,8 +184,7 @@ def assemble_trial(
         problem = f"perturbed joint is not among the joints {known}: {name}"
     else:
         segments = tuple(
-            _record(window, joint, streams.joint_names, kept, start, stop)
-            for start, stop in _runs(usable)
+            _record(window, joint, streams, kept, start, stop) for start, stop in _runs(usable)
         )
         if segments and not any(segment.perturbation[joint].any() for segment in segments):
             problem = problem or "the perturbation is zero throughout"
@@ -270,9 +269,12 @@ class _Kept:
 
     def values(self, start: int, stop: int) -> NDArray[np.float64]:
         """(n, stop - start) values of a run of periods, all of which are there."""
+        return np.ascontiguousarray(self.stream.values[:, self.chosen(start, stop)])
+
+    def chosen(self, start: int, stop: int) -> NDArray[np.intp]:
+        """Ordinal numbers, in the stream, of the messages of a run of periods."""
         first = int(np.searchsorted(self.numbers, start))
-        chosen = self.order[first : first + stop - start]
-        return np.ascontiguousarray(self.stream.values[:, chosen])
+        return self.order[first : first + stop - start]
 
     def stamp(self, number: int) -> int:
         return int(self.stamps[np.searchsorted(self.numbers, number)])
@@ -330,7 +332,7 @@ def _runs(usable: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _record(
     window: TrialWindow,
     joint: int,
-    joint_names: tuple[str, ...],
+    streams: TrialStreams,
     kept: Mapping[str, _Kept],
     start: int,
     stop: int,
@@ -339,13 +341,27 @@ def _record(
         trial=window.trial,
         perturbed_joint=joint,
         rate=RATE,
-        joint_names=joint_names,
+        joint_names=streams.joint_names,
         perturbation=kept[contract.PERTURBATION].values(start, stop),
         position=kept[contract.JOINT_STATES].values(start, stop),
         torque=kept[contract.TORQUE_SENSORS].values(start, stop),
         start_ns=kept[contract.PERTURBATION].stamp(start),
         seed=window.seed,
+        command=_commands(streams, kept[contract.PERTURBATION].chosen(start, stop)),
     )
+
+
+def _commands(streams: TrialStreams, ordinals: NDArray[np.intp]) -> NDArray[np.float64] | None:
+    """Commands that went with the perturbations of these ordinal numbers; None if in doubt."""
+    values = streams.command_values
+    perturbations = streams.stamped[contract.PERTURBATION].stamps.size
+    # A recording may be cut between the two messages of a tick.
+    if values is None or abs(perturbations - values.shape[1]) > 1:
+        return None
+    if ordinals.max() >= values.shape[1]:
+        return None
+    command = np.ascontiguousarray(values[:, ordinals])
+    return command if np.isfinite(command).all() else None
 
 
 def _problem(

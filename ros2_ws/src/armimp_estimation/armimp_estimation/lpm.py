@@ -1,7 +1,7 @@
 """Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 import numpy as np
@@ -25,6 +25,10 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+# Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
+_SPARE_BINS = 3
+
+
 class TorqueTiming(str, Enum):
     """When torques are read, relative to the update of the command at the same sample."""
 
@@ -42,6 +46,10 @@ class LpmConfig:
     ----------
     local : LocalPolynomialConfig
         Local polynomials.
+    span : float
+        Hz on either side of a bin that they may span: in shorter records, where bins are wider,
+        fewer take part. The responses of an arm have a resonance around 1 Hz, and over 0.25 Hz
+        polynomials of degree 2 miss up to 0.5 % of them; the error grows with its fourth power.
     torque_delay : float
         How late torque readings are against angles, samples; 0 if they are simultaneous.
     timing : TorqueTiming
@@ -49,21 +57,30 @@ class LpmConfig:
         records it has to be everything.
     weight_floor : float
         Relative error that is allowed for in the weights of the M-B-K fit, beside the variance;
-        see :class:`armimp_estimation.fit.FitConfig`.
+        see :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials.
     """
 
     local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
+    span: float = 0.25
     torque_delay: float = 0.5
     timing: TorqueTiming = TorqueTiming.BEFORE_UPDATE
     weight_floor: float = 0.005
 
     def __post_init__(self) -> None:
+        if not 0.0 < self.span < np.inf:
+            raise ConfigurationError(f"span must be positive, got {self.span!r} Hz")
         if not np.isfinite(self.torque_delay):
             raise ConfigurationError(f"torque_delay must be finite, got {self.torque_delay!r}")
         if not 0.0 <= self.weight_floor < np.inf:
             raise ConfigurationError(
                 f"weight_floor must not be negative, got {self.weight_floor!r}"
             )
+
+    def local_for(self, duration: float) -> LocalPolynomialConfig:
+        """Local polynomials for a record of so many seconds."""
+        fewest = self.local.order + _SPARE_BINS
+        within = int(self.span * duration * (1.0 + 1e-12))
+        return replace(self.local, half_width=min(self.local.half_width, max(fewest, within)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +149,7 @@ class LpmFull:
             Z=impedance,
             variance=variance,
             bin_correlation=np.mean([column.bin_correlation() for column in columns], axis=0),
-            averages=options.local.freedom + 1.0,
+            averages=columns[0].freedom + 1.0,
             T=torque,
             R=R,
             weight_floor=options.weight_floor,
@@ -148,6 +165,7 @@ class LpmFull:
     def _columns(self, records: Sequence[TrialRecord], *, with_steps: bool) -> list[LocalResponse]:
         """Responses of angles, torques and, if wanted, steps of the commands, by trial."""
         samples = min(record.samples for record in records)
+        local = self.config.local_for(samples / records[0].rate)
         columns = []
         for record in records:
             outputs = [record.position[:, :samples], record.torque[:, :samples]]
@@ -155,8 +173,6 @@ class LpmFull:
                 outputs.append(command_steps(record, samples))
             source = record.perturbation[record.perturbed_joint, :samples]
             columns.append(
-                local_response(
-                    source, np.concatenate(outputs), record.rate, self.band, self.config.local
-                )
+                local_response(source, np.concatenate(outputs), record.rate, self.band, local)
             )
         return columns

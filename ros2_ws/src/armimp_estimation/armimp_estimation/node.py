@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import sys
+import time
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -27,7 +29,8 @@ from armimp_common.lifecycle import reported
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_estimation.conclusion import FinishedTrial, conclude, truth_of
+from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, truth_of
 from armimp_estimation.messages import (
     column_message,
     conclusion_message,
@@ -41,6 +44,8 @@ from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchSiso
 
 _MATCH_TIMEOUT = 10.0
+_STRAGGLERS = 5.0
+"""Seconds after the end of the last trial in which samples of it may still come."""
 _MESSAGE_CLASSES = {
     "sensor_msgs/msg/JointState": JointState,
     "std_msgs/msg/Float64MultiArray": Float64MultiArray,
@@ -63,12 +68,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         """Make the topics."""
         self._settings = load(self, EstimatorParameters)
         self._metadata = self._settings.bag_metadata()
-        truth, joints = truth_of(self._metadata), len(self._settings.joints)
-        if truth is not None and truth.joints != joints:
-            raise ConfigurationError(
-                f"parameter 'metadata': truth is of {truth.joints} joints, not of {joints}"
-            )
         self._reset()
+        self._check_metadata()
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
         self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
@@ -108,7 +109,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if lonely:
             raise GraphError(f"nobody publishes {', '.join(lonely)}")
         self._active = True
-        self._samples = 0
+        self._counts = dict.fromkeys(contract.DATA_STREAMS, 0)
+        self._acknowledged = 0
         self._received.publish(UInt64(data=0))
         self._timer.reset()
         return super().on_activate(state)
@@ -139,11 +141,19 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._stop("the estimator was shut down before all trials were over")
         return TransitionCallbackReturn.SUCCESS
 
+    def destroy_node(self) -> None:
+        """Close the bag and conclude, should the node end while it is active."""
+        if self._active and self.context.ok():
+            self._stop("the estimator was ended before all trials were over")
+        super().destroy_node()
+
     def _reset(self) -> None:
         directory = self._settings.directory
         self._directory = Path(directory) if directory else None
         self._finished: list[FinishedTrial] = []
         self._problems: list[str] = []
+        self._ended = 0
+        self._done_at = math.inf
         self._concluded = False
         self._recording = Recording(
             self._settings.joints,
@@ -151,6 +161,15 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._metadata,
             self._on_finished,
         )
+
+    def _check_metadata(self) -> None:
+        """Find out now, and not after the last trial, whether the metadata make sense."""
+        truth, joints = truth_of(self._metadata), len(self._settings.joints)
+        if truth is not None and truth.joints != joints:
+            raise ConfigurationError(
+                f"parameter 'metadata': truth is of {truth.joints} joints, not of {joints}"
+            )
+        self._conclusion()
 
     def _stop(self, reason: str) -> None:
         self._active = False
@@ -171,10 +190,17 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._note(f"{topic}: {error}")
         except ArmimpError as error:
             self._give_up(str(error))
-        if topic == contract.PERTURBATION:
-            self._samples += 1
-            if self._samples % contract.RECEIVED_EVERY == 0:
-                self._received.publish(UInt64(data=self._samples))
+        self._acknowledge(topic)
+
+    def _acknowledge(self, topic: str) -> None:
+        """Tell now and then how many samples are here with all of their messages."""
+        counts = self._counts
+        counts[topic] += 1
+        if counts[topic] % contract.RECEIVED_EVERY == 0:
+            samples = min(counts.values()) // contract.RECEIVED_EVERY * contract.RECEIVED_EVERY
+            if samples > self._acknowledged:
+                self._acknowledged = samples
+                self._received.publish(UInt64(data=samples))
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -195,16 +221,26 @@ class ImpedanceEstimatorNode(LifecycleNode):
         except ArmimpError as error:
             self._give_up(str(error))
             return
-        if status.phase in (Phase.ABORTED, Phase.DONE):
+        if status.phase is Phase.ABORTED:
             self._recording.stop()
             self._conclude()
+        elif status.phase is Phase.DONE:
+            # Samples of the last trial may be under way, as topics do not wait for one another.
+            self._done_at = time.monotonic()
+            if self._recording.status is None:
+                self._conclude()
 
     def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
+        self._ended += 1
         if trial is None:
             self._note(problem)
-            return
-        self._finished.append(trial)
-        assembled = trial.assembled
+        else:
+            self._finished.append(trial)
+            self._publish_column(trial.assembled)
+        if self._ended == len(self._settings.joints):
+            self._conclude()
+
+    def _publish_column(self, assembled: AssembledTrial) -> None:
         try:
             record = assembled.require()
             data = TrialData.from_record(record, WelchConfig.for_samples(record.samples))
@@ -213,21 +249,13 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._result.publish(failed_trial_message(assembled, str(error)))
         else:
             self._result.publish(column_message(assembled, data.spectra, column))
-        if len(self._finished) == len(self._settings.joints):
-            self._conclude()
 
     def _conclude(self) -> None:
         """Publish and store the result, once; without any trial there is none."""
         if self._concluded:
             return
         self._concluded = True
-        conclusion = conclude(
-            self._finished,
-            metadata=self._metadata,
-            joints=len(self._settings.joints),
-            estimators=self._settings.estimators,
-            problems=self._problems,
-        )
+        conclusion = self._conclusion()
         if self._directory is not None:
             try:
                 self._directory.mkdir(parents=True, exist_ok=True)
@@ -235,6 +263,15 @@ class ImpedanceEstimatorNode(LifecycleNode):
             except (ArmimpError, OSError) as error:
                 self.get_logger().error(f"result not stored: {error}")
         self._result.publish(conclusion_message(conclusion))
+
+    def _conclusion(self) -> Conclusion:
+        return conclude(
+            self._finished,
+            metadata=self._metadata,
+            joints=len(self._settings.joints),
+            estimators=self._settings.estimators,
+            problems=self._problems,
+        )
 
     def _note(self, problem: str) -> None:
         if problem not in self._problems:
@@ -256,6 +293,10 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def _on_timer(self) -> None:
         status = self._recording.status
         if not self._active or status is None:
+            return
+        if time.monotonic() - self._done_at > _STRAGGLERS:
+            self._recording.stop()
+            self._conclude()
             return
         self._progress.publish(
             progress_message(

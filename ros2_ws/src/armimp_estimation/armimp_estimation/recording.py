@@ -103,8 +103,9 @@ class Recording:
         return self._running.update(self._collector.messages)
 
     def stop(self) -> None:
-        """Finish the present trial with what there is, and close its bag."""
-        self._collector.finish()
+        """Finish all trials that have begun with what there is, and close the bag."""
+        while self._collector.status is not None:
+            self._collector.finish()
         self.close()
 
     def close(self) -> None:

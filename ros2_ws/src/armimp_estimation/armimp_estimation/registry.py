@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.direct import Direct
 from armimp_estimation.estimate import Estimator
 from armimp_estimation.lpm import LpmFull
 from armimp_estimation.settings import IdentifyConfig
@@ -12,6 +13,7 @@ _FACTORIES: dict[str, Callable[[IdentifyConfig], Estimator]] = {
     "welch_siso": lambda _: WelchSiso(),
     "welch_full": lambda _: WelchFull(),
     "lpm_full": lambda c: LpmFull(config=c.lpm, band=(c.welch.f_low, c.welch.f_high)),
+    "direct": lambda _: Direct(),
 }
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common import contract
-from armimp_common.cdr import JointStateDecoder
+from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.errors import DataError, MalformedMessageError
 
 
@@ -45,11 +45,15 @@ class TrialStreams:
         Positions (rad), torque readings and perturbation (N·m), by topic of the contract.
     commands : int
         Number of command messages.
+    command_values : ndarray, shape (n, commands), or None
+        Commands in order of arrival, N·m; None unless all can be decoded. They have no stamps, and
+        are taken to be in the order of `joint_names`.
     """
 
     joint_names: tuple[str, ...]
     stamped: Mapping[str, Stream]
     commands: int
+    command_values: NDArray[np.float64] | None = None
 
 
 def decode_streams(
@@ -70,14 +74,24 @@ def decode_streams(
     DataError
         If a stream has no message that can be decoded.
     """
+    commands = messages.get(contract.COMMANDS, ())
     return TrialStreams(
         joint_names=tuple(joint_names),
         stamped={
             topic: _decode(topic, JointStateDecoder(joint_names, field), messages.get(topic, ()))
             for topic, field in contract.VALUE_FIELD.items()
         },
-        commands=len(messages.get(contract.COMMANDS, ())),
+        commands=len(commands),
+        command_values=_decode_commands(len(joint_names), commands),
     )
+
+
+def _decode_commands(joints: int, messages: Sequence[bytes]) -> NDArray[np.float64] | None:
+    """Decode all commands or none, as a missing one would shift those after it."""
+    try:
+        return CommandDecoder(joints).decode_many(messages)
+    except MalformedMessageError:
+        return None
 
 
 def _decode(topic: str, decoder: JointStateDecoder, messages: Sequence[bytes]) -> Stream:

@@ -76,7 +76,7 @@ class WelchSiso:
         """
         spectra = [trial.spectra for trial in order_trials(trials)]
         columns = [self.column(trial) for trial in spectra]
-        return _estimate(
+        return matrix_estimate(
             self.name,
             spectra,
             frf_matrix(spectra),
@@ -117,7 +117,7 @@ class WelchFull:
                 coefficients[trial.torque_channel(i)] = 1.0
                 disturbance = gain * residual_power(trial, coefficients)
                 variance[i] += disturbance * np.abs(inverse[k]) ** 2
-        return _estimate(self.name, spectra, frf, impedance, variance)
+        return matrix_estimate(self.name, spectra, frf, impedance, variance)
 
 
 def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
@@ -149,13 +149,14 @@ def multiply(left: ComplexArray, right: ComplexArray) -> ComplexArray:
     return product
 
 
-def _estimate(
+def matrix_estimate(
     name: str,
     trials: Sequence[TrialSpectra],
     frf: FrfMatrix,
     impedance: ComplexArray,
     variance: FloatArray,
 ) -> ImpedanceEstimate:
+    """Put together what an estimator on averaged spectra has found from trials in order of k."""
     # Trials may differ in length: the shortest has the least certain variance.
     shortest = min(trials, key=lambda trial: trial.spectra.effective_averages).spectra
     return ImpedanceEstimate(

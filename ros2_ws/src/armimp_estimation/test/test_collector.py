@@ -197,11 +197,11 @@ def test_commands_are_paired_with_perturbations_by_their_number_from_the_beginni
 
 
 def test_when_a_stream_falls_silent_expect_the_trial_without_it_once_it_is_overdue() -> None:
-    recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=150)
+    recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=2050)
     topics = recording.by_topic()
     del topics[contract.TORQUE_SENSORS][25:]
     desk = Desk()
-    turns = [(topic, 1) for _ in range(410) for topic in DATA_STREAMS]
+    turns = [(topic, 1) for _ in range(2 * 2105) for topic in DATA_STREAMS]
 
     desk.feed(topics, statuses_of(recording), [(TRIAL, 10), *turns])
 

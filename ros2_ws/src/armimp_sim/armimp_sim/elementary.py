@@ -9,14 +9,8 @@ They are accurate to one or two units in the last place (tested against extended
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, cast
-
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
-
 from armimp_common.compiled import compiled
+from armimp_sim.packed import power_of_two, where_less
 
 _LOG2_E = 1.4426950408889634
 # ln 2 in two parts, the first with enough trailing zero bits that k * _LN2_HI is exact.
@@ -30,23 +24,6 @@ _PIO2_1 = 1.57079632673412561417e00
 _PIO2_2 = 6.07710050630396597660e-11
 _PIO2_3 = 2.02226624879595063154e-21
 _LARGEST_EXPONENT = 700.0
-
-
-def _exponent_from_low_bits(typingctx: Any, rounded: Any) -> Any:
-    """2**k from the float ``k + _ROUNDER``: its lowest bits become the exponent."""
-
-    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        i64 = ir.IntType(64)
-        bits = builder.bitcast(args[0], i64)
-        exponent = builder.shl(bits, ir.Constant(i64, 52))
-        return builder.bitcast(
-            builder.add(exponent, ir.Constant(i64, 0x3FF0000000000000)), ir.DoubleType()
-        )
-
-    return types.float64(types.float64), codegen
-
-
-_power_of_two = cast("Callable[[float], float]", intrinsic(_exponent_from_low_bits))
 
 
 @compiled
@@ -63,7 +40,7 @@ def exp_minus(y: float) -> float:
     float
         exp(−y), to about one unit in the last place.
     """
-    y = y if y < _LARGEST_EXPONENT else _LARGEST_EXPONENT
+    y = where_less(y, _LARGEST_EXPONENT, y, _LARGEST_EXPONENT)
     shifted = _ROUNDER - y * _LOG2_E
     k = shifted - _ROUNDER
     r = (-y - k * _LN2_HI) - k * _LN2_LO
@@ -82,7 +59,7 @@ def exp_minus(y: float) -> float:
     p = p * r + 0.5
     p = p * r + 1.0
     p = p * r + 1.0
-    return p * _power_of_two(shifted)
+    return p * power_of_two(shifted)
 
 
 @compiled
@@ -139,9 +116,8 @@ def sine_cosine(x: float) -> tuple[float, float]:
     """
     r, q = _reduced(x)
     sine, cosine = _sin_kernel(r), _cos_kernel(r)
-    swap = (q == 1.0) | (q == 3.0)
-    a = cosine if swap else sine
-    b = sine if swap else cosine
-    a = -a if q >= 2.0 else a
-    b = -b if (q == 1.0) | (q == 2.0) else b
-    return a, b
+    # Odd quadrants swap the two; 2 and 3 turn the sign of the sine, 1 and 2 that of the cosine.
+    odd = 1.0 - abs(abs(q - 2.0) - 1.0)
+    s = where_less(odd, 0.5, sine, cosine)
+    c = where_less(odd, 0.5, cosine, sine)
+    return where_less(q, 2.0, s, -s), where_less(abs(q - 1.5), 1.0, -c, c)

@@ -1,12 +1,14 @@
 """The compiled plant: equations of motion and RK4, for many trials side by side.
 
-All numbers of a batch live in one flat array of rows; each row holds one quantity of all lanes
-(trials). The number of joints n and of lanes are compile-time constants, carried by the lengths of
-two tuples, so the compiler knows every distance inside the array: it unrolls the loops over joints
-and turns the loops over lanes into SIMD instructions. One lane is the ordinary single trial; the
-arithmetic is the same operation by operation, so a lane gives the same bits in any batch.
+Trials stand in lanes, and lanes in blocks of equal width. The numbers of a batch fill an array with
+one row per block; there, each quantity takes ``width`` places, one for each lane. A block goes
+through a whole control period on its own: its numbers stay in the processor's registers and first
+cache. The width and the number of joints n are compile-time constants, carried by the lengths of
+two tuples; arithmetic is on all lanes of a block at once (:mod:`armimp_sim.packed`). A block of
+width 1 is the ordinary single trial; the arithmetic is the same operation by operation, so a lane
+gives the same bits in any batch.
 
-Rows (n rows each unless said otherwise), in the order of :func:`rows`:
+Places in a block (n times the width each unless said otherwise), in the order of :func:`rows`:
 state θ, v, z; input τ, d; parameters; work space.
 """
 
@@ -17,8 +19,11 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim.elementary import exp_minus, sine_cosine
+from armimp_sim.packed import Tag, fill, load, store
 
-Tag = tuple[float, ...]
+WIDTH = 16
+"""Lanes of a block when there are several: two of the widest registers, which hide each other's
+waiting times, are faster than one. Unused lanes of the last block are at rest."""
 
 # Vectors, in units of n rows: state, inputs, parameters, outputs, work space.
 THETA, VELOCITY, BRISTLE = 0, 1, 2
@@ -40,8 +45,23 @@ MATRICES = 5
 
 
 def rows(n: int) -> int:
-    """Number of rows of a batch with n joints."""
+    """Number of quantities of a lane with n joints."""
     return VECTORS * n + MATRICES * n * n
+
+
+def width_for(lanes: int) -> int:
+    """Width of the blocks of a batch."""
+    return 1 if lanes == 1 else WIDTH
+
+
+@compiled
+def _get(w: NDArray[np.float64], block: int, row: int, width: Tag) -> float:
+    return load(w, block * w.shape[1] + row * len(width), width)
+
+
+@compiled
+def _put(w: NDArray[np.float64], block: int, row: int, width: Tag, value: float) -> None:
+    store(w, block * w.shape[1] + row * len(width), value)
 
 
 @compiled
@@ -50,265 +70,270 @@ def _matrix_row(which: int, i: int, j: int, n: int) -> int:
 
 
 @compiled
-def _kinematics(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _kinematics(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """Sines and cosines of the absolute link angles, and squared absolute rates."""
-    n, m = len(joints), len(lanes)
-    for lane in range(m):
-        # The dynamics depend on angle differences only: the first link may stand at zero.
-        angle = 0.0
-        rate = w[(VELOCITY * n) * m + lane]
-        w[(_COSINE * n) * m + lane] = 1.0
-        w[(_SINE * n) * m + lane] = 0.0
-        w[(_OMEGA_SQUARED * n) * m + lane] = rate * rate
-        for a in range(1, n):
-            angle += w[(THETA * n + a) * m + lane]
-            rate += w[(VELOCITY * n + a) * m + lane]
-            s, c = sine_cosine(angle)
-            w[(_COSINE * n + a) * m + lane] = c
-            w[(_SINE * n + a) * m + lane] = s
-            w[(_OMEGA_SQUARED * n + a) * m + lane] = rate * rate
+    n = len(joints)
+    # The dynamics depend on angle differences only: the first link may stand at zero.
+    angle = fill(0.0, width)
+    rate = _get(w, block, VELOCITY * n, width)
+    _put(w, block, _COSINE * n, width, fill(1.0, width))
+    _put(w, block, _SINE * n, width, angle)
+    _put(w, block, _OMEGA_SQUARED * n, width, rate * rate)
+    for a in range(1, n):
+        angle += _get(w, block, THETA * n + a, width)
+        rate += _get(w, block, VELOCITY * n + a, width)
+        s, c = sine_cosine(angle)
+        _put(w, block, _COSINE * n + a, width, c)
+        _put(w, block, _SINE * n + a, width, s)
+        _put(w, block, _OMEGA_SQUARED * n + a, width, rate * rate)
 
 
 @compiled
-def _friction(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _bristle_force(w: NDArray[np.float64], block: int, i: int, n: int, width: Tag) -> float:
+    """LuGre's g(v) of joint i."""
+    x = _get(w, block, VELOCITY * n + i, width) * _get(
+        w, block, INVERSE_STRIBECK_VELOCITY * n + i, width
+    )
+    return _get(w, block, COULOMB * n + i, width) + _get(
+        w, block, STRIBECK * n + i, width
+    ) * exp_minus(x * x)
+
+
+@compiled
+def _friction(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """LuGre: slope of the bristle deflection, and −F into the right-hand side."""
-    n, m = len(joints), len(lanes)
+    n = len(joints)
     for i in range(n):
-        for lane in range(m):
-            v = w[(VELOCITY * n + i) * m + lane]
-            z = w[(BRISTLE * n + i) * m + lane]
-            x = v * w[(INVERSE_STRIBECK_VELOCITY * n + i) * m + lane]
-            g = w[(COULOMB * n + i) * m + lane] + w[(STRIBECK * n + i) * m + lane] * exp_minus(
-                x * x
-            )
-            sigma_0 = w[(SIGMA_0 * n + i) * m + lane]
-            dz = v - sigma_0 * abs(v) * z / g
-            w[(_SLOPE_Z * n + i) * m + lane] = dz
-            w[(_RHS * n + i) * m + lane] = -(
-                sigma_0 * z
-                + w[(SIGMA_1 * n + i) * m + lane] * dz
-                + w[(SIGMA_2 * n + i) * m + lane] * v
-            )
+        v = _get(w, block, VELOCITY * n + i, width)
+        z = _get(w, block, BRISTLE * n + i, width)
+        sigma_0 = _get(w, block, SIGMA_0 * n + i, width)
+        dz = v - sigma_0 * abs(v) * z / _bristle_force(w, block, i, n, width)
+        force = (
+            sigma_0 * z
+            + _get(w, block, SIGMA_1 * n + i, width) * dz
+            + _get(w, block, SIGMA_2 * n + i, width) * v
+        )
+        _put(w, block, _SLOPE_Z * n + i, width, dz)
+        _put(w, block, _RHS * n + i, width, -force)
 
 
 @compiled
-def _arm(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _arm(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """Take B_h θ̇ + K_h (θ − θ_0) + d from the right-hand side."""
-    n, m = len(joints), len(lanes)
+    n = len(joints)
     for i in range(n):
-        for lane in range(m):
-            total = w[(VOLUNTARY * n + i) * m + lane]
-            for j in range(n):
-                total += w[_matrix_row(DAMPING, i, j, n) * m + lane] * w[
-                    (VELOCITY * n + j) * m + lane
-                ] + w[_matrix_row(STIFFNESS, i, j, n) * m + lane] * (
-                    w[(THETA * n + j) * m + lane] - w[(POSTURE * n + j) * m + lane]
-                )
-            w[(_RHS * n + i) * m + lane] -= total
+        total = _get(w, block, VOLUNTARY * n + i, width)
+        for j in range(n):
+            angle = _get(w, block, THETA * n + j, width) - _get(w, block, POSTURE * n + j, width)
+            total += (
+                _get(w, block, _matrix_row(DAMPING, i, j, n), width)
+                * _get(w, block, VELOCITY * n + j, width)
+                + _get(w, block, _matrix_row(STIFFNESS, i, j, n), width) * angle
+            )
+        _put(w, block, _RHS * n + i, width, _get(w, block, _RHS * n + i, width) - total)
 
 
 @compiled
-def _links(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _links(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """Inertia and centripetal torque of the chain in absolute link angles φ.
 
     There the kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b with constant A. Since
     φ_a = Σ_{i≤a} θ_i, joint quantities are sums over the links from the joint outwards.
     """
-    n, m = len(joints), len(lanes)
+    n = len(joints)
     for i in range(n):
-        for lane in range(m):
-            w[(_CENTRIPETAL * n + i) * m + lane] = 0.0
+        c_i, s_i = _get(w, block, _COSINE * n + i, width), _get(w, block, _SINE * n + i, width)
+        centripetal = fill(0.0, width)
         for b in range(n):
-            for lane in range(m):
-                coefficient = w[_matrix_row(CHAIN, i, b, n) * m + lane]
-                c_i, s_i = w[(_COSINE * n + i) * m + lane], w[(_SINE * n + i) * m + lane]
-                c_b, s_b = w[(_COSINE * n + b) * m + lane], w[(_SINE * n + b) * m + lane]
-                w[_matrix_row(_MASS, i, b, n) * m + lane] = coefficient * (c_i * c_b + s_i * s_b)
-                w[(_CENTRIPETAL * n + i) * m + lane] += (
-                    coefficient * (s_i * c_b - c_i * s_b) * w[(_OMEGA_SQUARED * n + b) * m + lane]
-                )
+            coefficient = _get(w, block, _matrix_row(CHAIN, i, b, n), width)
+            c_b, s_b = _get(w, block, _COSINE * n + b, width), _get(w, block, _SINE * n + b, width)
+            cosine = coefficient * (c_i * c_b + s_i * s_b)
+            _put(w, block, _matrix_row(_MASS, i, b, n), width, cosine)
+            sine = coefficient * (s_i * c_b - c_i * s_b)
+            centripetal += sine * _get(w, block, _OMEGA_SQUARED * n + b, width)
+        _put(w, block, _CENTRIPETAL * n + i, width, centripetal)
 
 
 @compiled
-def _drive(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _drive(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """Add τ − C θ̇ to the right-hand side."""
-    n, m = len(joints), len(lanes)
-    for i in range(n - 2, -1, -1):
-        for lane in range(m):
-            w[(_CENTRIPETAL * n + i) * m + lane] += w[(_CENTRIPETAL * n + i + 1) * m + lane]
-    for i in range(n):
-        for lane in range(m):
-            w[(_RHS * n + i) * m + lane] += (
-                w[(COMMAND * n + i) * m + lane] - w[(_CENTRIPETAL * n + i) * m + lane]
-            )
+    n = len(joints)
+    outwards = fill(0.0, width)
+    for i in range(n - 1, -1, -1):
+        outwards = _get(w, block, _CENTRIPETAL * n + i, width) + outwards
+        torque = _get(w, block, COMMAND * n + i, width) - outwards
+        _put(w, block, _RHS * n + i, width, _get(w, block, _RHS * n + i, width) + torque)
 
 
 @compiled
-def _masses(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _masses(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """M_r(θ) + M_h from the inertia of the links: sums over columns, then over rows."""
-    n, m = len(joints), len(lanes)
+    n = len(joints)
+    first, arm = _matrix_row(_MASS, 0, 0, n), _matrix_row(INERTIA, 0, 0, n)
     for i in range(n):
         for b in range(n - 2, -1, -1):
-            for lane in range(m):
-                w[_matrix_row(_MASS, i, b, n) * m + lane] += w[
-                    _matrix_row(_MASS, i, b + 1, n) * m + lane
-                ]
-    for i in range(n - 2, -1, -1):
-        for b in range(n):
-            for lane in range(m):
-                w[_matrix_row(_MASS, i, b, n) * m + lane] += w[
-                    _matrix_row(_MASS, i + 1, b, n) * m + lane
-                ]
-    for i in range(n):
-        for b in range(n):
-            for lane in range(m):
-                w[_matrix_row(_MASS, i, b, n) * m + lane] += w[
-                    _matrix_row(INERTIA, i, b, n) * m + lane
-                ]
+            _accumulate(w, block, first + i * n + b, first + i * n + b + 1, width)
+    for element in range(n * (n - 1) - 1, -1, -1):
+        _accumulate(w, block, first + element, first + element + n, width)
+    for element in range(n * n):
+        _accumulate(w, block, first + element, arm + element, width)
 
 
 @compiled
-def _solve(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _accumulate(w: NDArray[np.float64], block: int, row: int, other: int, width: Tag) -> None:
+    """Add one quantity to another."""
+    _put(w, block, row, width, _get(w, block, row, width) + _get(w, block, other, width))
+
+
+@compiled
+def _solve(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """θ̈ = (M_r + M_h)⁻¹ rhs by elimination.
 
     No pivoting: configuration checks that the symmetric part is positive definite, for which
     elimination in the given order is stable.
     """
-    n, m = len(joints), len(lanes)
+    n = len(joints)
     for p in range(n):
         for i in range(p + 1, n):
-            for lane in range(m):
-                factor = (
-                    w[_matrix_row(_MASS, i, p, n) * m + lane]
-                    / w[_matrix_row(_MASS, p, p, n) * m + lane]
-                )
-                for j in range(p + 1, n):
-                    w[_matrix_row(_MASS, i, j, n) * m + lane] -= (
-                        factor * w[_matrix_row(_MASS, p, j, n) * m + lane]
-                    )
-                w[(_RHS * n + i) * m + lane] -= factor * w[(_RHS * n + p) * m + lane]
+            factor = _get(w, block, _matrix_row(_MASS, i, p, n), width) / _get(
+                w, block, _matrix_row(_MASS, p, p, n), width
+            )
+            for j in range(p + 1, n):
+                row, pivot = _matrix_row(_MASS, i, j, n), _matrix_row(_MASS, p, j, n)
+                value = _get(w, block, row, width) - factor * _get(w, block, pivot, width)
+                _put(w, block, row, width, value)
+            value = _get(w, block, _RHS * n + i, width) - factor * _get(
+                w, block, _RHS * n + p, width
+            )
+            _put(w, block, _RHS * n + i, width, value)
     for i in range(n - 1, -1, -1):
-        for lane in range(m):
-            total = w[(_RHS * n + i) * m + lane]
-            for j in range(i + 1, n):
-                total -= (
-                    w[_matrix_row(_MASS, i, j, n) * m + lane] * w[(_SLOPE_V * n + j) * m + lane]
-                )
-            w[(_SLOPE_V * n + i) * m + lane] = total / w[_matrix_row(_MASS, i, i, n) * m + lane]
+        total = _get(w, block, _RHS * n + i, width)
+        for j in range(i + 1, n):
+            total -= _get(w, block, _matrix_row(_MASS, i, j, n), width) * _get(
+                w, block, _SLOPE_V * n + j, width
+            )
+        pivot_value = _get(w, block, _matrix_row(_MASS, i, i, n), width)
+        _put(w, block, _SLOPE_V * n + i, width, total / pivot_value)
 
 
 @compiled
-def _slopes(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def _slopes(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
     """Time derivatives of v and z at the present state (that of θ is v itself)."""
-    _kinematics(w, joints, lanes)
-    _friction(w, joints, lanes)
-    _arm(w, joints, lanes)
-    _links(w, joints, lanes)
-    _drive(w, joints, lanes)
-    _masses(w, joints, lanes)
-    _solve(w, joints, lanes)
+    _kinematics(w, block, joints, width)
+    _friction(w, block, joints, width)
+    _arm(w, block, joints, width)
+    _links(w, block, joints, width)
+    _drive(w, block, joints, width)
+    _masses(w, block, joints, width)
+    _solve(w, block, joints, width)
 
 
 @compiled
-def _stage(
-    w: NDArray[np.float64], joints: Tag, lanes: Tag, weight: float, first: bool, ahead: float
-) -> None:
-    """Evaluate the slopes, add them by ``weight``, and set the state for the next stage."""
-    n, m = len(joints), len(lanes)
-    _slopes(w, joints, lanes)
-    for i in range(n):
-        for lane in range(m):
-            v = w[(VELOCITY * n + i) * m + lane]
-            a = w[(_SLOPE_V * n + i) * m + lane]
-            dz = w[(_SLOPE_Z * n + i) * m + lane]
-            if first:
-                w[(_SUM * n + i) * m + lane] = v
-                w[((_SUM + 1) * n + i) * m + lane] = a
-                w[((_SUM + 2) * n + i) * m + lane] = dz
-            else:
-                w[(_SUM * n + i) * m + lane] += weight * v
-                w[((_SUM + 1) * n + i) * m + lane] += weight * a
-                w[((_SUM + 2) * n + i) * m + lane] += weight * dz
-            w[(THETA * n + i) * m + lane] = w[(_START * n + i) * m + lane] + ahead * v
-            w[(VELOCITY * n + i) * m + lane] = w[((_START + 1) * n + i) * m + lane] + ahead * a
-            w[(BRISTLE * n + i) * m + lane] = w[((_START + 2) * n + i) * m + lane] + ahead * dz
-
-
-@compiled
-def _rk4_step(w: NDArray[np.float64], joints: Tag, lanes: Tag, h: float) -> None:
+def _rk4_step(w: NDArray[np.float64], block: int, joints: Tag, width: Tag, h: float) -> None:
     """One classical Runge–Kutta step of length h with constant command."""
-    n, m = len(joints), len(lanes)
+    n = len(joints)
     for row in range(3 * n):
-        for lane in range(m):
-            w[(_START * n + row) * m + lane] = w[row * m + lane]
-    _stage(w, joints, lanes, 1.0, True, 0.5 * h)
-    _stage(w, joints, lanes, 2.0, False, 0.5 * h)
-    _stage(w, joints, lanes, 2.0, False, h)
-    _stage(w, joints, lanes, 1.0, False, 0.0)
+        _put(w, block, _START * n + row, width, _get(w, block, row, width))
+        _put(w, block, _SUM * n + row, width, fill(0.0, width))
+    for stage in range(4):
+        # Weight of these slopes in the sum, and how far they lead to the next stage.
+        weight = 2.0 if 1 <= stage <= 2 else 1.0
+        ahead = 0.5 * h if stage < 2 else h
+        _slopes(w, block, joints, width)
+        for row in range(3 * n):
+            if row < n:
+                slope = _get(w, block, VELOCITY * n + row, width)
+            else:
+                slope = _get(w, block, _SLOPE_V * n + row - n, width)
+            total = _get(w, block, _SUM * n + row, width) + weight * slope
+            _put(w, block, _SUM * n + row, width, total)
+            next_value = _get(w, block, _START * n + row, width) + ahead * slope
+            _put(w, block, row, width, next_value)
     for row in range(3 * n):
-        for lane in range(m):
-            w[row * m + lane] = (
-                w[(_START * n + row) * m + lane] + (h / 6.0) * w[(_SUM * n + row) * m + lane]
-            )
+        total = (h / 6.0) * _get(w, block, _SUM * n + row, width)
+        _put(w, block, row, width, _get(w, block, _START * n + row, width) + total)
 
 
 @compiled
-def _remember(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
-    n, m = len(joints), len(lanes)
+def _remember(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    n = len(joints)
     for i in range(n):
-        for lane in range(m):
-            w[(_LAST_THETA * n + i) * m + lane] = w[(THETA * n + i) * m + lane]
-            w[(_LAST_VELOCITY * n + i) * m + lane] = w[(VELOCITY * n + i) * m + lane]
-            w[(_MEAN_THETA * n + i) * m + lane] = 0.0
+        _put(w, block, _LAST_THETA * n + i, width, _get(w, block, THETA * n + i, width))
+        _put(w, block, _LAST_VELOCITY * n + i, width, _get(w, block, VELOCITY * n + i, width))
+        _put(w, block, _MEAN_THETA * n + i, width, fill(0.0, width))
 
 
 @compiled
-def _add_to_mean(w: NDArray[np.float64], joints: Tag, lanes: Tag, weight: float) -> None:
-    n, m = len(joints), len(lanes)
+def _add_to_mean(
+    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, weight: float
+) -> None:
+    n = len(joints)
     for i in range(n):
-        for lane in range(m):
-            w[(_MEAN_THETA * n + i) * m + lane] += weight * (
-                w[(_START * n + i) * m + lane] + w[(THETA * n + i) * m + lane]
-            )
+        both = _get(w, block, _START * n + i, width) + _get(w, block, THETA * n + i, width)
+        mean = _get(w, block, _MEAN_THETA * n + i, width) + weight * both
+        _put(w, block, _MEAN_THETA * n + i, width, mean)
+
+
+@compiled
+def _mean_slopes(
+    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, period: float
+) -> None:
+    """Mean acceleration and velocity since :func:`_remember`; it takes the place of the last."""
+    n = len(joints)
+    for i in range(n):
+        gained = _get(w, block, VELOCITY * n + i, width) - _get(
+            w, block, _LAST_VELOCITY * n + i, width
+        )
+        way = _get(w, block, THETA * n + i, width) - _get(w, block, _LAST_THETA * n + i, width)
+        _put(w, block, _SLOPE_V * n + i, width, gained / period)
+        _put(w, block, _LAST_VELOCITY * n + i, width, way / period)
 
 
 @compiled
 def _torque(
-    w: NDArray[np.float64], joints: Tag, lanes: Tag, theta: int, velocity: int, slope: int
+    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, rows_of: tuple[int, int, int]
 ) -> None:
-    """TORQUE = M_h a + B_h v + K_h (θ − θ_0) + d with the three vectors taken from given rows."""
-    n, m = len(joints), len(lanes)
+    """TORQUE = M_h a + B_h v + K_h (θ − θ_0) + d with the vectors θ, v, a of the given rows."""
+    n = len(joints)
+    theta, velocity, slope = rows_of
     for i in range(n):
-        for lane in range(m):
-            total = w[(VOLUNTARY * n + i) * m + lane]
-            for j in range(n):
-                total += (
-                    w[_matrix_row(INERTIA, i, j, n) * m + lane] * w[(slope * n + j) * m + lane]
-                    + w[_matrix_row(DAMPING, i, j, n) * m + lane] * w[(velocity * n + j) * m + lane]
-                    + w[_matrix_row(STIFFNESS, i, j, n) * m + lane]
-                    * (w[(theta * n + j) * m + lane] - w[(POSTURE * n + j) * m + lane])
-                )
-            w[(TORQUE * n + i) * m + lane] = total
+        total = _get(w, block, VOLUNTARY * n + i, width)
+        for j in range(n):
+            angle = _get(w, block, theta * n + j, width) - _get(w, block, POSTURE * n + j, width)
+            total += (
+                _get(w, block, _matrix_row(INERTIA, i, j, n), width)
+                * _get(w, block, slope * n + j, width)
+                + _get(w, block, _matrix_row(DAMPING, i, j, n), width)
+                * _get(w, block, velocity * n + j, width)
+                + _get(w, block, _matrix_row(STIFFNESS, i, j, n), width) * angle
+            )
+        _put(w, block, TORQUE * n + i, width, total)
+
+
+@compiled
+def _sample_now(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    _slopes(w, block, joints, width)
+    _torque(w, block, joints, width, (THETA, VELOCITY, _SLOPE_V))
 
 
 @compiled_entry
-def sample_now(w: NDArray[np.float64], joints: Tag, lanes: Tag) -> None:
+def sample_now(w: NDArray[np.float64], joints: Tag, width: Tag) -> None:
     """Torque on the arm at this instant, N·m, under the command still in force, into TORQUE."""
-    _slopes(w, joints, lanes)
-    _torque(w, joints, lanes, THETA, VELOCITY, _SLOPE_V)
+    for block in range(w.shape[0]):
+        _sample_now(w, block, joints, width)
 
 
 @compiled_entry
 def advance(
-    w: NDArray[np.float64], joints: Tag, lanes: Tag, steps: int, h: float, interval_mean: bool
+    w: NDArray[np.float64], joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool
 ) -> None:
     """Advance all lanes by ``steps`` RK4 steps of ``h`` seconds, then sample the torque.
 
     Parameters
     ----------
-    w : (rows(n) · lanes,)
+    w : (blocks, rows(n) · width)
         The batch; its COMMAND and VOLUNTARY rows are held constant (zero-order hold).
-    joints, lanes : tuples of n and of the number of lanes zeros
+    joints, width : tuples of n and of the width of the blocks zeros
         Carry the two numbers as compile-time constants.
     steps : int
         Number of steps.
@@ -317,36 +342,33 @@ def advance(
     interval_mean : bool
         Whether TORQUE is the mean over the interval rather than its value at the end.
     """
-    n, m = len(joints), len(lanes)
-    _remember(w, joints, lanes)
-    for _ in range(steps):
-        _rk4_step(w, joints, lanes, h)
-        _add_to_mean(w, joints, lanes, 0.5 / steps)
-    if not interval_mean:
-        sample_now(w, joints, lanes)
-        return
-    period = steps * h
-    for i in range(n):
-        for lane in range(m):
-            w[(_SLOPE_V * n + i) * m + lane] = (
-                w[(VELOCITY * n + i) * m + lane] - w[(_LAST_VELOCITY * n + i) * m + lane]
-            ) / period
-            # The mean velocity takes the place of the last one, which is no longer needed.
-            w[(_LAST_VELOCITY * n + i) * m + lane] = (
-                w[(THETA * n + i) * m + lane] - w[(_LAST_THETA * n + i) * m + lane]
-            ) / period
-    _torque(w, joints, lanes, _MEAN_THETA, _LAST_VELOCITY, _SLOPE_V)
+    for block in range(w.shape[0]):
+        _remember(w, block, joints, width)
+        for _ in range(steps):
+            _rk4_step(w, block, joints, width, h)
+            _add_to_mean(w, block, joints, width, 0.5 / steps)
+        if interval_mean:
+            _mean_slopes(w, block, joints, width, steps * h)
+            _torque(w, block, joints, width, (_MEAN_THETA, _LAST_VELOCITY, _SLOPE_V))
+        else:
+            _sample_now(w, block, joints, width)
+
+
+@compiled
+def place(lane: int, row: int, width: int) -> tuple[int, int]:
+    """Index of one quantity of a lane in the batch: block, and place in the block."""
+    return lane // width, row * width + lane % width
 
 
 @compiled_entry
-def stiffness_ratio(w: NDArray[np.float64], joints: Tag, lanes: Tag, h: float) -> float:
+def stiffness_ratio(w: NDArray[np.float64], joints: Tag, width: Tag, h: float) -> float:
     """Largest h·σ0|v|/g(v) of all joints and lanes, for the step-stability check.
 
     Parameters
     ----------
-    w : (rows(n) · lanes,)
+    w : (blocks, rows(n) · width)
         The batch.
-    joints, lanes : tuples of n and of the number of lanes zeros
+    joints, width : tuples of n and of the width of the blocks zeros
         Carry the two numbers as compile-time constants.
     h : s
 
@@ -355,17 +377,16 @@ def stiffness_ratio(w: NDArray[np.float64], joints: Tag, lanes: Tag, h: float) -
     float
         Not finite if the velocity of any joint in any lane is not.
     """
-    n, m = len(joints), len(lanes)
+    n, m = len(joints), len(width)
+    ratios = np.empty(m)
     worst = 0.0
-    for i in range(n):
-        for lane in range(m):
-            v = w[(VELOCITY * n + i) * m + lane]
-            x = v * w[(INVERSE_STRIBECK_VELOCITY * n + i) * m + lane]
-            g = w[(COULOMB * n + i) * m + lane] + w[(STRIBECK * n + i) * m + lane] * exp_minus(
-                x * x
-            )
-            ratio = h * w[(SIGMA_0 * n + i) * m + lane] * abs(v) / g
-            if np.isnan(ratio):
-                return np.nan
-            worst = max(worst, ratio)
+    for block in range(w.shape[0]):
+        for i in range(n):
+            speed = abs(_get(w, block, VELOCITY * n + i, width))
+            sigma_0 = _get(w, block, SIGMA_0 * n + i, width)
+            store(ratios, 0, h * sigma_0 * speed / _bristle_force(w, block, i, n, width))
+            for lane in range(m):
+                if np.isnan(ratios[lane]):
+                    return np.nan
+                worst = max(worst, ratios[lane])
     return worst

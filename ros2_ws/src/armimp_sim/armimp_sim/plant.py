@@ -13,11 +13,14 @@ from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_sim import kernel
 from armimp_sim.arm import HumanArm
 from armimp_sim.friction import LuGre
+from armimp_sim.packed import Tag
 from armimp_sim.robot import PlanarChain
 from armimp_sim.sensors import Sampling, Sensors, quantise
 
 RK4_LIMIT = 2.7
 """|h·λ| on the real axis up to which explicit RK4 is stable (2.785, with a margin)."""
+RK4_RADIUS = 2.6
+"""|h·λ| up to which it is stable for any λ of a decaying motion; worst are swings with ζ = 0.54."""
 
 
 class IntegrationError(ArmimpError):
@@ -100,10 +103,10 @@ class PlantConfig:
             ]
         )
         largest = float(np.max(np.abs(np.linalg.eigvals(system)))) * self.step
-        if not largest < RK4_LIMIT:
+        if not largest < RK4_RADIUS:
             raise ConfigurationError(
                 f"plant: step {self.step:.3g} s is too long for the stuck joints: "
-                f"|h·λ| = {largest:.3g}, must be below {RK4_LIMIT}"
+                f"|h·λ| = {largest:.3g}, must be below {RK4_RADIUS}"
             )
 
 
@@ -136,20 +139,19 @@ class Plant:
                 )
         self.config = first
         n, lanes = first.joints, len(configs)
-        self.batch = np.zeros(kernel.rows(n) * lanes)
-        self.joint_tag, self.lane_tag = (0.0,) * n, (0.0,) * lanes
+        width = kernel.width_for(lanes)
+        blocks = -(-lanes // width)
+        self.batch = np.zeros((blocks, kernel.rows(n) * width))
+        self.joint_tag, self.width_tag = (0.0,) * n, (0.0,) * width
         self.resolutions = np.array(
             [(c.sensors.encoder_resolution, c.sensors.torque_resolution) for c in configs]
         )
         self.position = np.zeros((lanes, n))
         self.torque = np.zeros((lanes, n))
-        rows = self.batch.reshape(-1, lanes)
-        for lane, config in enumerate(configs):
-            rows[:, lane] = _pack(config)
-        kernel.sample_now(self.batch, self.joint_tag, self.lane_tag)
-        read(
-            self.batch, self.joint_tag, self.lane_tag, self.resolutions, self.position, self.torque
-        )
+        for lane in range(blocks * width):
+            # The last block is filled up with plants that nothing ever moves.
+            self._of_lane(lane)[:] = _pack(configs[min(lane, lanes - 1)])
+        self._sample()
 
     def tick(self, command: NDArray[np.float64], voluntary: NDArray[np.float64]) -> None:
         """Hold the inputs for one period, then read the sensors.
@@ -174,7 +176,7 @@ class Plant:
         ratio = tick(
             self.batch,
             self.joint_tag,
-            self.lane_tag,
+            self.width_tag,
             self.config.substeps,
             self.config.step,
             self.config.sensors.sampling is Sampling.INTERVAL_MEAN,
@@ -188,18 +190,27 @@ class Plant:
 
     def state(self) -> NDArray[np.float64]:
         """Exact (θ, v, z) of every lane: (lanes, 3, n). A copy."""
-        n, lanes = self.config.joints, len(self.lane_tag)
-        rows = self.batch.reshape(-1, lanes)[: 3 * n]
-        state: NDArray[np.float64] = rows.T.reshape(lanes, 3, n).copy()
-        return state
+        n, lanes = self.config.joints, len(self.position)
+        return np.array([self._of_lane(lane)[: 3 * n].reshape(3, n) for lane in range(lanes)])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
         """Put the plants into the given (θ, v, z), (lanes, 3, n), and read the sensors anew."""
-        n, lanes = self.config.joints, len(self.lane_tag)
-        self.batch.reshape(-1, lanes)[: 3 * n] = state.reshape(lanes, 3 * n).T
-        kernel.sample_now(self.batch, self.joint_tag, self.lane_tag)
+        for lane, values in enumerate(state):
+            self._of_lane(lane)[: values.size] = values.ravel()
+        self._sample()
+
+    def _of_lane(self, lane: int) -> NDArray[np.float64]:
+        """All quantities of one lane, a view."""
+        blocks, width = len(self.batch), len(self.width_tag)
+        of_lane: NDArray[np.float64] = self.batch.reshape(blocks, -1, width)[
+            lane // width, :, lane % width
+        ]
+        return of_lane
+
+    def _sample(self) -> None:
+        kernel.sample_now(self.batch, self.joint_tag, self.width_tag)
         read(
-            self.batch, self.joint_tag, self.lane_tag, self.resolutions, self.position, self.torque
+            self.batch, self.joint_tag, self.width_tag, self.resolutions, self.position, self.torque
         )
 
 
@@ -251,8 +262,8 @@ def _pack(config: PlantConfig) -> NDArray[np.float64]:
 @compiled_entry
 def read(
     w: NDArray[np.float64],
-    joints: kernel.Tag,
-    lanes: kernel.Tag,
+    joints: Tag,
+    width: Tag,
     resolutions: NDArray[np.float64],
     position: NDArray[np.float64],
     torque: NDArray[np.float64],
@@ -261,22 +272,24 @@ def read(
 
     Parameters
     ----------
-    w, joints, lanes : the batch, as in :mod:`armimp_sim.kernel`
+    w, joints, width : the batch, as in :mod:`armimp_sim.kernel`
     resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
     position, torque : (lanes, n), written, rad and N·m
     """
-    n, m = len(joints), len(lanes)
-    for lane in range(m):
+    n, m = len(joints), len(width)
+    for lane in range(position.shape[0]):
         for i in range(n):
-            position[lane, i] = quantise(w[(kernel.THETA * n + i) * m + lane], resolutions[lane, 0])
-            torque[lane, i] = quantise(w[(kernel.TORQUE * n + i) * m + lane], resolutions[lane, 1])
+            angle = w[kernel.place(lane, kernel.THETA * n + i, m)]
+            position[lane, i] = quantise(angle, resolutions[lane, 0])
+            load = w[kernel.place(lane, kernel.TORQUE * n + i, m)]
+            torque[lane, i] = quantise(load, resolutions[lane, 1])
 
 
 @compiled_entry
 def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     w: NDArray[np.float64],
-    joints: kernel.Tag,
-    lanes: kernel.Tag,
+    joints: Tag,
+    width: Tag,
     substeps: int,
     step: float,
     interval_mean: bool,
@@ -290,7 +303,7 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
     Parameters
     ----------
-    w, joints, lanes : the batch, as in :mod:`armimp_sim.kernel`
+    w, joints, width : the batch, as in :mod:`armimp_sim.kernel`
     substeps, step : number and length (s) of the RK4 steps
     interval_mean : whether torque is the mean over the period
     resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
@@ -302,11 +315,11 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     float
         Largest h·σ0|v|/g(v) at the end, for :func:`check_ratio`.
     """
-    n, m = len(joints), len(lanes)
-    for lane in range(m):
+    n, m = len(joints), len(width)
+    for lane in range(command.shape[0]):
         for i in range(n):
-            w[(kernel.COMMAND * n + i) * m + lane] = command[lane, i]
-            w[(kernel.VOLUNTARY * n + i) * m + lane] = voluntary[lane, i]
-    kernel.advance(w, joints, lanes, substeps, step, interval_mean)
-    read(w, joints, lanes, resolutions, position, torque)
-    return kernel.stiffness_ratio(w, joints, lanes, step)
+            w[kernel.place(lane, kernel.COMMAND * n + i, m)] = command[lane, i]
+            w[kernel.place(lane, kernel.VOLUNTARY * n + i, m)] = voluntary[lane, i]
+    kernel.advance(w, joints, width, substeps, step, interval_mean)
+    read(w, joints, width, resolutions, position, torque)
+    return kernel.stiffness_ratio(w, joints, width, step)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -50,6 +50,7 @@ def test_exponential_beyond_its_range_stays_a_tiny_positive_number(y: float) -> 
     assert exp_minus(y) == pytest.approx(np.exp(-700.0), rel=1e-14)
 
 
+@settings(deadline=None)
 @given(st.floats(0.0, 690.0), st.floats(1e-6, 10.0))
 def test_exponential_falls(y: float, further: float) -> None:
     assert exp_minus(y + further) < exp_minus(y) <= 1.0
@@ -86,12 +87,14 @@ def test_sine_and_cosine_of_zero_are_exact() -> None:
     assert sine_cosine(0.0) == (0.0, 1.0)
 
 
+@settings(deadline=None)
 @given(st.floats(-1e5, 1e5))
 def test_sine_is_odd_and_cosine_even_to_the_last_bit(x: float) -> None:
     sine, cosine = sine_cosine(x)
     assert sine_cosine(-x) == (-sine, cosine)
 
 
+@settings(deadline=None)
 @given(st.floats(-1e5, 1e5))
 def test_sine_and_cosine_lie_on_the_unit_circle(x: float) -> None:
     sine, cosine = sine_cosine(x)

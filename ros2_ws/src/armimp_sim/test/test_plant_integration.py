@@ -12,8 +12,10 @@ from scipy.integrate import solve_ivp
 
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_sim import presets
+from armimp_sim.arm import HumanArm
 from armimp_sim.friction import LuGre
-from armimp_sim.plant import RK4_LIMIT, IntegrationError, Plant, PlantConfig
+from armimp_sim.plant import RK4_RADIUS, IntegrationError, Plant, PlantConfig
+from armimp_sim.robot import PlanarChain
 
 Array = NDArray[np.float64]
 START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
@@ -122,14 +124,59 @@ def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accept
         try:
             accepted.append(replace(config, substeps=substeps))
         except ConfigurationError:
-            assert fastest * config.period / substeps > 0.98 * RK4_LIMIT
+            assert fastest * config.period / substeps > 0.98 * RK4_RADIUS
     coarsest = accepted[0]
     assert 4 < coarsest.substeps < 39
-    assert fastest * coarsest.step < RK4_LIMIT
+    assert fastest * coarsest.step < RK4_RADIUS
     plant = Plant([coarsest])
     for _ in range(100):
         plant.tick(np.full((1, 2), 0.1), np.zeros((1, 2)))
     assert np.max(np.abs(plant.state()[0, 1])) < 1e-3
+
+
+@pytest.mark.parametrize("radius", [0.5, 2.5, 2.59, 2.61, 2.69])
+@pytest.mark.parametrize("ratio", [0.02, 0.3, 0.54, 0.8, 1.0])
+def test_accepted_step_is_stable_for_stuck_joints_that_swing(ratio: float, radius: float) -> None:
+    """RK4 multiplies a mode by 1 + z + z²/2 + z³/6 + z⁴/24 in a step, z = h·λ."""
+    z = radius * np.exp(1j * (np.pi - np.arccos(ratio)))
+    amplified = abs(np.polyval([1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0], z))
+    inertia, step = 0.2, 1e-5
+    omega = radius / step
+    config = PlantConfig(
+        arm=HumanArm(
+            posture=np.zeros(1),
+            inertia=np.array([[0.5 * inertia]]),
+            damping=np.zeros((1, 1)),
+            stiffness=np.zeros((1, 1)),
+        ),
+        robot=PlanarChain(
+            lengths=np.array([0.3]),
+            moments=np.array([0.5 * inertia]),
+            masses=np.zeros(1),
+            centres=np.zeros(1),
+        ),
+        friction=(LuGre.none(),),
+        sensors=presets.sensors(0),
+    )
+    bristles = LuGre(
+        coulomb=1.0,
+        static=1.0,
+        sigma_0=inertia * omega**2,
+        sigma_1=2.0 * ratio * omega * inertia,
+        sigma_2=0.0,
+    )
+    if radius < RK4_RADIUS:
+        assert amplified < 1.0
+        assert replace(config, friction=(bristles,)).friction == (bristles,)
+    else:
+        with pytest.raises(ConfigurationError, match=rf"\|h·λ\| = {radius}, must be below 2\.6"):
+            replace(config, friction=(bristles,))
+
+
+def test_smallest_radius_that_would_blow_up_is_just_beyond_the_limit() -> None:
+    z = 1.01 * RK4_RADIUS * np.exp(1j * np.linspace(np.pi / 2.0, np.pi, 2001))
+    amplified = np.abs(np.polyval([1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0], z))
+    assert np.max(amplified) == pytest.approx(1.0, abs=0.03)
 
 
 def _sliding(speed: float) -> Plant:

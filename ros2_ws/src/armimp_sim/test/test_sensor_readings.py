@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.integrate import trapezoid
@@ -42,6 +42,7 @@ def _torque(config: PlantConfig, state: Array, command: Array) -> Array:
     return total
 
 
+@settings(deadline=None)
 @given(
     st.floats(-1e6, 1e6),
     st.floats(1e-6, 10.0) | st.sampled_from([0.005, 0.01, 0.02, 2.0 * np.pi / 51200]),
@@ -53,11 +54,13 @@ def test_reading_is_the_nearest_multiple_of_the_resolution(value: float, resolut
     assert abs(reading - value) <= 0.5 * resolution + 4.0 * np.spacing(abs(value))
 
 
+@settings(deadline=None)
 @given(st.floats(allow_nan=False))
 def test_without_resolution_the_reading_is_the_value_itself(value: float) -> None:
     assert quantise(value, 0.0) == value
 
 
+@settings(deadline=None)
 @given(st.floats(-100.0, 100.0))
 def test_reading_has_no_offset(value: float) -> None:
     assert quantise(-value, 0.02) == -quantise(value, 0.02)

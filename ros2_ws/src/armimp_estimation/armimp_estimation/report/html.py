@@ -1,16 +1,20 @@
-"""HTML out of plain functions. Whatever is not marked as HTML is escaped, so strings are safe."""
+"""HTML out of plain functions. Whatever is not marked as HTML is escaped, so any string is safe."""
+
+from __future__ import annotations
 
 import html
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-# Control characters have no place in HTML; those for the writing direction can make text look
-# like another text.
-_UNWANTED = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]")
-_VOID = frozenset({"br", "hr", "input", "meta"})
+# Control characters have no place in HTML; those for the direction of writing can make a text
+# look like another one.
+_UNWANTED = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+)
+_VOID = frozenset({"br", "input", "meta"})
 
 
 class Html(str):
@@ -63,15 +67,10 @@ def element(tag: str, *children: object, **attributes: object) -> Html:
 
 
 def section(identifier: str, title: object, *content: object, **attributes: object) -> Html:
-    """Make a section with its heading, to which a link can lead."""
+    """Make a section with a heading, to which links can lead."""
     heading = element("h2", title, id=f"{identifier}-title")
-    attributes = {"id": identifier, "aria_labelledby": f"{identifier}-title", **attributes}
-    return element("section", heading, *content, **attributes)
-
-
-def paragraphs(*lines: object) -> Html:
-    """Make a paragraph of each value."""
-    return join(element("p", line) for line in lines)
+    named = {"id": identifier, "aria_labelledby": f"{identifier}-title", **attributes}
+    return element("section", heading, *content, **named)
 
 
 def listing(items: Iterable[object], **attributes: object) -> Html:
@@ -107,7 +106,6 @@ def table(
     *,
     spans: Sequence[tuple[object, int]] = (),
     words: Iterable[int] = (),
-    note: object = None,
 ) -> Html:
     """Make a table, in a frame that scrolls where it is too wide.
 
@@ -120,47 +118,46 @@ def table(
     groups : sequence of Group
         Rows.
     spans : sequence of (object, int)
-        Headers above those of the columns, and how many columns each is above.
+        Headers above those of the columns, with the number of columns that each is above.
     words : iterable of int
-        Columns of words, aligned to the left; numbers are aligned to the right.
-    note : object
-        Remark under the table.
+        Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
     """
     left = {0, *words}
-
-    def kind(column: int) -> str | None:
-        return "words" if column in left else None
-
-    heads = [
-        element("th", title, scope="colgroup", colspan=width)
-        if title
-        else element("td", colspan=width)
-        for title, width in spans
-    ]
-    header = element("tr", *heads, class_="spans") if heads else Html("")
-    header += element(
-        "tr", *(element("th", c, scope="col", class_=kind(i)) for i, c in enumerate(columns))
-    )
-    bodies = []
-    for group in groups:
-        rows = []
-        if group.title is not None:
-            title = element("th", group.title, scope="rowgroup", colspan=len(columns))
-            rows.append(element("tr", title, class_="group"))
-        for head, *cells in group.rows:
-            first = element("th", head, scope="row")
-            rest = (element("td", cell, class_=kind(i)) for i, cell in enumerate(cells, 1))
-            rows.append(element("tr", first, *rest))
-        bodies.append(element("tbody", *rows))
+    kinds = ["words" if i in left else None for i in range(len(columns))]
+    heads = []
+    if spans:
+        cells = (
+            element("th", title, scope="colgroup", colspan=width, class_="span")
+            if title
+            else element("td", colspan=width)
+            for title, width in spans
+        )
+        heads.append(element("tr", *cells))
+    titles = zip(columns, kinds, strict=True)
+    heads.append(element("tr", *(element("th", c, scope="col", class_=k) for c, k in titles)))
     frame = element(
-        "div",
-        element("table", element("caption", caption), element("thead", Html(header)), *bodies),
-        class_="scroll",
-        role="region",
-        tabindex="0",
-        aria_label=re.sub("<[^>]*>", "", text(caption)),
+        "table",
+        element("caption", caption),
+        element("thead", *heads),
+        *(_body(group, kinds) for group in groups),
     )
-    return frame + (element("p", note, class_="note") if note else Html(""))  # type: ignore
+    label = re.sub("<[^>]*>", "", text(caption))
+    # Only what can have the focus can be scrolled with the keyboard.
+    return element(
+        "div", frame, class_="scroll", role="region", tabindex="0", aria_label=html.unescape(label)
+    )
+
+
+def _body(group: Group, kinds: Sequence[str | None]) -> Html:
+    rows = []
+    if group.title is not None:
+        title = element("th", group.title, scope="rowgroup", colspan=len(kinds))
+        rows.append(element("tr", title, class_="group"))
+    for head, *cells in group.rows:
+        values = zip(cells, kinds[1:], strict=True)
+        rest = (element("td", cell, class_=kind) for cell, kind in values)
+        rows.append(element("tr", element("th", head, scope="row"), *rest))
+    return element("tbody", *rows)
 
 
 def script_json(value: Any, **attributes: object) -> Html:
@@ -170,8 +167,3 @@ def script_json(value: Any, **attributes: object) -> Html:
     for character in "<>&":
         dumped = dumped.replace(character, f"\\u{ord(character):04x}")
     return element("script", Html(dumped), type="application/json", **attributes)
-
-
-def attributes_of(mapping: Mapping[str, object]) -> dict[str, object]:
-    """Attributes from a mapping of their names as HTML has them."""
-    return dict(mapping)

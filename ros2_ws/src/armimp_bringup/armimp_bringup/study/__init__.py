@@ -1,0 +1,1 @@
+"""The paper's study: every combination of friction, resolution and perturbation, without ROS."""

@@ -1,0 +1,151 @@
+"""Which conditions a study has: levels of friction, resolution and perturbation, and seeds."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from armimp_common.errors import ConfigurationError
+from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
+from armimp_sim.presets import LEVELS as SIMULATOR_LEVELS
+
+LEVELS: Final[Mapping[str, tuple[int, ...]]] = {
+    "friction": SIMULATOR_LEVELS,
+    "resolution": SIMULATOR_LEVELS,
+    "perturbation": PERTURBATION_LEVELS,
+}
+"""The factors of the study with all their levels."""
+
+MOST_SEEDS: Final = 10_000
+_LARGEST_SEED: Final = 2**63 - 1
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Condition:
+    """One cell of the study: an experiment with a trial for each joint.
+
+    Conditions are ordered by seed, then friction, resolution and perturbation level.
+    """
+
+    seed: int
+    friction: int
+    resolution: int
+    perturbation: int
+
+    @property
+    def name(self) -> str:
+        """Name for files."""
+        return (
+            f"friction{self.friction}-resolution{self.resolution}"
+            f"-perturbation{self.perturbation}-seed{self.seed}"
+        )
+
+    def __str__(self) -> str:
+        return (
+            f"friction {self.friction}, resolution {self.resolution}, "
+            f"perturbation {self.perturbation}, seed {self.seed}"
+        )
+
+
+def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
+    """Conditions of a study, in order and each once.
+
+    Parameters
+    ----------
+    only : sequence of str
+        Selections as for :func:`parse_only`; their union is taken. None: all 48 combinations.
+    seeds : str
+        As for :func:`parse_seeds`.
+
+    Raises
+    ------
+    ConfigurationError
+        If a selection or the seeds cannot be understood.
+    """
+    chosen_seeds = parse_seeds(seeds)
+    cells = {
+        cell
+        for selection in ([parse_only(text) for text in only] or [dict(LEVELS)])
+        for cell in itertools.product(*(selection[factor] for factor in LEVELS))
+    }
+    return tuple(
+        sorted(
+            Condition(seed=seed, friction=cell[0], resolution=cell[1], perturbation=cell[2])
+            for cell, seed in itertools.product(cells, chosen_seeds)
+        )
+    )
+
+
+def parse_only(text: str) -> dict[str, tuple[int, ...]]:
+    """Levels that a selection such as ``friction=0+3,resolution=0`` leaves of each factor.
+
+    Raises
+    ------
+    ConfigurationError
+        If it names something else, or a level that there is not.
+    """
+    found: dict[str, tuple[int, ...]] = {}
+    for part in text.split(","):
+        factor, equals, values = part.partition("=")
+        factor = factor.strip()
+        if not equals or factor not in LEVELS:
+            raise ConfigurationError(
+                f"--only {text!r}: {part.strip()!r} is not {', '.join(LEVELS)} = levels, as in "
+                "friction=0+3,resolution=0"
+            )
+        if factor in found:
+            raise ConfigurationError(
+                f"--only {text!r}: {factor} is there twice; several levels are joined by +"
+            )
+        found[factor] = tuple(_level(text, factor, value.strip()) for value in values.split("+"))
+    return {factor: found.get(factor, levels) for factor, levels in LEVELS.items()}
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Seeds from numbers and Python ranges, joined by commas: ``77``, ``0:10``, ``1,5,10:20:2``.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is something else, holds no seed or more than :data:`MOST_SEEDS`, or one twice.
+    """
+    found: list[int] = []
+    for part in text.split(","):
+        numbers = part.split(":")
+        if len(numbers) > 3 or not all(re.fullmatch("[0-9]{1,19}", n.strip()) for n in numbers):
+            raise ConfigurationError(
+                f"--seeds {text!r}: {part!r} is neither a number nor a range such as 0:10"
+            )
+        values = [int(number) for number in numbers]
+        if len(values) == 3 and values[2] == 0:
+            raise ConfigurationError(f"--seeds {text!r}: {part!r} is a range without a step")
+        seeds = range(*values) if len(values) > 1 else range(values[0], values[0] + 1)
+        if not seeds:
+            raise ConfigurationError(f"--seeds {text!r}: there is no number in {part!r}")
+        if seeds[-1] > _LARGEST_SEED:
+            raise ConfigurationError(
+                f"--seeds {text!r}: {seeds[-1]} is too large, {_LARGEST_SEED} is the largest seed"
+            )
+        # len() of a range fails beyond what an array could hold.
+        many = (seeds[-1] - seeds[0]) // seeds.step + 1 + len(found)
+        if many > MOST_SEEDS:
+            raise ConfigurationError(
+                f"--seeds {text!r}: {many} seeds are too many, {MOST_SEEDS} are allowed"
+            )
+        found += seeds
+    repeated = {seed for seed in found if found.count(seed) > 1} if len(set(found)) < len(found) else set()
+    if repeated:
+        raise ConfigurationError(f"--seeds {text!r}: {min(repeated)} is there twice")
+    return tuple(found)
+
+
+def _level(text: str, factor: str, value: str) -> int:
+    if not re.fullmatch("[0-9]", value) or int(value) not in LEVELS[factor]:
+        raise ConfigurationError(
+            f"--only {text!r}: {factor} has the levels {', '.join(map(str, LEVELS[factor]))}, "
+            f"not {value!r}"
+        )
+    return int(value)

@@ -1,0 +1,178 @@
+"""Curves as they are drawn, in the report and in the figures of a paper alike."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_estimation.estimate import confidence_radius
+from armimp_estimation.mbk import MBK
+from armimp_estimation.results import ImpedanceCurve
+from armimp_estimation.scores import coherence, derived_coherence
+from armimp_estimation.trial import TrialSpectra
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodeCurve:
+    """Magnitude and phase of one element of the impedance matrix over frequency.
+
+    Attributes
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    magnitude, phase : ndarray, shape (n_freq,)
+        N·m/rad and degrees.
+    radius : ndarray, shape (n_freq,)
+        Radius of the circle about each value that holds the truth in 95 %, N·m/rad; NaN if
+        unknown.
+    """
+
+    f: FloatArray
+    magnitude: FloatArray
+    phase: FloatArray
+    radius: FloatArray
+
+    @property
+    def magnitude_band(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end of the 95 % band of the magnitude, N·m/rad."""
+        # A logarithmic axis has no zero: the lower end stays positive, far below the curve.
+        lower = np.maximum(self.magnitude - self.radius, 1e-3 * self.magnitude)
+        return lower, self.magnitude + self.radius
+
+    @property
+    def phase_band(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end of the 95 % band of the phase, degrees."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            sine = self.radius / self.magnitude
+        # The circle is seen from the origin under this angle; from within it, all around.
+        spread = np.degrees(np.where(sine < 1.0, np.arcsin(np.minimum(sine, 1.0)), np.pi))
+        return self.phase - spread, self.phase + spread
+
+
+def element_curve(curve: ImpedanceCurve, i: int, k: int) -> BodeCurve:
+    """Curve of the estimate of ``Z_ik`` (0-based)."""
+    averages = curve.averages
+    radius = (
+        confidence_radius(curve.variance[i, k], averages)
+        if averages > 1.0
+        else np.full(curve.f.size, np.nan)
+    )
+    return _bode(curve.f, curve.Z[i, k], radius)
+
+
+def true_curve(truth: MBK, f: FloatArray, i: int, k: int) -> BodeCurve:
+    """Curve of the true ``Z_ik`` (0-based)."""
+    return _bode(f, truth.impedance(f)[i, k], np.zeros(f.size))
+
+
+def _bode(f: FloatArray, z: ComplexArray, radius: FloatArray) -> BodeCurve:
+    phase = np.degrees(np.unwrap(np.angle(z)))
+    # The turn in which the unwrapped phase begins is chance, most of all where noise begins it.
+    phase = phase - 360.0 * np.round(np.median(phase) / 360.0)
+    return BodeCurve(f=f, magnitude=np.abs(z), phase=phase, radius=radius)
+
+
+# The ranges follow the curves, not their bands: one wild band must not flatten everything else.
+def magnitude_range(curves: Sequence[BodeCurve]) -> tuple[float, float]:
+    """Range of a logarithmic axis that shows all of the magnitudes, N·m/rad."""
+    values = np.concatenate([one.magnitude for one in curves])
+    low, high = _range(np.log10(values[np.isfinite(values) & (values > 0.0)]), 0.06, 0.02)
+    return 10.0**low, 10.0**high
+
+
+def phase_range(curves: Sequence[BodeCurve]) -> tuple[float, float]:
+    """Range of an axis that shows all of the phases, degrees."""
+    values = np.concatenate([one.phase for one in curves])
+    return _range(values[np.isfinite(values)], 0.08, 2.0)
+
+
+def _range(values: FloatArray, share: float, least: float) -> tuple[float, float]:
+    if not values.size:
+        return 0.0, 1.0
+    low, high = float(values.min()), float(values.max())
+    margin = share * (high - low) + least
+    return low - margin, high + margin
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CoherenceCurves:
+    """Coherences behind one element of the impedance matrix, over frequency.
+
+    Attributes
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    motion, torque : ndarray, shape (n_freq,)
+        ``γ²(τΔ_k, θ_k)`` and ``γ²(τΔ_k, τ_i)``.
+    derived : dict of str to ndarray, shape (n_freq,)
+        Derived coherence by name of the estimator.
+    """
+
+    f: FloatArray
+    motion: FloatArray
+    torque: FloatArray
+    derived: dict[str, FloatArray]
+
+    @property
+    def lowest(self) -> float:
+        """The lowest of all."""
+        every = [self.motion, self.torque, *self.derived.values()]
+        return float(np.nanmin(np.concatenate(every)))
+
+
+def coherence_floor(curves: Iterable[CoherenceCurves]) -> float:
+    """Lower end of an axis for all of these coherences, so that they can be compared."""
+    lowest = min((one.lowest for one in curves), default=0.0)
+    return next((floor for floor in (0.8, 0.5) if lowest >= floor), 0.0)
+
+
+def coherence_curves(
+    spectra: TrialSpectra, curves: Mapping[str, ImpedanceCurve], i: int
+) -> CoherenceCurves:
+    """Coherences behind ``Z_ik`` (0-based) from the trial that perturbed joint k."""
+    k = spectra.perturbed_joint
+    return CoherenceCurves(
+        f=spectra.f,
+        motion=coherence(spectra.spectra, 0, spectra.position_channel(k)),
+        torque=coherence(spectra.spectra, 0, spectra.torque_channel(i)),
+        derived={
+            name: derived_coherence(spectra, i, curve.f, curve.Z[i, k])
+            for name, curve in curves.items()
+        },
+    )
+
+
+def envelope(values: FloatArray, buckets: int) -> tuple[FloatArray, float]:
+    """Thin out a signal so that it looks the same where there are no more pixels than buckets.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        The signal; NaN where there is a gap.
+    buckets : int
+        Number of parts; each gives its smallest and its largest value, in their order in time.
+
+    Returns
+    -------
+    thinned : ndarray, shape (at most 2·buckets,)
+        The signal itself if it is no longer than that.
+    step : float
+        Distance of the thinned values, in samples of the signal.
+    """
+    if values.size <= 2 * buckets:
+        return values, 1.0
+    size = -(-values.size // buckets)
+    padded = np.full(-(-values.size // size) * size, np.nan)
+    padded[: values.size] = values
+    parts = padded.reshape(-1, size)
+    gaps = np.isnan(parts)
+    lowest = np.argmin(np.where(gaps, np.inf, parts), axis=1)
+    highest = np.argmax(np.where(gaps, -np.inf, parts), axis=1)
+    order = np.sort(np.stack([lowest, highest], axis=1), axis=1)
+    return np.take_along_axis(parts, order, axis=1).ravel(), size / 2

@@ -1,0 +1,93 @@
+"""The report of one result."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from armimp_common.errors import DataError
+from armimp_estimation.report.curves_part import coherence_section, impedance_section
+from armimp_estimation.report.estimates import parameters_section, scores_section
+from armimp_estimation.report.html import Html, element, join
+from armimp_estimation.report.page import Chapter, page
+from armimp_estimation.report.result import Result, setting
+from armimp_estimation.report.settings_part import assumptions_section, settings_section
+from armimp_estimation.report.trials_part import ledger_section, locking_section, traces_section
+from armimp_estimation.report.verdict_part import verdict_section
+
+REPORT_FILE = "report.html"
+
+
+def report_page(result: Result) -> str:
+    """HTML document of a result, valid or not."""
+    summary = result.summary
+    estimated = bool(summary.estimators)
+    chapters: list[Chapter] = [
+        ("verdict", "Verdict", verdict_section(result)),
+        ("parameters", "M, B, K", parameters_section(summary) if estimated else None),
+        ("scores", "Scores", scores_section(summary) if estimated else None),
+        ("impedance", "Impedance", impedance_section(result)),
+        ("coherence", "Coherence", coherence_section(result)),
+        ("locking", "Locking", locking_section(result)),
+        ("ledger", "Samples", ledger_section(result)),
+        ("traces", "Signals", traces_section(result)),
+        ("settings", "Settings", settings_section(result)),
+        ("assumptions", "Assumptions", assumptions_section(result)),
+    ]
+    state = "valid" if summary.valid else "not valid"
+    return page(f"{result.name}: arm impedance, {state}", _header(result), chapters)
+
+
+def write_report(directory: Path, result: Result) -> Path:
+    """Write ``report.html``, in place of one that is there.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    DataError
+        If it cannot be written.
+    """
+    path = directory / REPORT_FILE
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        try:
+            part.write_text(report_page(result), encoding="utf-8")
+            part.replace(path)
+        finally:
+            part.unlink(missing_ok=True)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror}") from None
+    return path
+
+
+def _header(result: Result) -> Html:
+    joints = ", ".join(result.joint_names)
+    return join(
+        [
+            element("p", "armimp · report of an identification", class_="kicker"),
+            element("h1", f"Impedance of {joints}"),
+            element("p", _introduction(result)),
+        ]
+    )
+
+
+def _introduction(result: Result) -> str:
+    summary = result.summary
+    count = len(summary.trials)
+    facts = [f"Result “{result.name}”", f"{count} trial{'' if count == 1 else 's'}"]
+    ticks = {trial.ticks for trial in summary.trials}
+    if len(ticks) == 1:
+        facts[-1] += f" of {ticks.pop() / 1000:g} s"
+    if summary.truth is not None:
+        facts.append("simulated")
+    for name in ("friction", "resolution", "perturbation"):
+        level = setting(summary.config, "experiment", name)
+        if isinstance(level, int):
+            facts.append(f"{name} level {level}")
+    if summary.seed is not None:
+        facts.append(f"seed {summary.seed}")
+    return " · ".join(facts)

@@ -1,0 +1,579 @@
+"""The estimator node over real DDS, fed by a script: results, faults, parameters, life cycle."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from armimp_common import contract, qos
+from armimp_common.channels import RawSubscription, wait_until_matched
+from armimp_common.contract import COMMANDS, DATA_STREAMS, RESULT, TRIAL
+from armimp_common.diagnostics import Level, values_of
+from armimp_common.errors import GraphError
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.schema import Value
+from armimp_common.spin import Spinner
+from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
+from armimp_common.trial_status import Phase
+from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
+from armimp_estimation.bags.synthetic import Message, synthetic_recording
+from armimp_estimation.conclusion import FinishedTrial, conclude
+from armimp_estimation.messages import CONCLUSION_NAME
+from armimp_estimation.node import ImpedanceEstimatorNode
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.results import Summary, read_summary
+from armimp_estimation.testing import recorded_arm
+
+SUCCESS = TransitionCallbackReturn.SUCCESS
+FAILURE = TransitionCallbackReturn.FAILURE
+NAMES = ("shoulder", "elbow")
+SETTLE, TICKS, REST = 60, 100, 60
+MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST).messages
+"""Two trials, much too short to be estimated."""
+ONE_TRIAL = 4 * (SETTLE + TICKS + REST) + 3
+DONE = next(
+    (TRIAL, 0, encode_trial_status(replace(decode_trial_status(raw), phase=Phase.DONE)))
+    for topic, _, raw in reversed(MADE_UP)
+    if topic == TRIAL
+)
+CHUNK = 800
+"""Messages sent at a time: less than queues hold."""
+
+
+class Script:
+    """Stands for simulator, controller and people: plays messages, and keeps what comes back."""
+
+    def __init__(self, node: Node) -> None:
+        self.node = node
+        self.echoes = 0
+        self.results: list[DiagnosticStatus] = []
+        self.progress: list[DiagnosticStatus] = []
+        kinds: dict[str, type[Any]] = {
+            **dict.fromkeys(contract.VALUE_FIELD, JointState),
+            COMMANDS: Float64MultiArray,
+            TRIAL: DiagnosticStatus,
+        }
+        self.publishers = {
+            topic: node.create_publisher(kind, topic, qos.PROFILES[topic])
+            for topic, kind in kinds.items()
+        }
+        self.echo = [
+            RawSubscription(node, topic, kind, self.on_echo, profile=qos.PROFILES[topic])
+            for topic, kind in kinds.items()
+        ]
+        self.people = [
+            node.create_subscription(DiagnosticStatus, topic, kept.append, qos.PROFILES[topic])
+            for topic, kept in ((RESULT, self.results), (contract.PROGRESS, self.progress))
+        ]
+
+    def on_echo(self, message: bytes) -> None:
+        self.echoes += 1
+
+    def wait_for_estimator(self) -> None:
+        assert not wait_until_matched(
+            self.node,
+            publishers=self.publishers.values(),
+            subscriptions=self.people,
+            timeout_s=PATIENCE,
+        )
+
+    def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
+        """Publish messages no faster than they are received."""
+        sent = list(messages)
+        for start in range(0, len(sent), CHUNK):
+            wanted = self.echoes + len(sent[start : start + CHUNK])
+            for topic, _, raw in sent[start : start + CHUNK]:
+                self.publishers[topic].publish(raw)
+            eventually(spinner, partial(self.has_heard, wanted), "echoes")
+
+    def has_heard(self, wanted: int) -> bool:
+        return self.echoes >= wanted
+
+    @property
+    def columns(self) -> list[DiagnosticStatus]:
+        return [result for result in self.results if result.name != CONCLUSION_NAME]
+
+    @property
+    def conclusions(self) -> list[DiagnosticStatus]:
+        return [result for result in self.results if result.name == CONCLUSION_NAME]
+
+    def concluded(self) -> bool:
+        return bool(self.conclusions)
+
+
+MakeEstimator = Callable[..., ImpedanceEstimatorNode]
+
+
+@pytest.fixture
+def spinner(node: Node) -> Iterator[Spinner]:
+    with Spinner([node]) as spinner:
+        yield spinner
+
+
+@pytest.fixture
+def make(context: Context, spinner: Spinner, tmp_path: Path) -> Iterator[MakeEstimator]:
+    made: list[ImpedanceEstimatorNode] = []
+    settings = EstimatorParameters(directory=str(tmp_path / "out"), progress_period=0.05)
+
+    def factory(
+        changes: Mapping[str, Value] | None = None, **kwargs: Any
+    ) -> ImpedanceEstimatorNode:
+        estimator = ImpedanceEstimatorNode(
+            context=context, parameter_overrides=overrides(settings, changes), **kwargs
+        )
+        made.append(estimator)
+        spinner.add_node(estimator)
+        return estimator
+
+    yield factory
+    for estimator in made:
+        spinner.remove_node(estimator)
+        estimator.destroy_node()
+
+
+@pytest.fixture
+def script(node: Node) -> Script:
+    return Script(node)
+
+
+def bring_up(estimator: ImpedanceEstimatorNode, script: Script) -> None:
+    assert estimator.trigger_configure() is SUCCESS, estimator.transition_error
+    assert estimator.trigger_activate() is SUCCESS, estimator.transition_error
+    script.wait_for_estimator()
+
+
+def stored(directory: Path) -> Summary:
+    return read_summary(directory / "out" / "summary.json")
+
+
+def bags_of(directory: Path) -> list[Path]:
+    return sorted((directory / "out" / "bags").iterdir())
+
+
+def samples_told(script: Script) -> list[str]:
+    return [values_of(message)["samples"] for message in script.progress]
+
+
+class TestResults:
+    RECORDING = recorded_arm(5000)
+    NAMES = RECORDING.records[0].joint_names
+    FIRST = next(
+        i
+        for i, (topic, _, raw) in enumerate(RECORDING.messages)
+        if topic == TRIAL and decode_trial_status(raw).trial == 2
+    )
+
+    def settings(self) -> dict[str, Value]:
+        metadata = {"seed": "5", "joint_names": json.dumps(self.NAMES)}
+        return {"joints": list(self.NAMES), "metadata": json.dumps(metadata)}
+
+    def test_column_is_published_as_its_trial_ends_and_the_matrix_after_the_last(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        bring_up(make(self.settings()), script)
+
+        script.play(spinner, self.RECORDING.messages[: self.FIRST])
+        eventually(spinner, lambda: bool(script.columns), "the first column")
+        a_moment(spinner)
+        assert [result.name for result in script.results] == ["impedance_estimator: column 1"]
+
+        script.play(spinner, self.RECORDING.messages[self.FIRST :])
+        eventually(spinner, script.concluded, "the conclusion")
+        a_moment(spinner)
+        assert [result.name for result in script.results] == [
+            "impedance_estimator: column 1",
+            "impedance_estimator: column 2",
+            CONCLUSION_NAME,
+        ]
+        assert [result.level for result in script.columns] == [bytes([Level.OK])] * 2
+        column = values_of(script.columns[1])
+        assert (column["trial"], column["joint"], column["lost"]) == ("2", "2", "0")
+        points = len(column["f"].split())
+        for curve in ("R", "T", "Z"):
+            for element in ("12", "22"):
+                assert len(column[f"{curve}_{element}.re"].split()) == points
+                assert len(column[f"{curve}_{element}.im"].split()) == points
+
+        # What is stored and published is what the bags give.
+        contents = [read_bag(path) for path in bags_of(tmp_path)]
+        offline = conclude(
+            [FinishedTrial(assembled=content.trials[0], bag=None) for content in contents],
+            metadata=contents[0].metadata,
+            joints=2,
+            estimators=EstimatorParameters().estimators,
+        ).summary
+        live = stored(tmp_path)
+        assert live.estimators == offline.estimators
+        assert (live.valid, live.problems) == (offline.valid, offline.problems)
+        assert [trial.bag for trial in live.trials] == [
+            f"bags/{path.name}" for path in bags_of(tmp_path)
+        ]
+        values = values_of(script.conclusions[0])
+        for name, result in offline.estimators.items():
+            for key in ("M", "B", "K"):
+                published = [float(text) for text in values[f"{name}.{key}"].split()]
+                assert published == np.ravel(getattr(result, key)).tolist()
+
+    def test_progress_is_published_while_a_trial_is_recorded(
+        self, make: MakeEstimator, script: Script, spinner: Spinner
+    ) -> None:
+        bring_up(make(self.settings()), script)
+
+        script.play(spinner, self.RECORDING.messages[: 2 + 4 * (60 + 4500)])
+        eventually(spinner, lambda: "4500" in samples_told(script), "progress with all samples")
+
+        values = values_of(script.progress[-1])
+        assert (values["trial"], values["trials"], values["joint"]) == ("1", "2", "1")
+        assert (values["phase"], values["planned"]) == ("perturb", "5000")
+        assert float(values["rate"]) > 0.0
+        for what in ("motion", "torque"):
+            assert 0.9 < float(values[f"coherence_{what}"]) <= 1.0
+
+    def test_who_joins_late_still_learns_the_results(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, node: Node
+    ) -> None:
+        bring_up(make({"record": False}), script)
+        script.play(spinner, MADE_UP)
+        eventually(spinner, script.concluded, "the conclusion")
+
+        late: list[DiagnosticStatus] = []
+        node.create_subscription(DiagnosticStatus, RESULT, late.append, qos.LATCHED)
+
+        eventually(spinner, lambda: len(late) == 3, "all results")
+        assert [result.name for result in late] == [result.name for result in script.results]
+
+    @pytest.mark.parametrize("changes", [{"record": False}, {"directory": ""}], ids=str)
+    def test_recording_and_storing_can_be_switched_off(
+        self,
+        make: MakeEstimator,
+        script: Script,
+        spinner: Spinner,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+        changes: dict[str, Value],
+    ) -> None:
+        monkeypatch.chdir(tmp_path)
+        bring_up(make(changes), script)
+
+        script.play(spinner, MADE_UP)
+        eventually(spinner, script.concluded, "the conclusion")
+
+        files = [path.name for path in tmp_path.rglob("*") if path.is_file()]
+        assert files == (["summary.json"] if "record" in changes else [])
+
+
+class TestFaults:
+    def test_when_samples_are_lost_expect_the_account_and_an_invalid_result(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        bring_up(make(), script)
+        messages = list(MADE_UP)
+        del messages[1 + 4 * (SETTLE + 40) + 1]
+
+        script.play(spinner, messages)
+        eventually(spinner, script.concluded, "the conclusion")
+
+        problem = f"trial 1: samples lost: joint_states 1 of {TICKS} (first gap at 0.040 s)"
+        assert stored(tmp_path).problems == [problem]
+        assert stored(tmp_path).trials[0].lost == 1
+        assert script.conclusions[0].level == bytes([Level.ERROR])
+        assert script.conclusions[0].message == f"not valid: {problem}"
+        assert script.columns[0].message == problem
+        assert values_of(script.columns[0])["lost"] == "1"
+
+    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.PERTURBATION])
+    def test_when_a_message_is_malformed_expect_it_named_and_the_node_alive(
+        self,
+        make: MakeEstimator,
+        script: Script,
+        spinner: Spinner,
+        tmp_path: Path,
+        topic: str,
+    ) -> None:
+        bring_up(make(), script)
+        messages = list(MADE_UP)
+        spoiled = next(i for i in range(500, 600) if messages[i][0] == topic)
+        messages[spoiled] = (topic, 0, b"\0\1\0\0")
+
+        script.play(spinner, messages)
+        eventually(spinner, script.concluded, "the conclusion")
+
+        summary = stored(tmp_path)
+        assert not summary.valid
+        assert summary.problems[0].startswith(f"{topic}: ")
+        assert f"samples lost: {topic} 1" in summary.problems[1]
+        assert len(bags_of(tmp_path)) == 2
+
+    def test_when_a_status_makes_no_sense_expect_the_end_with_a_closed_bag(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        bring_up(make(), script)
+        script.play(spinner, MADE_UP[: 4 * (SETTLE + 40)])
+
+        script.publishers[TRIAL].publish(DiagnosticStatus(name="imbic_controller: trial"))
+        eventually(spinner, script.concluded, "the conclusion")
+
+        assert stored(tmp_path).problems[0] == "trial status: phase is missing"
+        (bag,) = bags_of(tmp_path)
+        assert (bag / "metadata.yaml").exists()
+
+    def test_samples_may_come_after_the_end_was_announced(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        bring_up(make(), script)
+        statuses = [message for message in MADE_UP if message[0] == TRIAL]
+
+        script.play(spinner, [*statuses, DONE])
+        a_moment(spinner)
+        assert script.results == []
+        script.play(spinner, [message for message in MADE_UP if message[0] != TRIAL])
+        eventually(spinner, script.concluded, "the conclusion")
+
+        assert [(trial.ticks, trial.lost) for trial in stored(tmp_path).trials] == [(TICKS, 0)] * 2
+        assert len(bags_of(tmp_path)) == 2
+
+    def test_when_samples_stay_away_after_the_end_expect_the_result_without_them(
+        self,
+        make: MakeEstimator,
+        script: Script,
+        spinner: Spinner,
+        tmp_path: Path,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:
+        monkeypatch.setattr("armimp_estimation.node._STRAGGLERS", 0.1)
+        bring_up(make(), script)
+        whole = ONE_TRIAL + 4 * (SETTLE + TICKS)
+        cut = [message for message in MADE_UP[whole:] if message[0] == TRIAL]
+
+        script.play(spinner, [*MADE_UP[: whole - 40], *cut, DONE])
+        eventually(spinner, script.concluded, "the conclusion")
+
+        assert not stored(tmp_path).valid
+        first, second = stored(tmp_path).trials
+        assert first.lost == 0
+        assert second.lost > 0
+
+    def test_when_the_controller_aborts_expect_its_reason_in_the_result(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        bring_up(make(), script)
+        script.play(spinner, MADE_UP[: 4 * (SETTLE + 40)])
+        perturb = next(
+            status
+            for status in (decode_trial_status(raw) for topic, _, raw in MADE_UP if topic == TRIAL)
+            if status.phase is Phase.PERTURB
+        )
+        aborted = replace(perturb, phase=Phase.ABORTED, valid=False, reason="a fault")
+
+        script.play(spinner, [(TRIAL, 0, encode_trial_status(aborted))])
+        eventually(spinner, script.concluded, "the conclusion")
+
+        assert stored(tmp_path).problems[0] == "trial 1: a fault"
+        (trial,) = read_bag(bags_of(tmp_path)[0]).trials
+        assert trial.problem == "aborted: a fault"
+
+    def test_when_the_bag_exists_expect_the_end_with_the_reason_and_nothing_overwritten(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        bag = tmp_path / "out" / "bags" / "trial_1_joint_1"
+        bag.mkdir(parents=True)
+        bring_up(make(), script)
+
+        script.play(spinner, MADE_UP[:ONE_TRIAL])
+        eventually(spinner, script.concluded, "the conclusion")
+
+        assert str(bag) in stored(tmp_path).problems[0]
+        assert list(bag.iterdir()) == []
+
+    def test_when_a_result_exists_expect_it_kept(
+        self,
+        make: MakeEstimator,
+        script: Script,
+        spinner: Spinner,
+        tmp_path: Path,
+        capfd: pytest.CaptureFixture[str],
+    ) -> None:
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "summary.json").write_text("precious")
+        bring_up(make({"record": False}), script)
+
+        script.play(spinner, MADE_UP)
+        eventually(spinner, script.concluded, "the conclusion")
+
+        assert (tmp_path / "out" / "summary.json").read_text() == "precious"
+        assert "result not stored" in capfd.readouterr().err
+
+
+class TestParameters:
+    def test_while_active_changes_are_refused_with_a_reason(
+        self, make: MakeEstimator, script: Script
+    ) -> None:
+        estimator = make()
+        bring_up(estimator, script)
+        change = Parameter("record", value=False)
+
+        (result,) = estimator.set_parameters([change])
+        assert not result.successful
+        assert result.reason == "record cannot be changed now: a trial is being recorded"
+
+        estimator.trigger_deactivate()
+        (result,) = estimator.set_parameters([change])
+        assert result.successful
+
+    @pytest.mark.parametrize(
+        ("changes", "reason"),
+        [
+            ({"estimators": ["welch_sisi"]}, "parameter 'estimators': there is no 'welch_sisi'"),
+            ({"estimators": ["welch_siso"] * 2}, "parameter 'estimators' needs distinct names"),
+            ({"metadata": "{"}, "parameter 'metadata' is not a JSON object of strings: '{'"),
+            ({"metadata": '{"seed": 1}'}, "parameter 'metadata' is not a JSON object of strings"),
+            ({"metadata": '{"truth": "[1]"}'}, "metadata: truth is not three matrices"),
+            (
+                {"metadata": '{"truth": "{\\"M\\": [[1]], \\"B\\": [[1]], \\"K\\": [[1]]}"}'},
+                "parameter 'metadata': truth is of 1 joints, not of 2",
+            ),
+            ({"metadata": '{"config": "{"}'}, "metadata: config is not JSON"),
+        ],
+        ids=lambda value: None if isinstance(value, dict) else value[:45],
+    )
+    def test_when_values_make_no_sense_expect_configure_to_fail_and_the_node_alive(
+        self,
+        make: MakeEstimator,
+        node: Node,
+        spinner: Spinner,
+        capfd: pytest.CaptureFixture[str],
+        changes: dict[str, Value],
+        reason: str,
+    ) -> None:
+        estimator = make(changes)
+        manager = LifecycleManager(
+            node, [contract.ESTIMATOR_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+        )
+
+        with pytest.raises(GraphError, match="impedance_estimator failed to configure"):
+            manager.configure(contract.ESTIMATOR_NODE)
+
+        assert reason in estimator.transition_error
+        log = capfd.readouterr().err
+        assert log.count("\n") == 1
+        assert reason in log
+        assert manager.state(contract.ESTIMATOR_NODE) == "unconfigured"
+        good = {parameter.name: parameter for parameter in overrides(EstimatorParameters())}
+        estimator.set_parameters([good[name] for name in changes])
+        manager.configure(contract.ESTIMATOR_NODE)
+
+
+class TestLife:
+    @pytest.mark.parametrize("how", ["trigger_deactivate", "trigger_shutdown", "destroy_node"])
+    @pytest.mark.parametrize("trial", [1, 2])
+    def test_when_stopped_in_a_trial_expect_a_closed_bag_and_an_invalid_result(
+        self,
+        make: MakeEstimator,
+        script: Script,
+        spinner: Spinner,
+        tmp_path: Path,
+        how: str,
+        trial: int,
+    ) -> None:
+        estimator = make()
+        bring_up(estimator, script)
+        before = (trial - 1) * ONE_TRIAL
+        script.play(spinner, MADE_UP[: before + 4 * (SETTLE + 40)])
+        a_moment(spinner)
+
+        getattr(estimator, how)()
+        eventually(spinner, script.concluded, "the conclusion")
+
+        done = {"trigger_deactivate": "stopped", "trigger_shutdown": "shut down"}.get(how, "ended")
+        summary = stored(tmp_path)
+        assert summary.problems[0] == f"the estimator was {done} before all trials were over"
+        assert not summary.valid
+        assert script.conclusions[0].level == bytes([Level.ERROR])
+        assert len(bags_of(tmp_path)) == trial
+        (cut,) = read_bag(bags_of(tmp_path)[-1]).trials
+        assert 35 <= cut.require().samples <= 40
+
+    def test_life_can_be_gone_through_again_with_another_directory(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        estimator = make()
+        for name in ("one", "two"):
+            directory = tmp_path / name / "out"
+            estimator.set_parameters([Parameter("directory", value=str(directory))])
+            bring_up(estimator, script)
+            script.results.clear()
+            script.play(spinner, MADE_UP)
+            eventually(spinner, script.concluded, "the conclusion")
+            assert estimator.trigger_deactivate() is SUCCESS
+            assert estimator.trigger_cleanup() is SUCCESS
+            assert len(bags_of(tmp_path / name)) == 2
+            assert len(stored(tmp_path / name).trials) == 2
+            # The script stays, and with it what the topic of the statuses remembers.
+            node = script.node
+            for publisher in script.publishers.values():
+                node.destroy_publisher(publisher)
+            script.publishers = Script(node).publishers
+        assert estimator.trigger_shutdown() is SUCCESS
+
+    def test_inactive_node_records_nothing(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        estimator = make()
+        estimator.trigger_configure()
+        script.wait_for_estimator()
+
+        script.play(spinner, MADE_UP)
+        script.publishers[contract.JOINT_STATES].publish(b"rubbish")
+        a_moment(spinner)
+
+        assert script.results == []
+        assert not (tmp_path / "out").exists()
+
+    def test_when_nobody_publishes_expect_activation_to_fail_with_the_topics_named(
+        self, make: MakeEstimator, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("armimp_estimation.node._MATCH_TIMEOUT", 0.05)
+        estimator = make()
+        estimator.trigger_configure()
+
+        assert estimator.trigger_activate() is FAILURE
+
+        assert estimator.transition_error.startswith("nobody publishes /")
+        for topic in (*DATA_STREAMS, TRIAL):
+            assert f"/{topic}" in estimator.transition_error
+
+    def test_node_in_a_namespace_keeps_to_it(
+        self,
+        make: MakeEstimator,
+        context: Context,
+        spinner: Spinner,
+        script: Script,
+        tmp_path: Path,
+    ) -> None:
+        left = Node("script", context=context, namespace="/left")
+        spinner.add_node(left)
+        left_script = Script(left)
+        bring_up(make(cli_args=["--ros-args", "-r", "__ns:=/left"]), left_script)
+
+        script.play(spinner, MADE_UP[:ONE_TRIAL])
+        left_script.play(spinner, MADE_UP)
+        eventually(spinner, left_script.concluded, "the conclusion")
+
+        assert left_script.people[0].topic_name == "/left/impedance_estimator/result"
+        assert script.results == []
+        assert [trial.lost for trial in stored(tmp_path).trials] == [0, 0]
+        spinner.remove_node(left)
+        left.destroy_node()

@@ -1,0 +1,202 @@
+"""Frequency responses by local polynomials, against systems whose response is known exactly."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.local_polynomial import (
+    LocalPolynomialConfig,
+    LocalResponse,
+    bins_in_band,
+    local_response,
+)
+from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+RATE = 125.0
+SAMPLES = 6144
+BAND = (0.122, 15.0)
+CONFIG = LocalPolynomialConfig()
+
+
+def white(seed: int, samples: int = SAMPLES) -> FloatArray:
+    values: FloatArray = np.random.default_rng(seed).uniform(-1.0, 1.0, samples)
+    return values
+
+
+def signal_of(spectrum: ComplexArray) -> FloatArray:
+    values: FloatArray = np.fft.irfft(spectrum, SAMPLES)
+    return values
+
+
+def polynomials(order: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
+    """Input, output and response whose transforms are polynomials in frequency but for the input."""
+    rng = np.random.default_rng(order)
+    source = white(1)
+    place = np.linspace(-1.0, 1.0, SAMPLES // 2 + 1)
+    response, leakage = (
+        np.polyval(rng.standard_normal(order + 1) + 1j * rng.standard_normal(order + 1), place)
+        for _ in range(2)
+    )
+    output = signal_of(response * np.fft.rfft(source) + 30.0 * leakage)
+    return source, output, response
+
+
+def resonance(seed: int) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:
+    """Piece of an ongoing experiment with a resonance like that of an arm, and its coefficients."""
+    poles = np.exp(2.0 * np.pi * (-0.4 + 0.9j) / RATE)  # 1 Hz, damping ratio 0.4
+    denominator = np.real(np.poly([poles, np.conj(poles)]))
+    numerator = np.array([0.0, np.sum(denominator)])
+    whole = white(seed, SAMPLES + 3000)
+    answer = signal.lfilter(numerator, denominator, whole)
+    return whole[3000:], answer[3000:], (numerator, denominator)
+
+
+def estimate(
+    source: FloatArray, *outputs: FloatArray, config: LocalPolynomialConfig = CONFIG
+) -> LocalResponse:
+    return local_response(source, np.stack(outputs), RATE, BAND, config)
+
+
+@pytest.mark.parametrize("order", [0, 1, 2, 3])
+def test_response_and_leakage_that_are_polynomials_are_found_exactly(order: int) -> None:
+    source, output, response = polynomials(order)
+    found = estimate(source, output, config=LocalPolynomialConfig(order=order))
+    bins = np.rint(found.f * SAMPLES / RATE).astype(int)
+    np.testing.assert_allclose(found.response[0], response[bins], rtol=1e-9)
+    assert np.max(np.abs(found.noise)) < 1e-15 * np.sum(output**2)
+
+
+def test_polynomials_of_too_low_degree_leave_an_error_that_shows_as_noise() -> None:
+    source, output, response = polynomials(3)
+    found = estimate(source, output, config=LocalPolynomialConfig(order=0))
+    bins = np.rint(found.f * SAMPLES / RATE).astype(int)
+    assert np.max(np.abs(found.response[0] - response[bins])) > 1e-3
+    assert np.min(found.combined_variance(np.ones((1, bins.size), np.complex128))) > 1e-9
+
+
+def test_bins_are_those_of_the_whole_record_within_the_band() -> None:
+    found = estimate(white(1), white(2))
+    np.testing.assert_allclose(found.f, np.arange(6, 738) * RATE / SAMPLES, rtol=1e-14)
+    assert found.f[0] >= 0.122 > found.f[0] - RATE / SAMPLES
+    assert found.f[-1] <= 15.0 < found.f[-1] + RATE / SAMPLES
+    np.testing.assert_array_equal(bins_in_band(8, 8.0, 0.0, 100.0), [1, 2, 3])
+
+
+def test_leakage_that_spoils_averaged_spectra_is_removed() -> None:
+    source, output, system = resonance(3)
+    found = estimate(source, output)
+    true = signal.freqz(*system, worN=found.f, fs=RATE)[1]
+    near = (found.f > 0.5) & (found.f < 2.0)
+    local = np.abs(found.response[0] / true - 1.0)[near]
+
+    bins = np.rint(found.f * SAMPLES / RATE).astype(int)
+    ratio = np.fft.rfft(output)[bins] / np.fft.rfft(source)[bins]
+    plain = np.abs(ratio / true - 1.0)[near]
+
+    welch = WelchConfig(segment=1024, overlap=768)
+    accumulator = SpectralAccumulator(2, RATE, welch)
+    accumulator.push(np.stack((source, output)))
+    matrix = accumulator.result().matrix
+    f = welch.frequencies(RATE)
+    true = signal.freqz(*system, worN=f, fs=RATE)[1]
+    averaged = np.abs(matrix[0, 1] / matrix[0, 0] / true - 1.0)[(f > 0.5) & (f < 2.0)]
+
+    assert np.max(local) < 0.02
+    assert np.sqrt(np.mean(averaged**2)) > 4.0 * np.sqrt(np.mean(local**2))
+    assert np.sqrt(np.mean(plain**2)) > 20.0 * np.sqrt(np.mean(local**2))
+
+
+def test_leakage_by_itself_is_not_taken_for_a_response() -> None:
+    source, output, system = resonance(3)
+    everywhere = signal.freqz(*system, worN=SAMPLES // 2 + 1, include_nyquist=True)[1]
+    leakage = output - signal_of(np.fft.rfft(source) * everywhere)
+    assert np.std(leakage) > 0.1 * np.std(output)
+    mistaken = np.abs(estimate(source, leakage).response[0])
+    assert np.max(mistaken) < 0.005 * np.max(np.abs(everywhere))
+
+
+def test_variance_and_correlation_of_bins_are_those_of_noise() -> None:
+    rng = np.random.default_rng(5)
+    # White noise is all there is, so responses are errors; the variance of a bin of it is N.
+    runs = [
+        local_response(white(seed), rng.standard_normal((60, SAMPLES)), RATE, (1.0, 3.0), CONFIG)
+        for seed in range(8)
+    ]
+    scaled = np.stack([run.response / np.sqrt(SAMPLES * run.gain) for run in runs])
+    # Bins are correlated: 480 runs of 2 Hz scatter by 2 %.
+    assert abs(np.mean(np.abs(scaled) ** 2) - 1.0) < 0.06
+    stated = [np.einsum("ccf->cf", run.noise).real / SAMPLES for run in runs]
+    assert abs(np.mean(stated) - 1.0) < 0.03
+    correlation = np.mean([run.bin_correlation() for run in runs], axis=0)
+    assert correlation.size == 25
+    assert correlation[0] == 1.0
+    for lag in range(1, 25):
+        products = scaled[:, :, lag:] * np.conj(scaled[:, :, :-lag])
+        assert abs(np.mean(products.real) - correlation[lag]) < 0.06
+    assert correlation[1] > 0.8
+    assert abs(correlation[24]) < 0.1
+
+
+def test_combined_variance_knows_that_errors_of_outputs_are_correlated() -> None:
+    source = white(1)
+    rng = np.random.default_rng(6)
+    common, own = rng.standard_normal((2, SAMPLES))
+    found = estimate(source, common, 2.0 * common + 0.01 * own)
+    size = found.f.size
+    difference = np.stack((np.full(size, -2.0 + 0j), np.ones(size, np.complex128)))
+    alone = np.stack((np.zeros(size, np.complex128), np.ones(size, np.complex128)))
+    ratio = np.mean(found.combined_variance(difference)) / np.mean(found.combined_variance(alone))
+    np.testing.assert_allclose(ratio, 0.01**2 / 4.0, rtol=0.1)
+
+
+def test_at_the_edges_of_the_spectrum_windows_are_shifted_not_cut() -> None:
+    source = white(1)
+    found = local_response(source, np.stack((3.0 * source,)), RATE, (0.0, 100.0), CONFIG)
+    assert (found.first[0], found.first[-1]) == (1, SAMPLES // 2 - 25)
+    np.testing.assert_allclose(found.response, 3.0, rtol=1e-9)
+
+
+def test_scale_and_offset_of_signals_do_not_matter() -> None:
+    source, output, _ = resonance(4)
+    one = estimate(source, output)
+    other = estimate(1e-4 * source + 5.0, 1e3 * output - 70.0)
+    np.testing.assert_allclose(other.response, 1e7 * one.response, rtol=1e-7)
+    np.testing.assert_allclose(other.gain, 1e8 * one.gain, rtol=1e-6)
+
+
+def test_when_the_input_is_still_expect_the_frequency_in_the_error() -> None:
+    with pytest.raises(DataError, match=r"no perturbation at 0\.1221 Hz"):
+        estimate(np.zeros(SAMPLES), white(1))
+
+
+def test_when_the_input_has_a_few_lines_only_expect_data_error() -> None:
+    time = np.arange(SAMPLES) / SAMPLES
+    lines = np.sum([np.cos(2.0 * np.pi * k * time) for k in range(5, 800, 10)], axis=0)
+    with pytest.raises(DataError, match="too few spectral lines around"):
+        estimate(lines, white(1))
+
+
+@pytest.mark.parametrize("samples", [10, 40, 50])
+def test_when_the_record_is_too_short_expect_the_number_of_samples(samples: int) -> None:
+    with pytest.raises(DataError, match=rf"{samples} samples are too few .* over 25 bins"):
+        local_response(white(1, samples), white(2, samples)[None], RATE, (0.1, 60.0), CONFIG)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"order": -1}, "order must not be negative, got -1"),
+        ({"half_width": 2}, "5 bins are too few .* at least 3, got 2"),
+        ({"order": 5, "half_width": 5}, "at least 6, got 5"),
+    ],
+)
+def test_when_polynomials_have_no_freedom_left_expect_configuration_error(
+    options: dict[str, int], message: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=message):
+        LocalPolynomialConfig(**options)

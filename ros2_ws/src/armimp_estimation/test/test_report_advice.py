@@ -1,0 +1,155 @@
+"""Problems get the advice that fits, as the sentences are now."""
+
+import json
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from armimp_common import contract
+from armimp_common.errors import DataError
+from armimp_estimation import verdict
+from armimp_estimation.assemble import assemble_trials
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.bags.synthetic import Message, synthetic_recording
+from armimp_estimation.frf import order_trials
+from armimp_estimation.report.advice import ADVICE, OTHER, advise
+from armimp_estimation.report.formats import difference, number, percent, uncertain
+from armimp_estimation.report.provenance import ASSUMPTION, CHOSEN, assumptions, origin
+from armimp_estimation.report.testing import METADATA
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.trial import TrialData
+
+LIMITS = verdict.Limits()
+NAMES = ("shoulder", "elbow")
+CONFIG = json.loads(METADATA["config"])
+
+
+def kind(problem: str) -> str:
+    ((advice, sentences),) = advise([problem])
+    assert sentences == [problem]
+    return advice.title
+
+
+def test_problems_with_locking() -> None:
+    found = verdict.judge_locking(NAMES, np.full((2, 2), 0.5), np.full((2, 2), 0.5), LIMITS)
+    assert len(found) == 6
+    assert {kind(one) for one in found} == {"Joints that should have been held still moved"}
+
+
+def test_problems_with_coherence() -> None:
+    found = verdict.judge_coherence(NAMES, np.zeros(2), np.zeros((2, 2)), 0.25)
+    assert len(found) == 6
+    assert {kind(one) for one in found} == {"A joint does not answer its perturbation"}
+
+
+def test_problems_with_an_estimate() -> None:
+    found = verdict.judge_estimate("welch_siso", np.zeros((1, 1)), np.zeros((1, 1)), LIMITS)
+    assert [kind(one) for one in found] == [
+        "The torque is not explained by the motion",
+        "The impedance is not that of inertia, viscosity and stiffness",
+    ]
+
+
+def assembled_problem(messages: Sequence[Message]) -> str:
+    topics: dict[str, list[bytes]] = {}
+    for topic, _, raw in messages:
+        topics.setdefault(topic, []).append(raw)
+    statuses = [decode_trial_status(raw) for raw in topics.pop(contract.TRIAL)]
+    (trial,) = assemble_trials(NAMES, topics, statuses)
+    with pytest.raises(DataError) as caught:
+        trial.require()
+    return str(caught.value)
+
+
+def test_problems_with_samples() -> None:
+    messages = list(synthetic_recording(ticks=100).messages)
+    torques = [i for i, (topic, *_) in enumerate(messages) if topic == contract.TORQUE_SENSORS]
+    lost = messages[: torques[50]] + messages[torques[50] + 1 :]
+    twice = messages[: torques[50]] + messages[torques[50] :][:1] + messages[torques[50] :]
+    for spoiled in (lost, twice):
+        assert kind(assembled_problem(spoiled)) == "Samples are missing or in disorder"
+
+
+def test_problems_with_the_set_of_trials() -> None:
+    loop = SyntheticConfig(rate=125.0, samples=3000)
+    record = synthetic_trial(TWO_JOINT_ARM, 0, loop, 1)
+    welch = WelchConfig(segment=1024, overlap=768)
+    one = TrialData.from_record(record, welch)
+    both = TrialData.from_record(replace(record, perturbation=record.perturbation + 1.0), welch)
+    for trials in ([], [one], [one, one], [both, both]):
+        with pytest.raises(DataError) as caught:
+            order_trials(trials)
+        assert kind(str(caught.value)) == "The trials do not make a whole"
+
+
+def test_problems_with_a_short_record() -> None:
+    record = synthetic_trial(TWO_JOINT_ARM, 0, SyntheticConfig(samples=100), 1)
+    with pytest.raises(DataError) as caught:
+        TrialData.from_record(record)
+    assert kind(str(caught.value)) == "There are too few samples"
+
+
+@pytest.mark.parametrize(
+    ("problem", "title"),
+    [
+        ("interrupted by the user", "The run was stopped"),
+        ("trial 1: aborted: operator pressed stop", "The run was stopped"),
+        ("node arm_sim was killed by signal 9", "A node failed"),
+        ("the moon is full", OTHER.title),
+    ],
+)
+def test_problems_of_a_run(problem: str, title: str) -> None:
+    assert kind(problem) == title
+
+
+def test_problems_of_one_kind_come_together_in_their_order() -> None:
+    found = advise(["node a died", "interrupted by the user", "node b died"])
+    assert [(advice.title, problems) for advice, problems in found] == [
+        ("A node failed", ["node a died", "node b died"]),
+        ("The run was stopped", ["interrupted by the user"]),
+    ]
+
+
+def test_every_kind_of_problem_says_what_to_do() -> None:
+    assert all(one.text and re.compile(one.pattern) for one in ADVICE)
+
+
+def test_parameters_say_where_they_come_from() -> None:
+    assert origin(CONFIG, "arm_sim", "arm.inertia") == "paper, Table I"
+    assert origin(CONFIG, "arm_sim", "friction.coulomb") == ASSUMPTION
+    assert origin(CONFIG, "arm_sim", "robot.masses") == ASSUMPTION
+    assert origin(CONFIG, "imbic_controller", "target.damping") == ASSUMPTION
+    assert origin(CONFIG, "imbic_controller", "law.gamma") == CHOSEN
+    assert origin(CONFIG, "arm_sim", "joints") == ""
+
+
+def test_of_a_third_joint_the_paper_says_nothing() -> None:
+    config = {"experiment": {"joints": 3}, "arm_sim": {}}
+    assert ASSUMPTION in origin(config, "arm_sim", "arm.inertia")
+    assert [title for title, _ in assumptions(config)][0] == "Third joint"
+
+
+@pytest.mark.parametrize("config", [{}, {"experiment": "text"}, {"experiment": None}, {"a": [1]}])
+def test_a_configuration_of_another_kind_is_taken_without_assumptions(
+    config: dict[str, object],
+) -> None:
+    assert assumptions(config) == []
+    assert origin(config, "arm_sim", "unheard_of") == ""
+
+
+def test_an_error_gets_two_digits_and_the_estimate_as_many_decimals() -> None:
+    assert uncertain(0.184406, 0.00069951) == "0.18441 ± 0.00070"
+    assert uncertain(-7.98196, 0.24772) == "−7.98 ± 0.25"
+    assert uncertain(1234.5, 35.8) == "1234 ± 36"
+    assert uncertain(2.0, float("nan")) == "2 ± –"
+    assert uncertain(float("nan"), 0.0) == "– ± –"
+
+
+def test_what_is_not_a_number_is_a_dash() -> None:
+    assert number(float("inf")) == percent(float("nan")) == difference(1.0, 0.0) == "–"
+    assert difference(1.1, 1.0) == "+10.00\N{NARROW NO-BREAK SPACE}%"
+    assert number(62.708, ".1f", "°") == "62.7°"

@@ -1,0 +1,187 @@
+"""What is drawn of a curve or a signal."""
+
+import base64
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armimp_estimation.mbk import MBK
+from armimp_estimation.report.curves import (
+    BodeCurve,
+    CoherenceCurves,
+    coherence_floor,
+    element_curve,
+    envelope,
+    magnitude_range,
+    phase_range,
+    true_curve,
+)
+from armimp_estimation.report.look import COLOURS, looks
+from armimp_estimation.report.plots import packed
+from armimp_estimation.report.traces import rows_of
+from armimp_estimation.results import ImpedanceCurve
+from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+
+F = np.linspace(0.1, 15.0, 40)
+
+
+def curve(z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.0) -> BodeCurve:
+    values = np.broadcast_to(np.asarray(z, dtype=np.complex128), F.shape)
+    stored = ImpedanceCurve(
+        f=F,
+        Z=values[None, None],
+        variance=np.full((1, 1, F.size), deviation**2),
+        averages=averages,
+    )
+    return element_curve(stored, 0, 0)
+
+
+def test_band_of_the_magnitude_is_as_wide_as_the_circle_of_confidence() -> None:
+    one = curve(5.0)
+    lower, upper = one.magnitude_band
+    np.testing.assert_allclose(upper - 5.0, one.radius)
+    np.testing.assert_allclose(5.0 - lower, one.radius)
+    assert 0.2 < one.radius[0] < 0.4  # 2.4 to 3.5 times sqrt(variance), as F(2, 20) has it
+
+
+def test_band_of_the_phase_is_the_angle_under_which_the_circle_is_seen() -> None:
+    one = curve(1j)
+    lower, upper = one.phase_band
+    np.testing.assert_allclose(np.sin(np.radians(upper - 90.0)), one.radius)
+    np.testing.assert_allclose(upper - 90.0, 90.0 - lower)
+
+
+def test_when_the_circle_holds_zero_expect_any_phase_and_a_positive_magnitude() -> None:
+    one = curve(1.0, deviation=10.0)
+    lower, upper = one.phase_band
+    np.testing.assert_allclose(upper - lower, 360.0)
+    assert (one.magnitude_band[0] > 0.0).all()
+
+
+def test_when_there_is_one_average_only_expect_no_band() -> None:
+    assert np.isnan(curve(1.0, averages=1.0).magnitude_band).all()
+
+
+@pytest.mark.parametrize("turns", [-2, -1, 1, 2])
+def test_phase_is_shown_in_the_turn_next_to_zero(turns: int) -> None:
+    # Noise in the first bin decides in which turn the unwrapped phase begins.
+    ramp = np.linspace(0.0, np.pi, F.size)
+    ramp[0] += turns * 0.99 * np.pi
+    one = curve(np.exp(1j * ramp))
+    assert abs(np.median(one.phase) - 90.0) < 10.0
+
+
+def test_true_curve_is_that_of_the_matrices() -> None:
+    arm = MBK(M=np.eye(2), B=np.zeros((2, 2)), K=np.array([[4.0, 1.0], [1.0, 4.0]]))
+    one = true_curve(arm, np.array([0.1, 10.0]), 0, 1)
+    np.testing.assert_allclose(one.magnitude, 1.0)
+    np.testing.assert_array_equal(one.magnitude_band, [one.magnitude, one.magnitude])
+
+
+def test_one_wild_band_does_not_widen_the_axes() -> None:
+    calm, wild = curve(5.0), curve(6.0, deviation=1e6)
+    low, high = magnitude_range([calm, wild])
+    assert 4.0 < low < 5.0
+    assert 6.0 < high < 7.0
+    assert phase_range([calm, wild]) == (-2.0, 2.0)
+
+
+def test_when_no_value_is_finite_expect_some_axis() -> None:
+    nothing = curve(complex("nan"))
+    assert magnitude_range([nothing]) == (1.0, 10.0)
+    assert phase_range([nothing]) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(("lowest", "floor"), [(0.95, 0.8), (0.6, 0.5), (0.1, 0.0)])
+def test_coherences_share_an_axis_that_shows_all_of_them(lowest: float, floor: float) -> None:
+    def coherences(value: float) -> CoherenceCurves:
+        values = np.full(3, value)
+        return CoherenceCurves(f=F[:3], motion=values, torque=values, derived={"a": values})
+
+    assert coherence_floor([coherences(0.99), coherences(lowest)]) == floor
+
+
+@given(
+    st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=200),
+    st.integers(1, 20),
+    st.sets(st.integers(0, 199)),
+)
+def test_an_envelope_keeps_the_extremes_of_a_signal_whatever_its_gaps(
+    values: list[float], buckets: int, gaps: set[int]
+) -> None:
+    signal = np.array(values)
+    signal[[gap for gap in gaps if gap < signal.size]] = np.nan
+    thinned, step = envelope(signal, buckets)
+
+    assert thinned.size <= 2 * buckets
+    assert thinned.size * step >= signal.size
+    known, kept = signal[np.isfinite(signal)], thinned[np.isfinite(thinned)]
+    if known.size:
+        assert kept.min() == known.min()
+        assert kept.max() == known.max()
+    else:
+        assert kept.size == 0
+
+
+def test_an_envelope_keeps_the_order_in_time() -> None:
+    rising, step = envelope(np.arange(100.0), 10)
+    assert step == 5.0
+    assert (np.diff(rising) > 0.0).all()
+
+
+def test_a_short_signal_is_not_thinned() -> None:
+    signal = np.arange(20.0)
+    thinned, step = envelope(signal, 10)
+    np.testing.assert_array_equal(thinned, signal)
+    assert step == 1.0
+
+
+def test_a_gap_between_segments_stays_a_gap() -> None:
+    record = synthetic_trial(TWO_JOINT_ARM, 1, SyntheticConfig(samples=100), seed=1)
+    parts = [
+        type(record)(
+            trial=2,
+            perturbed_joint=1,
+            rate=1000.0,
+            joint_names=record.joint_names,
+            perturbation=record.perturbation[:, part],
+            position=record.position[:, part],
+            torque=record.torque[:, part],
+            start_ns=start * 1_000_000,
+            seed=1,
+        )
+        for start, part in ((5, slice(0, 40)), (55, slice(50, 100)))
+    ]
+    perturbation, angle, held, torque = rows_of(parts, start_ns=0)
+
+    assert (perturbation.joints, angle.joints, held.joints) == ((1,), (1,), (0,))
+    assert torque.joints == (0, 1)
+    gaps = np.isnan(torque.values[0])
+    assert np.flatnonzero(gaps).tolist() == [*range(5), *range(45, 55)]
+    np.testing.assert_array_equal(torque.values[:, 55:], record.torque[:, 50:])
+    np.testing.assert_allclose(np.nanmean(angle.values), 0.0, atol=1e-12)
+    # Degrees.
+    expected = np.degrees(np.ptp(record.position[1, 50:]))
+    assert np.ptp(angle.values[0, 55:]) == pytest.approx(expected)
+
+
+def test_numbers_are_packed_as_plotly_reads_them() -> None:
+    made = packed([1.5, float("nan"), -2.0])
+    read = np.frombuffer(base64.b64decode(made["bdata"]), "<f4")
+    assert made["dtype"] == "f4"
+    np.testing.assert_array_equal(read, np.array([1.5, np.nan, -2.0], np.float32))
+
+
+def test_an_estimator_looks_the_same_whatever_it_is_shown_with() -> None:
+    alone = looks(["welch_full"])["welch_full"]
+    assert looks(["lpm_full", "welch_full"])["welch_full"] == alone
+    assert alone.pale == "rgba(213,94,0,0.18)"
+
+
+def test_estimators_differ_in_colour_and_dashes_even_if_they_are_unknown() -> None:
+    every = looks(["welch_siso", "welch_full", "lpm_full", "direct", "mimo", "new"]).values()
+    assert {look.colour for look in every} == set(COLOURS)
+    assert len({look.dash for look in every}) == len(COLOURS)
+    assert looks(["new"])["new"].label == "new"

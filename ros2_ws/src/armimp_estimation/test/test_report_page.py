@@ -1,0 +1,354 @@
+"""The report of a result: what it says, that it stands alone, and that it can't be subverted."""
+
+import base64
+import hashlib
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from armimp_common import contract
+from armimp_common.errors import DataError
+from armimp_estimation.bags.synthetic import synthetic_recording
+from armimp_estimation.report import REPORT_FILE, Result, load_result, report_page, write_report
+from armimp_estimation.report.testing import METADATA, make_result
+from armimp_estimation.results import Summary, read_summary, write_summary
+from armimp_estimation.testing import recorded_arm
+
+HOSTILE = "\"'><script>alert(1)</script><img src=x onerror=alert(1)><a href='javascript:alert(1)'>"
+
+
+class Page(HTMLParser):
+    """Elements of a page, its text outside of scripts, and its scripts."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.scripts: list[tuple[dict[str, str | None], str]] = []
+        self.words = ""
+        self._open: str = ""
+        self.feed(page)
+        self.close()
+        self.words = " ".join(self.words.split())
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._open = tag
+        if tag == "script":
+            self.scripts.append((dict(attrs), ""))
+
+    def handle_endtag(self, tag: str) -> None:
+        self._open = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._open == "script":
+            attributes, text = self.scripts[-1]
+            self.scripts[-1] = (attributes, text + data)
+        elif self._open != "style":
+            self.words += data + " "
+
+    def ids(self) -> list[str]:
+        return [attributes["id"] or "" for _, attributes in self.elements if "id" in attributes]
+
+    def plots(self) -> list[dict[str, object]]:
+        kind = "application/json"
+        return [json.loads(text) for given, text in self.scripts if given.get("type") == kind]
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_result(tmp_path_factory.mktemp("report") / "good")
+
+
+@pytest.fixture(scope="module")
+def result(directory: Path) -> Result:
+    return load_result(directory)
+
+
+@pytest.fixture(scope="module")
+def page(result: Result) -> Page:
+    return Page(report_page(result))
+
+
+def altered(directory: Path, target: Path, **changes: object) -> Path:
+    """A copy of a result without bags, with another summary."""
+    target.mkdir()
+    summary = read_summary(directory / "summary.json")
+    write_summary(target / "summary.json", summary.model_copy(update=changes))
+    (target / "frf.npz").write_bytes((directory / "frf.npz").read_bytes())
+    return target
+
+
+def test_a_valid_result_is_called_so_first(page: Page) -> None:
+    headings = [attributes for tag, attributes in page.elements if tag == "h2"]
+    assert headings[0] == {"id": "verdict-title"}
+    assert "Valid Both trials are complete, the held joints stayed still" in page.words
+    assert "beyond" not in page.words
+
+
+def test_every_section_is_there_and_the_contents_lead_to_all(page: Page) -> None:
+    sections = [attributes["id"] for tag, attributes in page.elements if tag == "section"]
+    links = [a["href"] for tag, a in page.elements if tag == "a" and a.get("href") != "#content"]
+    assert links == [f"#{name}" for name in sections]
+    assert sections == [
+        "verdict",
+        "parameters",
+        "scores",
+        "impedance",
+        "coherence",
+        "locking",
+        "ledger",
+        "traces",
+        "settings",
+        "assumptions",
+    ]
+
+
+def test_estimates_stand_beside_their_errors_and_the_truth(page: Page, result: Result) -> None:
+    one = result.summary.estimators["welch_siso"]
+    value, error = one.M[0][0], one.M_se[0][0]
+    # Two digits of the standard error.
+    decimals = len(re.sub(r"^0\.0*", "", f"{error:.2g}")) + len(f"{error:.2g}") - 2
+    assert f"{value:.3f}"[:5] in page.words
+    assert decimals
+    assert "true value" in page.words
+    assert "Simulation" in page.words
+    assert "M 11 0.187" in page.words
+
+
+def test_without_truth_there_is_no_word_of_simulation_and_the_relative_error_is_shown(
+    directory: Path, tmp_path: Path
+) -> None:
+    summary = read_summary(directory / "summary.json")
+    estimators = {
+        name: one.model_copy(update={"vaf": None}) for name, one in summary.estimators.items()
+    }
+    target = altered(directory, tmp_path / "rig", truth=None, config={}, estimators=estimators)
+    words = Page(report_page(load_result(target))).words
+    assert "relative s.e." in words
+    assert "imulat" not in words
+    assert "VAF" not in words
+    assert "they were made elsewhere" in words
+
+
+def test_plots_are_one_per_element_and_one_per_trial(page: Page) -> None:
+    figures = [a["id"] for tag, a in page.elements if tag == "figure"]
+    elements = ["1-1", "1-2", "2-1", "2-2"]
+    assert figures == [
+        *(f"bode-{element}" for element in elements),
+        *(f"coherence-{element}" for element in elements),
+        "trace-1-1",
+        "trace-2-2",
+    ]
+    assert len(page.plots()) == 8 + 2 * 3  # three views of each trial
+
+
+def test_controls_switch_what_is_in_the_plots(page: Page) -> None:
+    switches = {a["data-switch"] for _, a in page.elements if "data-switch" in a}
+    assert switches == {"estimator:welch_siso", "estimator:welch_full", "bands", "truth"}
+    traces = page.plots()[0]["data"]
+    assert isinstance(traces, list)
+    assert {tag for trace in traces for tag in trace["meta"]} == switches
+
+
+def test_every_plot_and_table_is_described_for_those_who_do_not_see_it(page: Page) -> None:
+    canvases = [a for _, a in page.elements if a.get("class") == "canvas"]
+    assert len(canvases) == 10
+    assert all(a["role"] == "img" and a["aria-label"] for a in canvases)
+    headers = [a for tag, a in page.elements if tag == "th"]
+    assert all(a["scope"] in {"col", "row", "colgroup", "rowgroup"} for a in headers)
+    tables = [tag for tag, _ in page.elements if tag in {"table", "caption"}]
+    assert tables == ["table", "caption"] * (len(tables) // 2)
+    assert ("html", {"lang": "en"}) in page.elements
+
+
+def test_identifiers_are_unique(page: Page) -> None:
+    assert len(set(page.ids())) == len(page.ids())
+
+
+def test_ledger_counts_every_stream(page: Page) -> None:
+    assert "joint angles joint_states 10000 10000 0 0 0" in page.words
+    assert "torque commands effort_controller/commands 10000 10000 0 – –" in page.words
+
+
+def test_configuration_is_shown_with_its_sources(page: Page) -> None:
+    assert "friction.coulomb 1, 1 assumption" in page.words
+    assert "law.gamma 90 set for this run" in page.words
+    assert "python 3.12.0" in page.words
+    assert "git revision 0123abc" in page.words
+    assert "LuGre friction of level 2" in page.words
+    assert "seed 5" in page.words
+
+
+def test_the_page_needs_nothing_but_itself(page: Page) -> None:
+    for tag, attributes in page.elements:
+        assert tag not in {"link", "iframe", "object", "embed", "base"}
+        assert "src" not in attributes
+        assert (attributes.get("href") or "#").startswith("#")
+        assert not [name for name in attributes if name.startswith("on")]
+
+
+def test_no_script_may_run_but_the_two_that_belong_to_it(page: Page) -> None:
+    (policy,) = [
+        attributes["content"] or ""
+        for tag, attributes in page.elements
+        if attributes.get("http-equiv") == "Content-Security-Policy"
+    ]
+    runnable = [text for given, text in page.scripts if "type" not in given]
+    assert len(runnable) == 2
+    hashes = [
+        "'sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() + "'"
+        for text in runnable
+    ]
+    assert policy.startswith("default-src 'none'; ")
+    assert f"script-src {' '.join(hashes)};" in policy
+    assert "http" not in policy
+
+
+def test_equal_results_give_equal_reports(result: Result) -> None:
+    assert report_page(result) == report_page(result)
+
+
+def test_the_file_is_written_whole_and_replaces_an_older_one(
+    result: Result, tmp_path: Path
+) -> None:
+    (tmp_path / REPORT_FILE).write_text("old")
+    path = write_report(tmp_path, result)
+    assert path.read_text(encoding="utf-8") == report_page(result)
+    assert [file.name for file in tmp_path.iterdir()] == [REPORT_FILE]
+    assert path.stat().st_size < 6e6
+
+
+def test_when_it_cannot_be_written_expect_the_path_in_the_error(
+    result: Result, tmp_path: Path
+) -> None:
+    with pytest.raises(DataError, match=r"nowhere/report.html: cannot be written: No such file"):
+        write_report(tmp_path / "nowhere", result)
+
+
+def test_an_invalid_result_says_why_and_what_to_do(directory: Path, tmp_path: Path) -> None:
+    problem = "elbow was not held still while shoulder was perturbed: it moved by 9 % of it"
+    target = altered(directory, tmp_path / "bad", valid=False, problems=[problem])
+    words = Page(report_page(load_result(target, []))).words
+    assert "Not valid: 1 problem " in words
+    assert "Joints that should have been held still moved" in words
+    assert problem.replace(" %", "\N{NO-BREAK SPACE}%") in words.replace(
+        "\xa0", "\N{NO-BREAK SPACE}"
+    )
+    assert "What to do:" in words
+    assert "do not use them as a result" in words
+
+
+def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None:
+    messages = list(recorded_arm().messages)
+    # The torque sensor falls silent in the second trial.
+    torques = [i for i, (topic, *_) in enumerate(messages) if topic == contract.TORQUE_SENSORS]
+    gone = set(torques[-3000:-2000])
+    kept = [message for i, message in enumerate(messages) if i not in gone]
+    result = load_result(make_result(tmp_path / "gap", messages=kept))
+    page = Page(report_page(result))
+
+    assert not result.summary.valid
+    assert result.summary.estimators == {}
+    assert "Nothing could be estimated" in page.words
+    assert "Samples are missing or in disorder" in page.words
+    assert re.search(r"torques on the arm torque_sensors \d+ \d+ 1000 0 0", page.words)
+    assert "Not usable: samples lost: torque_sensors 1000" in page.words
+    figures = [a["id"] for tag, a in page.elements if tag == "figure"]
+    # The first trial is whole: its coherences can be shown all the same.
+    assert figures == ["coherence-1-1", "coherence-2-1", "trace-1-1", "trace-2-2"]
+
+
+def test_a_summary_alone_is_enough_and_what_lacks_is_said(directory: Path, tmp_path: Path) -> None:
+    target = altered(directory, tmp_path / "alone")
+    (target / "frf.npz").unlink()
+    result = load_result(target)
+    words = Page(report_page(result)).words
+    assert result.trials == ()
+    assert result.curves == {}
+    assert len(result.notes) == 2
+    assert "frf.npz: not a file of impedance curves" in words
+    assert "no time traces: bags/session" in words
+    assert "trial of joint 1 10000 0" in words
+
+
+def test_curves_of_another_size_are_not_drawn(directory: Path, tmp_path: Path) -> None:
+    summary = read_summary(directory / "summary.json")
+    target = altered(directory, tmp_path / "three", joints=3, estimators=summary.estimators)
+    result = load_result(target, [])
+    assert result.curves == {}
+    assert "expected (3, 3, " in result.notes[0]
+
+
+def test_bags_may_be_elsewhere(directory: Path, tmp_path: Path) -> None:
+    target = altered(directory, tmp_path / "replayed")
+    bag = directory / "bags" / "session"
+    result = load_result(target, [bag, bag])
+    assert [one.assembled.trial for one in result.trials] == [1, 2]
+    assert result.joint_names == recorded_arm().records[0].joint_names
+
+
+def test_when_there_is_no_summary_expect_data_error(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"summary.json: No such file"):
+        load_result(tmp_path)
+
+
+def hostile_summary(summary: Summary) -> Summary:
+    """The same with the payload wherever there is a string."""
+    (first, *_) = summary.estimators.values()
+    trials = [trial.model_copy(update={"bag": HOSTILE}) for trial in summary.trials]
+    return summary.model_copy(
+        update={
+            "valid": False,
+            "problems": [HOSTILE, f"node {HOSTILE} died"],
+            "trials": trials,
+            "estimators": {HOSTILE: first, **summary.estimators},
+            "config": {
+                HOSTILE: {HOSTILE: HOSTILE, "list": [HOSTILE, [HOSTILE]], "deep": {"a": HOSTILE}},
+                "text": HOSTILE,
+                "experiment": {"friction": HOSTILE, "joints": HOSTILE, "arm_sim": HOSTILE},
+                "arm_sim": {"joints": [HOSTILE, HOSTILE], "friction.coulomb": HOSTILE},
+                "versions": HOSTILE,
+            },
+        }
+    )
+
+
+def test_hostile_strings_in_a_summary_stay_text(directory: Path, tmp_path: Path) -> None:
+    target = tmp_path / "<img src=x onerror=alert(1)>"
+    target.mkdir()
+    summary = read_summary(directory / "summary.json")
+    write_summary(target / "summary.json", hostile_summary(summary))
+    page = Page(report_page(load_result(target)))
+
+    assert HOSTILE in page.words
+    assert_harmless(page)
+
+
+def test_hostile_names_of_joints_stay_text(tmp_path: Path) -> None:
+    names = [HOSTILE, "<b>$x$</b>%{x}"]
+    recording = synthetic_recording(joint_names=names, perturbed=(0, 1), ticks=5000)
+    result = load_result(
+        make_result(
+            tmp_path / "names", messages=recording.messages, metadata={**METADATA, "truth": "null"}
+        )
+    )
+    assert result.joint_names == tuple(names)
+    page = Page(report_page(result))
+
+    assert HOSTILE in page.words
+    assert_harmless(page)
+    # Plotly makes links of some tags, so it gets none.
+    traces = [trace for plot in page.plots() for trace in plot["data"]]  # type: ignore[attr-defined]
+    assert not [trace for trace in traces if "<" in trace.get("name", "")]
+    assert [trace for trace in traces if "&lt;script&gt;" in trace.get("name", "")]
+
+
+def assert_harmless(page: Page) -> None:
+    assert {tag for tag, _ in page.elements}.isdisjoint({"img", "svg", "iframe", "base"})
+    assert len([given for given, _ in page.scripts if "type" not in given]) == 2
+    for tag, attributes in page.elements:
+        assert not [name for name in attributes if name.startswith("on")], tag
+        assert (attributes.get("href") or "#").startswith("#")

@@ -1,0 +1,146 @@
+"""Packed values: what holds for one float holds for each of several in one value, to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from armimp_common.compiled import compiled_entry
+from armimp_sim.elementary import exp_minus, sine_cosine
+from armimp_sim.kernel import WIDTH, width_for
+from armimp_sim.packed import Tag, fill, load, power_of_two, store, where_less
+
+Array = NDArray[np.float64]
+ONE: Tag = (0.0,)
+MANY: Tag = (0.0,) * 16
+ROUNDER = 6755399441055744.0
+# All kinds of numbers, in no order: signs, zeros, tiny, huge, infinite and none at all.
+SPECIAL = (0.0, -0.0, 1.0, -1.0, 5e-324, -1e-308, 1e308, -np.inf, np.inf, np.nan, 0.1, -3.7)
+
+
+@compiled_entry
+def _arithmetic(a: Array, b: Array, factor: float, width: Tag, out: Array) -> None:
+    x, y = load(a, 0, width), load(b, 0, width)
+    results = (x + y, x - y, x * y, x / y, -x, abs(x), x * factor, factor - y, factor / x, x + 1.0)
+    for row in range(len(results)):
+        store(out, row * len(width), results[row])
+
+
+@compiled_entry
+def _in_place(a: Array, b: Array, width: Tag, out: Array) -> None:
+    x, y = load(a, 0, width), load(b, 0, width)
+    x += y
+    x *= y
+    x -= fill(0.5, width)
+    x /= y
+    store(out, 0, x)
+
+
+@compiled_entry
+def _chosen(a: Array, b: Array, width: Tag, out: Array) -> None:
+    x, y = load(a, 0, width), load(b, 0, width)
+    store(out, 0, where_less(x, y, x, y))
+    store(out, len(width), where_less(x, 0.5, 1.0, y))
+
+
+@compiled_entry
+def _elementary(a: Array, width: Tag, out: Array) -> None:
+    x = load(a, 0, width)
+    sine, cosine = sine_cosine(x)
+    store(out, 0, exp_minus(abs(x)))
+    store(out, len(width), sine)
+    store(out, 2 * len(width), cosine)
+
+
+@compiled_entry
+def _powers(a: Array, width: Tag, out: Array) -> None:
+    store(out, 0, power_of_two(load(a, 0, width) + ROUNDER))
+
+
+@compiled_entry
+def _moved(a: Array, source: int, target: int, width: Tag, out: Array) -> None:
+    store(out, target, load(a, source, width))
+
+
+def _both_ways(
+    operation: Callable[..., None], rows: int, *arrays: Array, constants: tuple[float, ...] = ()
+) -> tuple[Array, Array]:
+    """Results (rows, 16) of all numbers in one value, and of each number alone."""
+    together = np.full((rows, len(MANY)), -1e3)
+    operation(*arrays, *constants, MANY, together.reshape(-1))
+    alone = np.full((rows, len(MANY)), -2e3)
+    for lane in range(len(MANY)):
+        one = np.zeros(rows)
+        operation(*(array[lane : lane + 1].copy() for array in arrays), *constants, ONE, one)
+        alone[:, lane] = one
+    return together, alone
+
+
+def _same_bits(one: Array, other: Array) -> bool:
+    """Equal, with the sign of zero; all numbers that are none count as one."""
+    a, b = (np.where(np.isnan(values), np.nan, values) for values in (one, other))
+    return bool(np.array_equal(a.view(np.int64), b.view(np.int64)))
+
+
+def _mixed(seed: int) -> tuple[Array, Array]:
+    random = np.random.default_rng(seed)
+    values = np.concatenate([SPECIAL, random.normal(size=4)])
+    return random.permutation(values), random.permutation(values)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_arithmetic_is_that_of_single_floats_to_the_last_bit(seed: int) -> None:
+    a, b = _mixed(seed)
+    together, alone = _both_ways(_arithmetic, 10, a, b, constants=(0.3,))
+    assert _same_bits(together, alone)
+    expected = [a + b, a - b, a * b, a / b, -a, abs(a), a * 0.3, 0.3 - b, 0.3 / a, a + 1.0]
+    assert _same_bits(together, np.array(expected))
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_arithmetic_in_place_gives_the_same_as_with_new_names() -> None:
+    a, b = _mixed(1)
+    together, alone = _both_ways(_in_place, 1, a, b)
+    assert _same_bits(together, alone)
+    assert _same_bits(together[0], ((a + b) * b - 0.5) / b)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_choice_is_made_lane_by_lane_and_nan_is_never_less(seed: int) -> None:
+    a, b = _mixed(seed)
+    together, alone = _both_ways(_chosen, 2, a, b)
+    assert _same_bits(together, alone)
+    assert _same_bits(together, np.array([np.where(a < b, a, b), np.where(a < 0.5, 1.0, b)]))
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-1e5, 1e5), min_size=16, max_size=16))
+def test_elementary_functions_round_alike_in_every_lane(numbers: list[float]) -> None:
+    together, alone = _both_ways(_elementary, 3, np.array(numbers))
+    assert _same_bits(together, alone)
+
+
+def test_power_of_two_of_an_integer_is_exact() -> None:
+    exponents = np.linspace(-1000.0, 1000.0, 16).round()
+    together, alone = _both_ways(_powers, 1, exponents)
+    assert _same_bits(together[0], 2.0**exponents)
+    assert _same_bits(alone[0], 2.0**exponents)
+
+
+@pytest.mark.parametrize(("source", "target"), [(0, 0), (1, 3), (7, 2)])
+def test_values_go_to_the_places_that_are_named_and_to_no_others(source: int, target: int) -> None:
+    numbers, out = np.arange(40.0), np.full(40, -1.0)
+    _moved(numbers, source, target, MANY, out)
+    assert np.array_equal(out[target : target + 16], numbers[source : source + 16])
+    assert np.all(np.delete(out, np.s_[target : target + 16]) == -1.0)
+
+
+def test_single_trial_has_a_block_of_its_own_and_several_fill_wide_ones() -> None:
+    assert width_for(1) == 1
+    assert {width_for(lanes) for lanes in (2, 15, 16, 17, 400)} == {WIDTH}

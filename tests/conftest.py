@@ -1,0 +1,51 @@
+"""Experiments that several tests look at, each run once."""
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.testing import FinishedRun, Run
+from armimp_common.testing import context, domain_id, node
+
+__all__ = ["context", "domain_id", "node"]
+
+
+@pytest.fixture(scope="session")
+def environment() -> Iterator[None]:
+    """Give the environment back as it was: a graph leaves its domain in it."""
+    before = dict(os.environ)
+    yield
+    os.environ.clear()
+    os.environ.update(before)
+
+
+@pytest.fixture(scope="session")
+def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    def run_short(**options: Any) -> FinishedRun:
+        config = ExperimentConfig.model_validate({"duration": 10.0, **options})
+        directory = tmp_path_factory.mktemp("run") / "out"
+        return FinishedRun(directory=directory, summary=run_experiment(config, directory))
+
+    return run_short
+
+
+@pytest.fixture(scope="session")
+def composed(run: Run) -> FinishedRun:
+    """The default experiment, but short, in one process."""
+    return run()
+
+
+@pytest.fixture(scope="session")
+def separate(run: Run) -> FinishedRun:
+    """The same in one process for each node."""
+    return run(processes="separate")
+
+
+@pytest.fixture(scope="session")
+def other_seed(run: Run) -> FinishedRun:
+    """The default experiment, but short, with another seed."""
+    return run(seed=2)

@@ -1,0 +1,156 @@
+"""One experiment, whichever way it runs: the same samples and results to the last bit."""
+
+from typing import Any
+
+import numpy as np
+
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.testing import FinishedRun, Run
+from armimp_common.contract import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+)
+from armimp_common.trial_status import Phase
+from armimp_estimation.bags import read_bag
+from armimp_estimation.conclusion import FinishedTrial, conclude
+from armimp_estimation.results import read_frf, read_summary
+
+TICKS = 10_000
+
+
+def offline(**options: Any) -> list[OfflineTrial]:
+    config = ExperimentConfig.model_validate({"duration": 10.0, **options})
+    return run_offline([node_parameters(config, None).rig()])[0]
+
+
+def test_default_experiment_is_valid_either_way(
+    composed: FinishedRun, separate: FinishedRun
+) -> None:
+    for finished in (composed, separate):
+        assert finished.summary.problems == []
+        assert finished.summary.valid
+        assert finished.summary == read_summary(finished.directory / "summary.json")
+
+
+def test_composed_and_separate_processes_record_the_same_bits(
+    composed: FinishedRun, separate: FinishedRun
+) -> None:
+    composed.assert_same_streams(separate)
+
+
+def test_composed_and_separate_processes_give_the_same_results(
+    composed: FinishedRun, separate: FinishedRun
+) -> None:
+    assert composed.summary.estimators == separate.summary.estimators
+    assert composed.summary.truth == separate.summary.truth
+    curves, others = (read_frf(run.directory / "frf.npz") for run in (composed, separate))
+    assert set(curves) == set(others) == set(composed.summary.estimators)
+    for name, curve in curves.items():
+        np.testing.assert_array_equal(curve.Z, others[name].Z)
+        np.testing.assert_array_equal(curve.variance, others[name].variance)
+
+
+def test_graph_and_loop_without_ros_give_the_same_bits(composed: FinishedRun) -> None:
+    composed.assert_same_as_offline(offline())
+
+
+def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None:
+    contents = [read_bag(bag) for bag in composed.bags]
+    trials = [
+        FinishedTrial(assembled=content.trials[0], bag=trial.bag, rtf=trial.rtf)
+        for content, trial in zip(contents, composed.summary.trials, strict=True)
+    ]
+
+    summary = conclude(
+        trials,
+        metadata=contents[1].metadata,
+        joints=2,
+        estimators=tuple(composed.summary.estimators),
+    ).summary
+
+    assert summary == composed.summary
+
+
+def test_same_seed_again_gives_the_same_bits(composed: FinishedRun, run: Run) -> None:
+    again = run()
+
+    again.assert_same_streams(composed)
+    assert again.summary.estimators == composed.summary.estimators
+
+
+def test_another_seed_gives_another_perturbation_and_motion(
+    composed: FinishedRun, other_seed: FinishedRun
+) -> None:
+    assert other_seed.summary.valid
+    assert other_seed.summary.seed == 2
+    other_seed.assert_same_as_offline(offline(seed=2))
+    for mine, others in zip(composed.trials(), other_seed.trials(), strict=True):
+        for topic in DATA_STREAMS:
+            assert mine.streams[topic] != others.streams[topic]
+
+
+def test_every_stream_of_every_trial_is_complete_and_in_step(composed: FinishedRun) -> None:
+    names = composed.joint_names
+    for trial, summary in zip(composed.trials(), composed.summary.trials, strict=True):
+        assert (summary.ticks, summary.lost) == (TICKS, 0)
+        assert {len(messages) for messages in trial.streams.values()} == {TICKS}
+        stamps = [trial.stamps(topic, names) for topic in (JOINT_STATES, TORQUE_SENSORS)]
+        assert (np.diff(stamps[0]) == PERIOD_NS).all()
+        for other in (stamps[1], trial.stamps(PERTURBATION, names)):
+            np.testing.assert_array_equal(other, stamps[0])
+        for topic in DATA_STREAMS:
+            assert np.isfinite(trial.values(topic, names)).all()
+            assert np.ptp(trial.values(topic, names), axis=1).any()
+
+
+def test_trials_perturb_one_joint_after_the_other(composed: FinishedRun) -> None:
+    names = composed.joint_names
+    for k, trial in enumerate(composed.trials()):
+        perturbation = trial.values(PERTURBATION, names)
+        assert perturbation[k].any()
+        assert not np.delete(perturbation, k, axis=0).any()
+        motion = np.std(trial.values(JOINT_STATES, names), axis=1)
+        assert motion.argmax() == k
+        assert [(status.phase, status.joint) for status in trial.statuses] == [
+            (phase, k) for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
+        ]
+        assert [status.joint_name for status in trial.statuses] == [names[k]] * 3
+
+
+def test_three_joints_go_the_same_way(run: Run) -> None:
+    finished = run(joints=3)
+
+    assert [trial.k for trial in finished.summary.trials] == [1, 2, 3]
+    assert [(trial.ticks, trial.lost) for trial in finished.summary.trials] == [(TICKS, 0)] * 3
+    for result in finished.summary.estimators.values():
+        assert np.shape(result.K) == (3, 3)
+        assert np.isfinite(result.K).all()
+    finished.assert_same_as_offline(offline(joints=3))
+    perturbed = [
+        np.flatnonzero(trial.values(PERTURBATION, finished.joint_names).any(axis=1)).tolist()
+        for trial in finished.trials()
+    ]
+    assert perturbed == [[0], [1], [2]]
+
+
+def test_levels_and_overridden_parameters_reach_the_nodes(run: Run) -> None:
+    options: dict[str, Any] = {
+        "friction": 2,
+        "resolution": 1,
+        "perturbation": 2,
+        "arm_sim": {"voluntary": {"rms": 0.1}},
+        "imbic_controller": {"safety.torque_limit": 5.0},
+    }
+
+    finished = run(**options)
+
+    finished.assert_same_as_offline(offline(**options))
+    commands = np.array(
+        [trial.values(COMMANDS, finished.joint_names) for trial in finished.trials()]
+    )
+    assert np.abs(commands).max() == 5.0

@@ -1,0 +1,211 @@
+"""Experiments that go wrong: interrupted, killed, misconfigured, side by side with another."""
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armimp_bringup import orchestrator
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.testing import FinishedRun
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import to_params_yaml
+from armimp_estimation.bags import read_bag
+from armimp_estimation.results import Summary, read_summary
+from armimp_sim.plant import IntegrationError
+
+SHORT: dict[str, Any] = {"duration": 10.0}
+MODULES = {
+    SIM_NODE: "armimp_sim.node",
+    CONTROLLER_NODE: "armimp_control.node",
+    ESTIMATOR_NODE: "armimp_estimation.node",
+}
+
+pytestmark = pytest.mark.usefixtures("environment")
+
+
+def config(**options: Any) -> ExperimentConfig:
+    return ExperimentConfig.model_validate({**SHORT, **options})
+
+
+def assert_ended_in_order(directory: Path, summary: Summary, problem: str) -> None:
+    """Invalid with this problem first, stored, and all bags but empty ones readable."""
+    assert not summary.valid
+    assert summary.problems[0] == problem
+    assert read_summary(directory / "summary.json") == summary
+
+
+def whole_samples(bag: Path) -> int:
+    """Number of samples in the only trial of a bag, all of which must be usable."""
+    (trial,) = read_bag(bag).trials
+    assert trial.record is not None
+    return trial.record.samples
+
+
+@pytest.mark.parametrize(
+    ("processes", "trial"), [("composed", 1), ("composed", 2), ("separate", 1)]
+)
+def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
+    tmp_path: Path, processes: str, trial: int
+) -> None:
+    told: list[Progress] = []
+
+    def interrupted() -> bool:
+        return any(progress.trial == trial and progress.samples > 2000 for progress in told)
+
+    summary = run_experiment(
+        config(processes=processes),
+        tmp_path / "out",
+        on_progress=told.append,
+        interrupted=interrupted,
+    )
+
+    assert_ended_in_order(tmp_path / "out", summary, "interrupted by the user")
+    finished = FinishedRun(directory=tmp_path / "out", summary=summary)
+    assert len(finished.bags) == trial
+    assert all((bag / "metadata.yaml").exists() for bag in finished.bags)
+    assert whole_samples(finished.bags[-1]) > 2000
+    assert [whole_samples(bag) for bag in finished.bags[:-1]] == [10_000] * (trial - 1)
+
+
+def test_when_interrupted_at_once_expect_an_invalid_result_without_a_trial(tmp_path: Path) -> None:
+    summary = run_experiment(config(), tmp_path / "out", interrupted=lambda: True)
+
+    assert_ended_in_order(tmp_path / "out", summary, "interrupted by the user")
+    assert summary.estimators == {}
+
+
+def child(name: str) -> int:
+    """Process id of the node of this name that this process started."""
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
+                arguments = (entry / "cmdline").read_text().split("\0")
+            except (OSError, ValueError):
+                continue
+            if parent == os.getpid() and MODULES[name] in arguments:
+                return int(entry.name)
+    raise AssertionError(f"no child process runs {name}")
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_when_a_node_is_killed_expect_its_name_and_the_samples_so_far(
+    tmp_path: Path, name: str
+) -> None:
+    seen: list[int] = []
+
+    def on_progress(progress: Progress) -> None:
+        if not seen and progress.samples > 2000:
+            seen.append(progress.samples)
+            os.kill(child(name), signal.SIGKILL)
+
+    summary = run_experiment(
+        config(processes="separate"), tmp_path / "out", on_progress=on_progress
+    )
+
+    assert seen
+    assert not summary.valid
+    assert summary.problems[0].startswith(f"node {name} was killed by SIGKILL")
+    assert "\n" not in summary.problems[0]
+    assert read_summary(tmp_path / "out" / "summary.json") == summary
+    (bag,) = FinishedRun(directory=tmp_path / "out", summary=summary).bags
+    assert whole_samples(bag) >= seen[0] - 100
+    for other in MODULES:
+        with pytest.raises(AssertionError, match="no child process"):
+            child(other)
+
+
+def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The orchestrator checks all parameters beforehand: spoil the file which it writes.
+    def spoiled(models: Any) -> str:
+        return re.sub(r"peak: .*", "peak: [1.0]", to_params_yaml(models))
+
+    monkeypatch.setattr(orchestrator, "to_params_yaml", spoiled)
+
+    summary = run_experiment(config(), tmp_path / "out")
+
+    assert not summary.valid
+    assert CONTROLLER_NODE in summary.problems[0]
+    assert "configure" in summary.problems[0]
+    assert summary.trials == []
+    assert not (tmp_path / "out" / "bags").exists()
+
+
+@pytest.mark.xfail(raises=IntegrationError, reason="composed, the error goes on to the caller")
+def test_when_the_simulation_breaks_down_expect_the_reason(tmp_path: Path) -> None:
+    # Bristles so stiff that they can be integrated at rest only.
+    stiff = {"friction.sigma_0": [3e6, 3e6], "friction.sigma_1": [0.0, 0.0]}
+
+    summary = run_experiment(config(arm_sim=stiff), tmp_path / "out")
+
+    assert not summary.valid
+    assert any("h·σ0|v|/g(v)" in problem for problem in summary.problems)
+    assert read_summary(tmp_path / "out" / "summary.json") == summary
+
+
+def test_when_the_output_is_not_empty_expect_a_refusal_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(orchestrator, "GraphContext", None)
+    (tmp_path / "precious").write_text("data")
+
+    with pytest.raises(ConfigurationError, match="is not empty, nothing is overwritten"):
+        run_experiment(config(), tmp_path)
+
+    assert [path.name for path in tmp_path.iterdir()] == ["precious"]
+
+
+def test_when_the_loop_would_be_unstable_expect_a_refusal_before_anything_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(orchestrator, "GraphContext", None)
+    wild = {"law.model_inertia": [9.0, 0.0, 0.0, 9.0]}
+
+    with pytest.raises(ConfigurationError, match="unstable when sampled"):
+        run_experiment(config(imbic_controller=wild), tmp_path / "out")
+
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_experiments_at_once_do_not_hear_each_other(
+    tmp_path: Path, composed: FinishedRun, other_seed: FinishedRun
+) -> None:
+    script = """
+import sys
+from pathlib import Path
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import run_experiment
+
+config = ExperimentConfig(duration=10.0, seed=int(sys.argv[2]))
+summary = run_experiment(config, Path(sys.argv[1]))
+assert summary.valid, summary.problems
+"""
+    environment = {key: value for key, value in os.environ.items() if key != "ROS_DOMAIN_ID"}
+    others = [
+        subprocess.Popen(
+            [sys.executable, "-c", script, str(tmp_path / str(seed)), str(seed)], env=environment
+        )
+        for seed in (1, 2)
+    ]
+    for process in others:
+        assert process.wait(timeout=120.0) == 0
+
+    first, second = (
+        FinishedRun(
+            directory=tmp_path / str(seed),
+            summary=read_summary(tmp_path / str(seed) / "summary.json"),
+        )
+        for seed in (1, 2)
+    )
+    first.assert_same_streams(composed)
+    second.assert_same_streams(other_seed)

@@ -1,0 +1,188 @@
+"""What a running experiment tells: progress, columns as they come, the result, diagnostics."""
+
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64MultiArray
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.testing import FinishedRun
+from armimp_common import contract, qos
+from armimp_common.contract import COMMANDS, RESULT, TRIAL
+from armimp_common.diagnostics import Level, values_of
+from armimp_common.domain import DomainClaim
+from armimp_common.spin import Spinner
+from armimp_common.testing import PATIENCE
+from armimp_common.trial_status import Phase
+from armimp_estimation.messages import CONCLUSION_NAME
+
+SHORT = ExperimentConfig(duration=10.0)
+
+
+def free_domain() -> int:
+    with DomainClaim() as claim:
+        return claim.domain_id
+
+
+@dataclass
+class Bystander:
+    """Somebody in the domain of an experiment, who has no part in it."""
+
+    domain_id: int
+    heard: list[DiagnosticStatus] = field(default_factory=list)
+    done: threading.Event = field(default_factory=threading.Event)
+
+    def __post_init__(self) -> None:
+        self.context = Context()
+        rclpy.init(
+            args=[],
+            context=self.context,
+            domain_id=self.domain_id,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        self.node = Node("bystander", context=self.context)
+
+    def listen(self) -> None:
+        for topic in (TRIAL, RESULT):
+            self.node.create_subscription(
+                DiagnosticStatus, topic, self.heard.append, qos.PROFILES[topic]
+            )
+        self.thread = threading.Thread(target=self.spin)
+        self.thread.start()
+
+    def spin(self) -> None:
+        with Spinner([self.node]) as spinner:
+            spinner.spin(self.done.is_set, period=0.05)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+
+def what(message: DiagnosticStatus) -> str:
+    """A message in one word and a number."""
+    values = values_of(message)
+    if "phase" in values:
+        return f"{values['phase']} {values['trial']}"
+    return str(message.name).removeprefix("impedance_estimator: ")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Account:
+    """What was seen and heard of an experiment."""
+
+    run: FinishedRun
+    heard: list[DiagnosticStatus]
+    progress: list[Progress]
+
+
+@pytest.fixture(scope="module")
+def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Account:
+    directory = tmp_path_factory.mktemp("run") / "out"
+    domain_id = free_domain()
+    bystander = Bystander(domain_id)
+    bystander.listen()
+    progress: list[Progress] = []
+    try:
+        summary = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
+        deadline = time.monotonic() + PATIENCE
+        while CONCLUSION_NAME not in [message.name for message in bystander.heard]:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+    finally:
+        bystander.done.set()
+        bystander.thread.join()
+        bystander.close()
+    return Account(
+        run=FinishedRun(directory=directory, summary=summary),
+        heard=bystander.heard,
+        progress=progress,
+    )
+
+
+def test_columns_are_published_as_each_trial_ends_and_the_result_at_the_end(
+    account: Account,
+) -> None:
+    heard = [what(message) for message in account.heard]
+
+    results = [item for item in heard if not item[-1].isdigit() or item.startswith("column")]
+    assert results == ["column 1", "column 2", "impedance"]
+    trials = [f"{phase} {k}" for k in (1, 2) for phase in ("settle", "perturb", "rest")]
+    assert [item for item in heard if item not in results] == [*trials, "done 2"]
+    # The first column does not wait for the second trial, which takes ten times as long as a rest.
+    assert heard.index("rest 1") < heard.index("column 1") < heard.index("rest 2")
+
+
+def test_published_result_is_the_stored_one(account: Account) -> None:
+    summary = account.run.summary
+    conclusion = next(message for message in account.heard if message.name == CONCLUSION_NAME)
+
+    assert conclusion.level == bytes([Level.OK])
+    values = values_of(conclusion)
+    assert (values["valid"], values["problems"]) == ("true", "")
+    for name, result in summary.estimators.items():
+        for key in ("M", "B", "K", "M_se", "vaf"):
+            published = [float(text) for text in values[f"{name}.{key}"].split()]
+            assert published == np.ravel(getattr(result, key)).tolist()
+
+
+def test_published_columns_have_the_curves_of_their_joint(account: Account) -> None:
+    for k in (1, 2):
+        column = next(
+            values_of(message) for message in account.heard if what(message) == f"column {k}"
+        )
+        assert (column["trial"], column["joint"], column["lost"]) == (str(k), str(k), "0")
+        assert {key.split(".")[0] for key in column if key.endswith(".re")} == {
+            f"{curve}_{i}{k}" for curve in ("R", "T", "Z") for i in (1, 2)
+        }
+
+
+def test_progress_grows_in_every_trial(account: Account) -> None:
+    assert account.progress
+    order = [(progress.trial, progress.samples) for progress in account.progress]
+    assert order == sorted(order)
+    assert {progress.trials for progress in account.progress} == {2}
+    assert {progress.planned for progress in account.progress} == {10_000}
+    assert all(progress.joint == progress.trial for progress in account.progress)
+    assert {progress.phase for progress in account.progress} <= {
+        phase.value for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
+    }
+
+
+def test_a_bystander_changes_nothing(account: Account, composed: FinishedRun) -> None:
+    account.run.assert_same_streams(composed)
+
+
+def test_when_a_stranger_sends_a_bad_command_expect_an_invalid_run_that_says_so(
+    environment: None, tmp_path: Path
+) -> None:
+    domain_id = free_domain()
+    stranger = Bystander(domain_id)
+    publisher = stranger.node.create_publisher(Float64MultiArray, COMMANDS, qos.SAMPLE)
+    done: list[bool] = []
+
+    def on_progress(progress: Progress) -> None:
+        # Discovery goes on in other threads while this one, which runs the graph, waits.
+        if not done and progress.samples > 1000:
+            done.append(True)
+            deadline = time.monotonic() + PATIENCE
+            while publisher.get_subscription_count() < 2 and time.monotonic() < deadline:
+                time.sleep(0.01)
+            publisher.publish(Float64MultiArray(data=[0.0, float("nan")]))
+
+    summary = run_experiment(SHORT, tmp_path / "out", domain_id=domain_id, on_progress=on_progress)
+    stranger.close()
+
+    assert done
+    assert not summary.valid
+    assert f"{contract.SIM_NODE}: rig: command of joint 2 is not finite: nan" in summary.problems
