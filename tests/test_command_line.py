@@ -166,7 +166,7 @@ def test_when_a_joint_has_no_trial_expect_the_result_to_be_invalid(
         (["run", "--friction", "9"], 2, "'friction' = 9"),
         (["run", "--friction", "high"], 2, "--friction"),
         (["run", "--perturbation", "0"], 2, "'perturbation' = 0"),
-        (["run", "--joints", "4"], 2, "'joints' = 4"),
+        (["run", "--joints", "8"], 2, "'joints' = 8: input should be 1, 2, 3, 4, 5, 6 or 7"),
         (["run", "--duration", "nan"], 2, "'duration' = nan"),
         (["run", "--duration", "1"], 2, "'duration' = 1.0"),
         (["run", "--seed", "-1"], 2, "'seed' = -1"),

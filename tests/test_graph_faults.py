@@ -19,7 +19,6 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.schema import to_params_yaml
 from armimp_estimation.bags import read_bag
 from armimp_estimation.results import Summary, read_summary
-from armimp_sim.plant import IntegrationError
 
 SHORT: dict[str, Any] = {"duration": 10.0}
 MODULES = {
@@ -141,7 +140,6 @@ def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
     assert not (tmp_path / "out" / "bags").exists()
 
 
-@pytest.mark.xfail(raises=IntegrationError, reason="composed, the error goes on to the caller")
 def test_when_the_simulation_breaks_down_expect_the_reason(tmp_path: Path) -> None:
     # Bristles so stiff that they can be integrated at rest only.
     stiff = {"friction.sigma_0": [3e6, 3e6], "friction.sigma_1": [0.0, 0.0]}

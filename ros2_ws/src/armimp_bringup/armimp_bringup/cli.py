@@ -47,7 +47,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     processes: Annotated[
         str | None, typer.Option(help="Where the nodes live: composed or separate.")
     ] = None,
-    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 2 or 3.")] = None,
+    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
     estimator: _Estimators = None,
     out: _Out = None,
     domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
@@ -132,6 +132,68 @@ def replay(
             interrupted=stopped,
         )
     return _present(summary, out, json, bags)
+
+
+@app.command()
+def reproduce(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Directory, new or of a study to go on with.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(help="Levels, as in friction=0+3,resolution=0; more than once: all of these."),
+    ] = None,
+    seeds: Annotated[str, typer.Option(help="Seeds, as in 77 or 0:10 or 1,5,10:20.")] = "0",
+    workers: Annotated[int | None, typer.Option(help="Threads; default: one per core.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Scheduler of a dask cluster to run on: tcp://host:port.")
+    ] = None,
+    config: Annotated[
+        Path | None, typer.Option(help="YAML file; its levels and seed do not count.")
+    ] = None,
+    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of each trial, s.")] = None,
+    estimator: _Estimators = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print verdict.json instead of a table.")
+    ] = False,
+) -> int:
+    """Reproduce the paper's study: all levels of friction, resolution and perturbation."""
+    from armimp_bringup.study.command import ReproduceOptions
+    from armimp_bringup.study.command import reproduce as run_study
+
+    return run_study(
+        ReproduceOptions(
+            config=config,
+            out=out if out is not None else _new_directory("study"),
+            only=only or (),
+            seeds=seeds,
+            workers=workers,
+            scheduler=scheduler,
+            joints=joints,
+            duration=duration,
+            estimators=estimator,
+            figures=figures,
+            json=json,
+        )
+    )
+
+
+@app.command()
+def bench(
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME]...", help="Benchmarks; default: all.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="Directory for bench.json.")] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print bench.json instead of a table.")
+    ] = False,
+) -> int:
+    """Measure how fast this machine is; a target that is missed makes the exit status 1."""
+    from armimp_bringup.benchmarks import bench as run_bench
+
+    return run_bench(names or (), out if out is not None else _new_directory("bench"), as_json=json)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -28,7 +28,9 @@ class ExperimentConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    joints: Literal[2, 3] = Field(default=2, description="number of joints of the preset arm")
+    joints: Literal[1, 2, 3, 4, 5, 6, 7] = Field(
+        default=2, description="number of joints of the preset arm"
+    )
     friction: int = Field(default=3, ge=0, le=3, description="friction level")
     resolution: int = Field(default=3, ge=0, le=3, description="sensor resolution level, Table II")
     perturbation: int = Field(default=3, ge=1, le=3, description="perturbation level, Table III")

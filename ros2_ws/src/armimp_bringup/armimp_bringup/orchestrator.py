@@ -14,7 +14,7 @@ from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 from armimp_common import contract, qos
 from armimp_common.diagnostics import Level, values_of
-from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
@@ -214,7 +214,8 @@ def lead(
         supervisor.last_news = time.monotonic()
         drive()
         problems += _watch(supervisor, spinner, nodes, interrupted)
-    except GraphError as error:
+    except ArmimpError as error:
+        # From the graph itself or, where nodes live in this process, from one of their callbacks.
         problems.append(nodes.dead() or str(error))
     if nodes.dead() is None:
         for name in reversed(names):

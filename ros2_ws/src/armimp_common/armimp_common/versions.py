@@ -1,5 +1,6 @@
 """What a result was made with: versions of the software and revision of the sources."""
 
+import functools
 import platform
 import subprocess
 from importlib.metadata import PackageNotFoundError, version
@@ -56,6 +57,7 @@ def git_revision(directory: Path | None = None) -> str:
     return f"{commit}+dirty" if changes else commit
 
 
+@functools.cache
 def _version(distribution: str) -> str:
     try:
         return version(distribution)

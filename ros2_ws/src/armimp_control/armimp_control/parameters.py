@@ -32,8 +32,10 @@ class TargetParameters(Schema):
     inertia: Vector = Field(description="diagonal of M_rd (kg·m²)")
     damping: Vector = Field(description="B_rd of a joint while perturbed (N·m·s/rad)")
     stiffness: Vector = Field(description="K_rd of a joint while perturbed (N·m/rad)")
-    lock_frequency: float = Field(default=100.0, gt=0.0, description="ω of locked joints (rad/s)")
-    lock_damping_ratio: float = Field(default=1.0, gt=0.0, description="ζ of locked joints (–)")
+    lock_frequency: float = Field(
+        default=100.0, gt=0.0, description="ω of joints locked by imbic (rad/s)"
+    )
+    lock_damping_ratio: float = Field(default=1.0, gt=0.0, description="their ζ (–)")
 
 
 class LawParameters(Schema):
@@ -144,6 +146,7 @@ class ControllerParameters(Schema):
                 peak=presets.perturbation(perturbation, len(joints)).peak
             ),
             sequence=SequenceParameters(duration=duration),
+            safety=SafetyParameters(torque_limit=presets.torque_limit(len(joints))),
         )
 
     def law_config(self) -> LawConfig:

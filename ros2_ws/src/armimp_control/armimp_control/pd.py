@@ -10,7 +10,10 @@ arm. So locked joints give way in proportion to their load, and the perturbed jo
 inertia and the friction of the robot on top of its target impedance.
 
 The gains are those of a joint that carries the inertia M of the robot, given a natural frequency ω
-and a damping ratio ζ: K_p = ω² M, K_d = 2ζω M.
+and a damping ratio ζ: K_p = ω² M, K_d = 2ζω M. Assumption: ω = 25 rad/s, ζ = 1. What limits ω on a
+rig is chatter, since one count δ of an encoder commands K_d δ/L: here 2.2 N·m at the shoulder at
+resolution level 3, as much as its Coulomb friction at level 3. (Sampling alone would allow
+450 rad/s.) The stiffness is then 221 and 113 N·m/rad.
 """
 
 from __future__ import annotations
@@ -133,7 +136,5 @@ def pd(
         velocity = (theta[i] - memory[THETA_1, i]) / period
         memory[THETA_1, i] = theta[i]
         command[i] = (
-            tau_delta[i]
-            - role[DAMPING, i] * velocity
-            - role[STIFFNESS, i] * (theta[i] - target[i])
+            tau_delta[i] - role[DAMPING, i] * velocity - role[STIFFNESS, i] * (theta[i] - target[i])
         )

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.sizes import JOINT_SIZES
 from armimp_control.imbic import ImbicConfig
 from armimp_control.perturbation import PerturbationConfig
 
 LEVELS = (1, 2, 3)
 
-# N·m at level 1; the levels are multiples (Table III: 3/1.8, 6/3.6, 9/5.4 N·m).
-# Third joint: assumption.
-_PEAK: dict[int, tuple[float, ...]] = {2: (3.0, 1.8), 3: (3.0, 1.8, 0.3)}
+_PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table III)
 # Assumptions of the two-joint rig: M_rd (kg·m²), and B_rd, K_rd of the perturbed joint.
 _TARGET_INERTIA = (0.2, 0.1)
 _TARGET_DAMPING = (2.0, 1.0)
@@ -21,7 +20,10 @@ _TARGET_STIFFNESS = (10.0, 10.0)
 
 
 def perturbation(level: int, joints: int) -> PerturbationConfig:
-    """Perturbation at a level from 1 to 3 (Table III; a third joint is an assumption).
+    """Perturbation at a level from 1 to 3.
+
+    Shoulder and elbow have that of Table III: 3 and 1.8, 6 and 3.6, 9 and 5.4 N·m. Assumption: the
+    peak of any joint is in proportion to its size, see :data:`armimp_common.sizes.JOINT_SIZES`.
 
     Raises
     ------
@@ -30,11 +32,24 @@ def perturbation(level: int, joints: int) -> PerturbationConfig:
     """
     if level not in LEVELS:
         raise ConfigurationError(f"perturbation level must be one of {LEVELS}, got {level}")
-    if joints not in _PEAK:
+    if joints not in JOINT_SIZES:
         raise ConfigurationError(
-            f"there is no preset perturbation for {joints} joints, only {tuple(_PEAK)}"
+            f"there is no preset perturbation for {joints} joints, only for "
+            f"{min(JOINT_SIZES)} to {max(JOINT_SIZES)}"
         )
-    return PerturbationConfig(peak=tuple(level * peak for peak in _PEAK[joints]))
+    # Rounded, so that the peaks of Table III are exact.
+    return PerturbationConfig(
+        peak=tuple(level * round(_PEAK * size, 6) for size in JOINT_SIZES[joints])
+    )
+
+
+def torque_limit(joints: int) -> float:
+    """Limit of each command, N·m. Assumption.
+
+    About twice what IMBIC commands at the first joint for one count of every encoder at resolution
+    level 3, δ Σ_j M̄_1j / L²: 40 N·m for two joints, 43 for three, 67 for seven.
+    """
+    return 80.0 if joints <= 3 else 140.0
 
 
 def imbic(robot_inertia: NDArray[np.float64], posture: NDArray[np.float64]) -> ImbicConfig:

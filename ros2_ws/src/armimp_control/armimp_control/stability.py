@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.imbic import ImbicConfig
-from armimp_control.layout import DAMPING, INERTIA, SENSED, STIFFNESS
 from armimp_control.law import LawConfig
+from armimp_control.layout import DAMPING, INERTIA, SENSED, STIFFNESS
 
 LIMIT = 2.0
 WARNING_SHARE = 0.8

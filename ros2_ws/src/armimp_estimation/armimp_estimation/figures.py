@@ -17,8 +17,10 @@ from armimp_estimation.report.curves import (
     coherence_curves,
     coherence_floor,
     element_curve,
+    envelope,
     magnitude_range,
     phase_range,
+    phase_step,
     true_curve,
 )
 from armimp_estimation.report.html import plain
@@ -76,6 +78,8 @@ _DASHES: dict[str, Any] = {
 _TICKS = (0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 _RIGHT, _TOP = 0.1, 0.22
 """Margins, inches."""
+_BUCKETS = 1000
+"""More than the dots of a printed column."""
 _LEGEND_ROW = 0.17
 _AXIS_LABEL = 0.42
 """Height of tick labels and title of an abscissa, inches."""
@@ -131,10 +135,11 @@ def impedance_figure(
                 every.append(true)
             magnitude.set_yscale("log")
             magnitude.set_ylim(magnitude_range(every))
-            phase.set_ylim(phase_range(every))
+            ends = phase_range(every)
+            phase.set_ylim(ends)
+            phase.yaxis.set_major_locator(MultipleLocator(phase_step(ends, most=3)))
             magnitude.yaxis.set_major_locator(LogLocator(numticks=20))
             magnitude.yaxis.set_major_formatter("{x:g}")
-            phase.yaxis.set_major_locator(MultipleLocator(90))
             magnitude.set_title(f"$Z_{{{i + 1}{k + 1}}}$", pad=3)
             if k == 0:
                 magnitude.set_ylabel("magnitude (N·m/rad)" if width > ONE_COLUMN else "N·m/rad")
@@ -224,8 +229,9 @@ def trace_figure(
             for number, row in enumerate(rows):
                 axes = figure.add_subplot(grid[number, column])
                 for joint, values in zip(row.joints, row.values[:, :stop], strict=True):
-                    time = PERIOD * np.arange(values.size)
-                    axes.plot(time, values, color=joint_colour(joint), linewidth=0.5)
+                    thinned, step = envelope(values, _BUCKETS)
+                    time = PERIOD * step * np.arange(thinned.size)
+                    axes.plot(time, thinned, color=joint_colour(joint), linewidth=0.5)
                 axes.set_xlim(0.0, PERIOD * min(stop, row.values.shape[1]))
                 axes.tick_params(labelbottom=number == len(rows) - 1)
                 if column == 0:

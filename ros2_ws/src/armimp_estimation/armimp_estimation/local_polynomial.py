@@ -128,13 +128,14 @@ class LocalResponse:
         deviation = np.sqrt(self.gain)
         correlation = np.ones(min(window, size))
         for lag in range(1, correlation.size):
+            lower, upper = self.weights[:-lag], np.conj(self.weights[lag:])
+            sums = np.empty(size - lag)
+            # Windows are as far apart as their bins, but for those that are shifted at the ends.
             shift = self.first[lag:] - self.first[:-lag]
-            # Place, in the window of the lower bin, of each place in that of the upper one.
-            place = np.arange(window) + shift[:, None]
-            common = np.take_along_axis(
-                self.weights[:-lag], np.minimum(place, window - 1), axis=1
-            ) * np.conj(self.weights[lag:])
-            sums = np.sum(np.where(place < window, common, 0.0), axis=1).real
+            for apart in np.unique(shift):
+                rows = shift == apart
+                products = lower[rows, apart:] * upper[rows, : window - apart]
+                sums[rows] = np.sum(products, axis=1).real
             correlation[lag] = np.mean(sums / (deviation[lag:] * deviation[:-lag]))
         return correlation
 

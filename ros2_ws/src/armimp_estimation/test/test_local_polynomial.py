@@ -34,7 +34,7 @@ def signal_of(spectrum: ComplexArray) -> FloatArray:
 
 
 def polynomials(order: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Input, output and response whose transforms are polynomials in frequency but for the input."""
+    """Input, output and response; response and leakage are polynomials in frequency."""
     rng = np.random.default_rng(order)
     source = white(1)
     place = np.linspace(-1.0, 1.0, SAMPLES // 2 + 1)
@@ -43,7 +43,7 @@ def polynomials(order: int) -> tuple[FloatArray, FloatArray, ComplexArray]:
         for _ in range(2)
     )
     output = signal_of(response * np.fft.rfft(source) + 30.0 * leakage)
-    return source, output, response
+    return source, output, np.asarray(response, dtype=np.complex128)
 
 
 def resonance(seed: int) -> tuple[FloatArray, FloatArray, tuple[FloatArray, FloatArray]]:

@@ -130,7 +130,14 @@ def test_parameters_say_where_they_come_from() -> None:
 def test_of_a_third_joint_the_paper_says_nothing() -> None:
     config = {"experiment": {"joints": 3}, "arm_sim": {}}
     assert ASSUMPTION in origin(config, "arm_sim", "arm.inertia")
-    assert [title for title, _ in assumptions(config)][0] == "Third joint"
+    assert assumptions(config)[0][0] == "Third joint"
+
+
+def test_of_an_arm_with_many_joints_all_is_assumed() -> None:
+    config = {"experiment": {"joints": 5}, "arm_sim": {}}
+    assert origin(config, "arm_sim", "arm.inertia") == ASSUMPTION
+    assert origin(config, "imbic_controller", "perturbation.peak") == ASSUMPTION
+    assert assumptions(config)[0][0] == "Arm"
 
 
 @pytest.mark.parametrize("config", [{}, {"experiment": "text"}, {"experiment": None}, {"a": [1]}])

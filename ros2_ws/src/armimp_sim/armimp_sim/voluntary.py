@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,6 +42,14 @@ class VoluntaryConfig:
             )
 
 
+@functools.lru_cache(maxsize=16)
+def _low_pass(cutoff: float, period: float) -> tuple[NDArray[np.float64], float]:
+    """Second-order sections, and the rms with which white noise of rms 1 leaves them (Parseval)."""
+    sos: NDArray[np.float64] = signal.butter(2, cutoff, fs=1.0 / period, output="sos")
+    _, response = signal.freqz_sos(sos, worN=1 << 18)
+    return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
+
+
 class VoluntaryTorque:
     """An endless, reproducible stream of d, one value per joint and tick.
 
@@ -64,11 +73,9 @@ class VoluntaryTorque:
             )
         self._rms, self._joints = config.rms, joints
         self._random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM]))
-        self._sos = signal.butter(2, config.cutoff, fs=1.0 / period, output="sos")
+        self._sos, passed = _low_pass(config.cutoff, period)
         self._state = np.zeros((self._sos.shape[0], joints, 2))
-        # White noise of unit variance leaves the filter with this variance (Parseval).
-        _, response = signal.freqz_sos(self._sos, worN=1 << 18)
-        self._gain = config.rms / np.sqrt(np.mean(np.abs(response) ** 2))
+        self._gain = config.rms / passed
         self._block = np.zeros((0, joints))
         self._next = 0
 

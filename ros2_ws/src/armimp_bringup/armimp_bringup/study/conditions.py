@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -136,9 +137,9 @@ def parse_seeds(text: str) -> tuple[int, ...]:
                 f"--seeds {text!r}: {many} seeds are too many, {MOST_SEEDS} are allowed"
             )
         found += seeds
-    repeated = {seed for seed in found if found.count(seed) > 1} if len(set(found)) < len(found) else set()
+    repeated = [seed for seed, times in Counter(found).items() if times > 1]
     if repeated:
-        raise ConfigurationError(f"--seeds {text!r}: {min(repeated)} is there twice")
+        raise ConfigurationError(f"--seeds {text!r}: {repeated[0]} is there twice")
     return tuple(found)
 
 

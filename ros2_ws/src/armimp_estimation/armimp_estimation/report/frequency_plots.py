@@ -15,6 +15,7 @@ from armimp_estimation.report.curves import (
     element_curve,
     magnitude_range,
     phase_range,
+    phase_step,
     true_curve,
 )
 from armimp_estimation.report.formats import symbol
@@ -109,9 +110,9 @@ def _magnitude_axis(curves: Sequence[BodeCurve]) -> Options:
 
 
 def _phase_axis(curves: Sequence[BodeCurve]) -> Options:
-    low, high = phase_range(curves)
-    step = 90 if high - low > 240.0 else 45
-    return axis("phase (°)", range=[low, high], tick0=0, dtick=step, hoverformat=".1f")
+    ends = phase_range(curves)
+    step = phase_step(ends, most=5)
+    return axis("phase (°)", range=list(ends), tick0=0, dtick=step, hoverformat=".1f")
 
 
 def frequency_axis(grids: Sequence[FloatArray]) -> Options:

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
+_JOINTS = (*COLOURS, "#5f5f5f")
 TRUTH_COLOUR = "#000000"
 MOTION_COLOUR = "#8a8a8a"
 """Of the coherence of perturbation and angle."""
@@ -93,4 +94,4 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
 
 def joint_colour(joint: int) -> str:
     """Colour of a joint (0-based)."""
-    return COLOURS[joint % len(COLOURS)]
+    return _JOINTS[joint % len(_JOINTS)]

@@ -56,6 +56,7 @@ def page(title: str, header: object, chapters: Sequence[Chapter], *, plots: bool
     body = element(
         "body",
         element("a", "Skip to the result", href="#content", class_="skip"),
+        element("noscript", element("p", "The plots need JavaScript.")) if plots else None,
         element("header", header, contents([(name, t) for name, t, part in chapters if part])),
         element("main", *(part for _, _, part in chapters), id="content"),
         *(element("script", Html(script)) for script in scripts),

@@ -11,20 +11,28 @@ from armimp_estimation.report.result import setting
 ASSUMPTION = "assumption"
 DESIGN = "study design"
 CHOSEN = "set for this run"
-_THIRD = "paper, Table I, for two joints; third joint: assumption"
-_PEAK = "paper, Table III, for two joints; third joint: assumption"
+_TABLE_I = {
+    1: "paper, Table I, elbow",
+    2: "paper, Table I",
+    3: f"paper, Table I; wrist: {ASSUMPTION}",
+}
+_TABLE_III = {
+    1: "paper, Table III, elbow",
+    2: "paper, Table III",
+    3: f"paper, Table III; wrist: {ASSUMPTION}",
+}
+"""By the number of joints; for more of them, all is assumed."""
 
-_ORIGINS: tuple[tuple[str, str, str], ...] = (
-    # Parameter; origin for two joints; for more.
-    (r"arm\.", "paper, Table I", _THIRD),
-    (r"robot\.", ASSUMPTION, ASSUMPTION),
-    (r"friction\.", ASSUMPTION, ASSUMPTION),
-    (r"sensors\..*_resolution", "paper, Table II", "paper, Table II"),
-    (r"sensors\.|substeps|perturbation\.(cutoff|order)", DESIGN, DESIGN),
-    (r"perturbation\.peak", "paper, Table III", _PEAK),
-    (r"voluntary\.|target\.|law\.|safety\.|sequence\.(settle|rest)", ASSUMPTION, ASSUMPTION),
-    (r"known\.", "as simulated", "as simulated"),
-    (r"sequence\.duration", "paper: 50 s", "paper: 50 s"),
+_ORIGINS: tuple[tuple[str, str | Mapping[int, str]], ...] = (
+    (r"arm\.", _TABLE_I),
+    (r"robot\.|friction\.", ASSUMPTION),
+    (r"sensors\..*_resolution", "paper, Table II"),
+    (r"sensors\.|substeps|perturbation\.(cutoff|order)", DESIGN),
+    (r"perturbation\.peak", _TABLE_III),
+    (r"law\.kind", "paper: imbic"),
+    (r"voluntary\.|target\.|law\.|safety\.|sequence\.(settle|rest)", ASSUMPTION),
+    (r"known\.", "as simulated"),
+    (r"sequence\.duration", "paper: 50 s"),
 )
 
 
@@ -42,10 +50,10 @@ def origin(config: Mapping[str, Any], node: str, name: str) -> str:
         return ""
     if name in set(_dotted(setting(config, "experiment", node))):
         return CHOSEN
-    two = setting(config, "experiment", "joints") == 2
-    for pattern, for_two, for_more in _ORIGINS:
+    for pattern, source in _ORIGINS:
         if re.match(pattern, name):
-            return for_two if two else for_more
+            joints = setting(config, "experiment", "joints")
+            return source if isinstance(source, str) else source.get(joints, ASSUMPTION)
     return ""
 
 
@@ -75,15 +83,13 @@ def assumptions(config: Mapping[str, Any]) -> list[tuple[str, str]]:
             "relaxed, and strapped in without play.",
         ),
     ]
-    if setting(config, "experiment", "joints") == 3:
-        found.insert(
-            0,
-            (
-                "Third joint",
-                "The paper's arm has two joints. All values of the wrist, and the couplings with "
-                "it, are chosen.",
-            ),
-        )
+    joints = setting(config, "experiment", "joints")
+    if joints == 3:
+        wrist = "All values of the wrist, and the couplings with it, are chosen."
+        found.insert(0, ("Third joint", f"The paper's arm has two joints. {wrist}"))
+    elif isinstance(joints, int) and joints > 3:
+        chain = "All values of this arm and its robot, and the size of its drives, are chosen."
+        found.insert(0, ("Arm", f"The paper's arm has two joints. {chain}"))
     return found
 
 

@@ -88,6 +88,9 @@ def _introduction(result: Result) -> str:
         level = setting(summary.config, "experiment", name)
         if isinstance(level, int):
             facts.append(f"{name} level {level}")
+    law = setting(summary.config, "imbic_controller", "law.kind")
+    if law not in (None, "imbic"):
+        facts.append(f"control law {law}")
     if summary.seed is not None:
         facts.append(f"seed {summary.seed}")
     return " · ".join(facts)

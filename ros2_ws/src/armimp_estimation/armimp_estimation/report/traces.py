@@ -76,15 +76,15 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
     return rows
 
 
-def trace_plot(trial: AssembledTrial, *, prefix: str = "trace") -> Plot:
+def trace_plot(trial: AssembledTrial, identifier: str) -> Plot:
     """Plot of a trial over time: the whole of it thinned out, and both ends in full.
 
     Parameters
     ----------
     trial : AssembledTrial
         With at least one segment.
-    prefix : str
-        Of the identifier.
+    identifier : str
+        Of the plot, unique in its page.
     """
     rows = rows_of(trial.segments, trial.window.start_ns)
     names = trial.segments[0].joint_names
@@ -95,7 +95,7 @@ def trace_plot(trial: AssembledTrial, *, prefix: str = "trace") -> Plot:
         views.append(_view(f"first {length}", rows, names, 0, _EXCERPT))
         views.append(_view(f"last {length}", rows, names, span - _EXCERPT, span))
     return Plot(
-        identifier=f"{prefix}-{trial.window.joint + 1}-{trial.trial}",
+        identifier=identifier,
         caption="Signals over time",
         description=(
             f"Perturbation, angles, torques and commands of trial {trial.trial} over "

@@ -50,7 +50,7 @@ def locking_section(result: Result) -> Html | None:
 def _locking_rows(result: Result, trial: TrialSummary) -> Iterator[list[object]]:
     limits = Limits()
     evidence = next((one for one in result.trials if one.joint == trial.k - 1), None)
-    for i, (ratio, bound) in enumerate(zip(trial.lock_ratio, trial.bias_bound, strict=True)):
+    for i, (ratio, bound) in enumerate(zip(trial.lock_ratio, trial.bias_bound, strict=False)):
         perturbed = i == trial.k - 1
         yield [
             _name(result, i + 1),
@@ -123,11 +123,11 @@ def traces_section(result: Result) -> Html:
         for joint, name in enumerate(result.joint_names)
     )
     parts = []
-    for one in shown:
+    for position, one in enumerate(shown, 1):
         parts += [element("h3", _title(result, one)), element("p", _facts(result, one))]
         if one.assembled.problem:
             parts.append(element("p", f"Not usable: {one.assembled.problem}", class_="beyond"))
-        parts.append(frame(trace_plot(one.assembled)))
+        parts.append(frame(trace_plot(one.assembled, f"trace-{position}")))
     return section(
         "traces",
         "Signals over time",

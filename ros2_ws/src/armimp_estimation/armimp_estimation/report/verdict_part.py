@@ -63,14 +63,14 @@ def _limits_table(result: Result) -> Html:
         [
             check.name,
             check.worst,
-            check.where,
             check.limit,
             "not judged" if check.met is None else mark(check.met),
+            check.where,
         ]
         for check in (*_locking(result), *_coherence(result), *_fits(result), _samples(result))
     ]
-    columns = ["quantity", "worst", "where", "limit", "verdict"]
-    return table("Worst values and limits", columns, [Group(rows=rows)], words=(2, 4))
+    columns = ["quantity", "worst", "limit", "verdict", "where"]
+    return table("Worst values and limits", columns, [Group(rows=rows)], words=(3, 4))
 
 
 def mark(met: bool) -> object:

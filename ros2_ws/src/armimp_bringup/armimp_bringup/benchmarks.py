@@ -1,0 +1,184 @@
+"""The benchmarks behind `armimp bench`. A new one is a function and a line in the registry."""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.versions import git_revision, versions
+
+BENCH_FILE = "bench.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """One figure of a benchmark.
+
+    Parameters
+    ----------
+    key : str
+        Name in ``bench.json``.
+    label : str
+        What people read.
+    value : float
+    unit : str
+        May be empty.
+    limit : float or None
+        What the value must not exceed, if there is a target.
+    """
+
+    key: str
+    label: str
+    value: float
+    unit: str
+    limit: float | None = None
+
+    @property
+    def met(self) -> bool | None:
+        """Whether the target is met; None without one. NaN never meets it."""
+        return None if self.limit is None else self.value <= self.limit
+
+
+Benchmark = Callable[[Callable[[str], None]], list[Measured]]
+"""Takes a function that is told what is being measured; gives the figures."""
+
+
+def _study(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.study.bench import time_study
+
+    return time_study(tell)
+
+
+_BENCHMARKS: dict[str, Benchmark] = {"study": _study}
+
+
+def benchmark_names() -> tuple[str, ...]:
+    """Names of all benchmarks."""
+    return tuple(_BENCHMARKS)
+
+
+def available_cores() -> int:
+    """Processor cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> dict[str, list[Measured]]:
+    """Run benchmarks by name; none means all.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such benchmark.
+    """
+    for name in names:
+        if name not in _BENCHMARKS:
+            raise ConfigurationError(
+                f"there is no benchmark {name!r}, only {', '.join(_BENCHMARKS)}"
+            )
+    return {name: _BENCHMARKS[name](tell) for name in dict.fromkeys(names or _BENCHMARKS)}
+
+
+def bench_record(results: dict[str, list[Measured]]) -> dict[str, Any]:
+    """Content of ``bench.json``: the machine, and each figure by benchmark and key."""
+    return {
+        "schema": 1,
+        "machine": {
+            "cores": available_cores(),
+            "processor": _processor(),
+            "system": platform.platform(),
+        },
+        "versions": versions(),
+        "git_revision": git_revision(),
+        "benchmarks": {
+            name: {
+                one.key: {"value": one.value, "unit": one.unit, "limit": one.limit, "met": one.met}
+                for one in measured
+            }
+            for name, measured in results.items()
+        },
+    }
+
+
+def write_bench(directory: Path, record: dict[str, Any]) -> Path:
+    """Write ``bench.json`` into a directory that has none.
+
+    Raises
+    ------
+    DataError
+        If there is one, or it can't be written.
+    """
+    path = directory / BENCH_FILE
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with path.open("x", encoding="utf-8") as file:
+            file.write(json.dumps(record, indent=1) + "\n")
+    except FileExistsError:
+        raise DataError(f"{path}: exists already") from None
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror}") from None
+    return path
+
+
+def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
+    """Run benchmarks, show and store the figures; 0 if all targets are met, else 1.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such benchmark.
+    DataError
+        If the result can't be stored.
+    """
+    from rich.console import Console
+
+    errors = Console(stderr=True, soft_wrap=True)
+    results = run_benchmarks(names, lambda text: errors.print(text, highlight=False))
+    record = bench_record(results)
+    path = write_bench(directory, record)
+    if as_json:
+        print(json.dumps(record))
+    else:
+        _print(results, path)
+    missed = [one for measured in results.values() for one in measured if one.met is False]
+    for one in missed:
+        errors.print(
+            f"armimp: {one.label} is {one.value:.3g} {one.unit}, target {one.limit:g}",
+            highlight=False,
+        )
+    return 1 if missed else 0
+
+
+def _print(results: dict[str, list[Measured]], path: Path) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(soft_wrap=True)
+    for name, measured in results.items():
+        table = Table(title=name, box=SIMPLE_HEAD, title_justify="left", show_header=False)
+        table.add_column("")
+        table.add_column("", justify="right")
+        table.add_column("")
+        table.add_column("")
+        for one in measured:
+            mark = {True: "[green]✓[/]", False: "[bold red]✗[/]", None: ""}[one.met]
+            limit = "" if one.limit is None else f"≤ {one.limit:g} {one.unit} {mark}"
+            table.add_row(one.label, f"{one.value:.3g}", one.unit, limit)
+        console.print(table)
+    console.print(f"{available_cores()} cores, {_processor()}", highlight=False)
+    console.print(f"figures in {path}", highlight=False)
+
+
+def _processor() -> str:
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        return platform.processor()
+    names = [line.split(":", 1)[1].strip() for line in text.splitlines() if "model name" in line]
+    return names[0] if names else platform.processor()

@@ -1,0 +1,158 @@
+"""Where the batches run: threads of this process, or the workers of a dask cluster."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import queue
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Protocol
+
+from armimp_bringup.study.engine import Batch, ConditionResult, run_batch
+from armimp_bringup.study.errors import StudyError
+from armimp_common.errors import ConfigurationError
+
+Results = list[ConditionResult]
+_CONNECT_TIMEOUT = 10.0  # s
+
+
+class Backend(Protocol):
+    """Runs batches, several at a time."""
+
+    @property
+    def workers(self) -> int:
+        """How many batches run at the same time."""
+        ...
+
+    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
+        """Yield the results of the batches, in the order in which they are ready.
+
+        The first error of a batch is raised, and ends the others.
+        """
+        ...
+
+
+class Threads:
+    """Threads of this process; most of the time they are in compiled code, without the GIL.
+
+    They are daemons, so that nothing waits for a batch that nobody wants any more.
+
+    Parameters
+    ----------
+    workers : int
+        Number of threads.
+    work : callable
+        What to do with a batch.
+    """
+
+    def __init__(self, workers: int, work: Callable[[Batch], Results] = run_batch) -> None:
+        if workers < 1:
+            raise ConfigurationError(f"--workers must be at least 1, got {workers}")
+        self._workers = workers
+        self._work = work
+
+    @property
+    def workers(self) -> int:
+        """Number of threads."""
+        return self._workers
+
+    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
+        """As :meth:`Backend.run`."""
+        waiting: queue.SimpleQueue[Batch] = queue.SimpleQueue()
+        done: queue.SimpleQueue[Results | BaseException] = queue.SimpleQueue()
+        for batch in batches:
+            waiting.put(batch)
+        stop = threading.Event()
+
+        def work() -> None:
+            while not stop.is_set():
+                try:
+                    done.put(self._work(waiting.get_nowait()))
+                except queue.Empty:
+                    return
+                except BaseException as error:  # noqa: BLE001 (raised again by the other thread)
+                    done.put(error)
+                    return
+
+        for _ in range(min(self._workers, len(batches))):
+            threading.Thread(target=work, daemon=True).start()
+        try:
+            for _ in batches:
+                result = done.get()
+                if isinstance(result, BaseException):
+                    raise result
+                yield result
+        finally:
+            stop.set()
+
+
+class Dask:
+    """The workers of a running dask cluster, which is connected to when it is needed.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, such as ``tcp://host:8786``.
+
+    Raises
+    ------
+    ConfigurationError
+        If dask.distributed is not installed here.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            self._distributed: Any = importlib.import_module("distributed")
+        except ImportError:
+            raise ConfigurationError(
+                "--scheduler needs the package distributed, which is not installed: "
+                "pip install distributed"
+            ) from None
+        self._address = address
+
+    @property
+    def workers(self) -> int:
+        """Number of threads of all workers.
+
+        Raises
+        ------
+        ConfigurationError
+            If the address makes no sense.
+        StudyError
+            If nothing answers there, or the cluster has no workers.
+        """
+        threads = sum(self._client.nthreads().values())
+        if not threads:
+            raise StudyError(f"--scheduler {self._address}: the cluster has no workers")
+        return int(threads)
+
+    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
+        """As :meth:`Backend.run`."""
+        futures = [self._client.submit(run_batch, batch, pure=False) for batch in batches]
+        try:
+            for future in self._distributed.as_completed(futures):
+                yield self._result(future)
+        finally:
+            self._client.cancel(futures)
+            self._client.close()
+
+    @functools.cached_property
+    def _client(self) -> Any:
+        try:
+            return self._distributed.Client(self._address, timeout=_CONNECT_TIMEOUT)
+        except ValueError as error:
+            raise ConfigurationError(f"--scheduler {self._address}: {_line(error)}") from None
+        except OSError as error:
+            raise StudyError(f"--scheduler {self._address}: no answer: {_line(error)}") from None
+
+    def _result(self, future: Any) -> Results:
+        try:
+            results: Results = future.result()
+        except (self._distributed.KilledWorker, self._distributed.CancelledError) as error:
+            raise StudyError(f"a worker of the cluster died: {_line(error)}") from None
+        return results
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

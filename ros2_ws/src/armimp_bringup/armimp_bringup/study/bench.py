@@ -1,0 +1,125 @@
+"""How fast the study runs: plant and law in one lane and in many, estimates, and all of it."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from armimp_bringup.benchmarks import Measured, available_cores
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.offline import Rig, run_offline
+from armimp_bringup.study.command import DEFAULT_ESTIMATORS
+from armimp_bringup.study.conditions import Condition, select_conditions
+from armimp_bringup.study.engine import (
+    Batch,
+    Provenance,
+    condition_parameters,
+    estimate_condition,
+    split_evenly,
+)
+from armimp_control.sequence import SequenceConfig
+from armimp_sim.kernel import WIDTH
+
+TRIAL = 50.0
+"""Length of the trials of the study, s."""
+TARGET = 60.0
+"""Largest time for all conditions with two trials each on two cores, s."""
+_REPEATS = 5
+_SETTLE = _REST = 0.05
+_SCALAR, _BATCH = 1.0, 2.0  # s of each trial that are simulated
+
+
+def time_study(tell: Callable[[str], None]) -> list[Measured]:
+    """Measure the study engine after compilation; takes about ten seconds.
+
+    The shortest of several measurements counts: it was disturbed least by other programs.
+
+    Parameters
+    ----------
+    tell : callable
+        Told what is being measured.
+    """
+    base = ExperimentConfig(estimators=DEFAULT_ESTIMATORS, duration=TRIAL)
+    conditions = select_conditions([], "0")
+    rigs = [condition_parameters(base, one).rig() for one in conditions[:WIDTH]]
+    cores = available_cores()
+    tell("compiling")
+    for lanes in (1, WIDTH):
+        run_offline([_shortened(rig, 0.01) for rig in rigs[:lanes]])
+    tell("one trial at a time")
+    scalar = _per_trial(rigs[:1], _SCALAR)
+    tell(f"{WIDTH} trials side by side")
+    batch = _per_trial(rigs, _BATCH)
+    tell(f"the same on {cores} cores at once")
+    loaded = _per_trial(rigs, _BATCH, threads=cores)
+    tell("estimates")
+    estimate = _per_estimate(base, conditions[-1])
+    trials = len(conditions) * base.joints
+    # A block takes its time whether or not all its lanes are in use.
+    blocks = -(-len(split_evenly(conditions, cores)) // cores)
+    simulated = blocks * WIDTH * base.joints * loaded
+    estimated = len(conditions) * estimate / cores
+    return [
+        Measured(
+            key="scalar_trial", label="50 s trial, one lane, per core", value=scalar, unit="s"
+        ),
+        Measured(
+            key="batch_trial", label=f"50 s trial, {WIDTH} lanes, per core", value=batch, unit="s"
+        ),
+        Measured(key="speed_up", label="one lane over many", value=scalar / batch, unit=""),
+        Measured(
+            key="loaded_trial",
+            label=f"50 s trial, {WIDTH} lanes, all cores busy, per core",
+            value=loaded,
+            unit="s",
+        ),
+        Measured(
+            key="estimate",
+            label=f"estimates of one condition ({', '.join(DEFAULT_ESTIMATORS)})",
+            value=estimate,
+            unit="s",
+        ),
+        Measured(
+            key="study",
+            label=f"study of {trials} trials on {cores} cores, extrapolated",
+            value=simulated + estimated,
+            unit="s",
+            limit=TARGET,
+        ),
+    ]
+
+
+def _shortened(rig: Rig, duration: float) -> Rig:
+    sequence = SequenceConfig(duration=duration, settle=_SETTLE, rest=_REST)
+    return replace(rig, sequence=sequence)
+
+
+def _per_trial(rigs: Sequence[Rig], duration: float, *, threads: int = 1) -> float:
+    """Time for a trial of full length and one core, s."""
+    short = [_shortened(rig, duration) for rig in rigs]
+    simulated = (_SETTLE + duration + _REST) * rigs[0].plant.joints * len(rigs)
+    return _shortest(lambda: run_offline(short), threads) / simulated * TRIAL
+
+
+def _per_estimate(base: ExperimentConfig, condition: Condition) -> float:
+    """Time for all estimates of a condition, s."""
+    batch = Batch(base=base, conditions=(condition,), provenance=Provenance.here())
+    parameters = condition_parameters(base, condition)
+    (trials,) = run_offline([parameters.rig()])
+    return _shortest(lambda: estimate_condition(batch, condition, parameters, trials), 1)
+
+
+def _shortest(work: Callable[[], object], threads: int) -> float:
+    """Shortest time of several in which that many threads each do the work once, s."""
+    times = []
+    for _ in range(_REPEATS):
+        workers = [threading.Thread(target=work) for _ in range(threads)]
+        began = time.perf_counter()
+        for worker in workers:
+            worker.start()
+        for worker in workers:
+            worker.join()
+        times.append(time.perf_counter() - began)
+    return min(times)

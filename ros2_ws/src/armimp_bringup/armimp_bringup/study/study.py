@@ -1,0 +1,119 @@
+"""The study from beginning to end: conditions, results, tables, figures and verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.study.backends import Backend
+from armimp_bringup.study.conditions import Condition
+from armimp_bringup.study.csv_tables import results_csv, verdict_csv
+from armimp_bringup.study.engine import Batch, Provenance, condition_parameters, split_evenly
+from armimp_bringup.study.entry import StudyEntry, study_text
+from armimp_bringup.study.figures import write_figures
+from armimp_bringup.study.store import StudyStore, write_file
+from armimp_bringup.study.verdict import StudyVerdict, judge
+
+STUDY_FILE = "study.json"
+VERDICT_FILE = "verdict.json"
+
+
+def _ignore_progress(done: int, total: int, stored: int) -> None:
+    pass
+
+
+def _ignore_text(text: str) -> None:
+    pass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Watcher:
+    """Who wants to know how the study gets on.
+
+    Parameters
+    ----------
+    on_progress : callable
+        Takes the conditions done, all conditions, and those done before.
+    on_stage : callable
+        Takes a description of what begins.
+    """
+
+    on_progress: Callable[[int, int, int], None] = _ignore_progress
+    on_stage: Callable[[str], None] = _ignore_text
+
+
+def run_study(
+    base: ExperimentConfig,
+    conditions: Sequence[Condition],
+    directory: Path,
+    backend: Backend,
+    *,
+    figures: bool = True,
+    watcher: Watcher | None = None,
+) -> StudyVerdict:
+    """Run what is missing of a study, and write its files.
+
+    Parameters
+    ----------
+    base : ExperimentConfig
+        Everything but the levels and the seed.
+    conditions : sequence of Condition
+        What the study consists of, each once.
+    directory : Path
+        New, empty, or that of a study with the same configuration, which is completed.
+    backend : Backend
+        Runs what is missing.
+    figures : bool
+        Whether to draw them.
+    watcher : Watcher, optional
+        Told of the progress.
+
+    Returns
+    -------
+    StudyVerdict
+        Judgement of the given conditions.
+
+    Raises
+    ------
+    ConfigurationError
+        If something is set wrongly, or the directory holds something else.
+    StudyError, DataError
+        If the study cannot be run or stored.
+    """
+    watch = watcher if watcher is not None else Watcher()
+    provenance = Provenance.here()
+    condition_parameters(
+        base, conditions[0]
+    )  # what is set wrongly should show before anything is made
+    with StudyStore(directory, base, provenance) as store:
+        missing = store.missing(conditions)
+        stored = len(conditions) - len(missing)
+        done = stored
+        watch.on_progress(done, len(conditions), stored)
+        if missing:
+            batches = [
+                Batch(base=base, conditions=part, provenance=provenance)
+                for part in split_evenly(missing, backend.workers)
+            ]
+            for results in backend.run(batches):
+                for result in results:
+                    store.save(result)
+                done += len(results)
+                watch.on_progress(done, len(conditions), stored)
+        entries = store.entries(conditions)
+        verdict = judge(entries)
+        _write_tables(directory, entries, verdict)
+        if figures:
+            watch.on_stage("drawing the figures")
+            write_figures(directory, entries, store.curves)
+    return verdict
+
+
+def _write_tables(directory: Path, entries: Sequence[StudyEntry], verdict: StudyVerdict) -> None:
+    write_file(directory / STUDY_FILE, study_text(entries))
+    write_file(directory / "results.csv", results_csv(entries))
+    write_file(directory / "verdict.csv", verdict_csv(verdict))
+    text = verdict.model_dump_json(indent=1, by_alias=True)
+    write_file(directory / VERDICT_FILE, f"{text}\n")

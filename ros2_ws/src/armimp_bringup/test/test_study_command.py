@@ -1,0 +1,154 @@
+"""`armimp reproduce`: exit status, what it prints, and one clear line for wrong usage."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from armimp_bringup.cli import main
+from armimp_bringup.study.display import StudyDisplay, describe, duration
+from armimp_bringup.study.entry import read_study
+from armimp_bringup.study.verdict import StudyVerdict
+
+SHORT = ("--duration", "10", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
+
+
+def _reproduce(directory: Path, *options: str) -> int:
+    return main(["reproduce", "--out", str(directory), *options])
+
+
+def test_study_that_misses_a_target_exits_with_1_and_names_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Ten seconds are too short for targets that are meant for fifty.
+    assert _reproduce(tmp_path / "out", *SHORT) == 1
+    told = capsys.readouterr()
+    assert "targets missed" in told.out
+    assert f"study in {tmp_path / 'out'}" in told.out
+    complaints = [line for line in told.err.splitlines() if line.startswith("armimp: ")]
+    verdict = StudyVerdict.model_validate_json((tmp_path / "out" / "verdict.json").read_bytes())
+    assert complaints == [f"armimp: {failure}" for failure in verdict.failures()]
+    assert any("welch_siso: M, K error" in complaint for complaint in complaints)
+    (entry,) = read_study(tmp_path / "out" / "study.json")
+    assert list(entry.estimators) == ["welch_siso", "lpm_full"]
+    assert entry.condition.name == "friction0-resolution0-perturbation3-seed0"
+
+
+def test_estimator_without_targets_exits_with_0_and_prints_json_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--estimator", "welch_full", "--json", "--seeds", "3:5", "--workers", "1")
+    assert _reproduce(tmp_path / "out", *SHORT, *options) == 0
+    told = capsys.readouterr()
+    printed = json.loads(told.out)
+    assert printed == json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert printed["conditions"] == 2
+    assert {one["estimator"] for one in printed["worst"]} == {"welch_full"}
+    assert {one["met"] for one in printed["worst"]} == {None}
+    assert "2 of 2 conditions" in told.err
+
+
+def test_three_joints_are_studied_in_the_same_way(tmp_path: Path) -> None:
+    _reproduce(tmp_path / "out", *SHORT, "--joints", "3", "--estimator", "lpm_full")
+    (entry,) = read_study(tmp_path / "out" / "study.json")
+    assert entry.joints == 3
+    assert len(entry.trials) == 3
+
+
+def test_configuration_file_decides_what_options_leave_open(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text(
+        "estimators: [welch_full]\nfriction: 2\nseed: 5\nduration: 99.0\n"
+        "arm_sim: {voluntary: {rms: 0.2}}\n"
+    )
+    assert _reproduce(tmp_path / "out", *SHORT, "--config", str(file)) == 0
+    (entry,) = read_study(tmp_path / "out" / "study.json")
+    assert list(entry.estimators) == ["welch_full"]
+    assert (entry.friction, entry.seed) == (0, 0)
+    config = json.loads(json.dumps(entry.config))
+    assert config["experiment"]["duration"] == 10.0
+    assert config["arm_sim"]["voluntary.rms"] == 0.2
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--only", "friction=7"), "--only 'friction=7': friction has the levels 0, 1, 2, 3"),
+        (("--seeds", "1:"), "--seeds '1:': '1:' is neither a number nor a range"),
+        (("--workers", "0"), "--workers must be at least 1, got 0"),
+        (("--workers", "two"), "Invalid value for '--workers'"),
+        (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for threads"),
+        (("--joints", "5"), "joints"),
+        (("--duration", "1"), "duration"),
+        (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
+        (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),
+    ],
+)
+def test_wrong_usage_exits_with_2_and_one_line_and_leaves_nothing_behind(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    options: tuple[str, ...],
+    complaint: str,
+) -> None:
+    assert _reproduce(tmp_path / "out", *options) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    (line,) = told.err.splitlines()
+    assert line.startswith("armimp: ")
+    assert complaint in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_foreign_directory_exits_with_2_and_is_left_alone(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "thesis.tex").touch()
+    assert _reproduce(tmp_path) == 2
+    assert capsys.readouterr().err == (
+        f"armimp: {tmp_path}: is not empty and holds no study, nothing is overwritten\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0.0, "1 s"),
+        (59.4, "59 s"),
+        (60.0, "1 min 0 s"),
+        (3599.0, "59 min 59 s"),
+        (7500, "2 h 5 min"),
+    ],
+)
+def test_durations_are_told_as_people_say_them(seconds: float, words: str) -> None:
+    assert duration(seconds) == words
+
+
+def test_time_left_follows_from_what_was_done_since_the_start() -> None:
+    assert describe(0, 48, 0, 3.0) == "0 of 48 conditions"
+    assert describe(12, 48, 0, 10.0) == "12 of 48 conditions, 30 s left"
+    assert describe(24, 48, 12, 10.0) == "24 of 48 conditions, 12 of them from before, 20 s left"
+    assert describe(48, 48, 0, 65.0) == "48 of 48 conditions, took 1 min 5 s"
+    assert describe(48, 48, 48, 0.1) == "48 of 48 conditions, 48 of them from before"
+
+
+def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere() -> None:
+    for terminal in (True, False):
+        file = io.StringIO()
+        console = Console(file=file, force_terminal=terminal, width=100)
+        with StudyDisplay(console) as display:
+            display.show(1, 4, 0)
+            display.show(4, 4, 0)
+            display.tell("drawing the figures")
+        text = file.getvalue()
+        assert "drawing the figures" in text
+        if terminal:
+            assert "━" in text
+        else:
+            assert len(text.splitlines()) == 3
+            assert text.startswith("1 of 4 conditions")

@@ -1,0 +1,301 @@
+"""A study in its directory: complete, resumed after interruptions, and never mixed with another."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.study.backends import Threads
+from armimp_bringup.study.conditions import Condition, select_conditions
+from armimp_bringup.study.engine import Batch, ConditionResult, Provenance, run_batch
+from armimp_bringup.study.entry import read_study
+from armimp_bringup.study.errors import StudyError
+from armimp_bringup.study.store import StudyStore
+from armimp_bringup.study.study import Watcher, run_study
+from armimp_bringup.study.verdict import StudyVerdict, judge, relative_error
+from armimp_common.errors import ArmimpError, ConfigurationError, DataError
+
+BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
+CONDITIONS = select_conditions(["friction=0+3,resolution=0+3,perturbation=2"], "1")
+TABLES = ("study.json", "results.csv", "verdict.json", "verdict.csv")
+
+
+class Recorded:
+    """A back end that takes results from elsewhere, and may be interrupted."""
+
+    workers = 2
+
+    def __init__(self, results: Sequence[ConditionResult], stop_after: int | None = None) -> None:
+        self._results = {result.condition: result for result in results}
+        self._stop_after = stop_after
+        self.asked: list[Condition] = []
+
+    def run(self, batches: Sequence[Batch]) -> Iterator[list[ConditionResult]]:
+        for number, batch in enumerate(batches):
+            if number == self._stop_after:
+                raise KeyboardInterrupt
+            self.asked += batch.conditions
+            yield [self._results[condition] for condition in batch.conditions]
+
+
+@pytest.fixture(scope="module")
+def results() -> list[ConditionResult]:
+    return run_batch(Batch(base=BASE, conditions=CONDITIONS, provenance=Provenance.here()))
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyVerdict]:
+    """A small study with all its files, on two threads."""
+    directory = tmp_path_factory.mktemp("study") / "new" / "folder"
+    return directory, run_study(BASE, CONDITIONS, directory, Threads(2))
+
+
+def _bytes(directory: Path) -> dict[str, bytes]:
+    return {name: (directory / name).read_bytes() for name in TABLES}
+
+
+def test_study_leaves_all_its_files_and_no_others(study: tuple[Path, StudyVerdict]) -> None:
+    directory, _ = study
+    figures = {
+        f"{name}.{suffix}"
+        for estimator in BASE.estimators
+        for name in (f"fig2-{estimator}-perturbation2", f"fig3-{estimator}", f"fig4-{estimator}")
+        for suffix in ("png", "pdf")
+    }
+    found = {path.name for path in directory.iterdir()}
+    assert found == {*TABLES, *figures, "config.json", "conditions", ".lock"}
+    assert {path.name for path in (directory / "conditions").iterdir()} == {
+        f"{one.name}.{suffix}" for one in CONDITIONS for suffix in ("json", "npz")
+    }
+    for name in figures:
+        start = (directory / name).read_bytes()[:8]
+        assert start.startswith(b"%PDF-" if name.endswith("pdf") else b"\x89PNG\r\n\x1a\n")
+
+
+def test_study_file_is_a_list_of_results_with_their_levels(
+    study: tuple[Path, StudyVerdict], results: list[ConditionResult]
+) -> None:
+    directory, _ = study
+    content = json.loads((directory / "study.json").read_text())
+    assert [
+        (one["friction"], one["resolution"], one["perturbation"], one["seed"]) for one in content
+    ] == [(c.friction, c.resolution, c.perturbation, c.seed) for c in CONDITIONS]
+    for one, result in zip(content, results, strict=True):
+        assert one == json.loads(result.entry.model_dump_json(by_alias=True))
+        assert one["schema"] == 1
+        assert set(one["estimators"]) == set(BASE.estimators)
+
+
+def test_tables_agree_with_the_study_file(study: tuple[Path, StudyVerdict]) -> None:
+    directory, verdict = study
+    entries = {entry.condition: entry for entry in read_study(directory / "study.json")}
+    rows = list(csv.DictReader(io.StringIO((directory / "results.csv").read_text())))
+    assert len(rows) == len(CONDITIONS) * len(BASE.estimators) * 4
+    for row in rows:
+        levels = {name: int(row[name]) for name in Condition.__dataclass_fields__}
+        entry, name = entries[Condition(**levels)], row["estimator"]
+        i, k = int(row["row"]) - 1, int(row["column"]) - 1
+        result = entry.estimators[name]
+        assert result.vaf is not None
+        assert float(row["vaf_percent"]) == result.vaf[i][k]
+        assert float(row["r2"]) == result.r2[i][k]
+        assert float(row["K_se"]) == result.K_se[i][k]
+        assert float(row["B_error_percent"]) == relative_error(entry, name, "B", i, k)
+    stored = StudyVerdict.model_validate_json((directory / "verdict.json").read_bytes())
+    assert stored == verdict == judge(list(entries.values()))
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_number_of_workers_makes_no_difference(
+    study: tuple[Path, StudyVerdict], tmp_path: Path, workers: int
+) -> None:
+    directory, verdict = study
+    again = run_study(BASE, CONDITIONS, tmp_path / "out", Threads(workers), figures=False)
+    assert again == verdict
+    assert _bytes(tmp_path / "out") == _bytes(directory)
+
+
+def test_interrupted_study_does_only_what_is_missing(
+    study: tuple[Path, StudyVerdict], results: list[ConditionResult], tmp_path: Path
+) -> None:
+    first = Recorded(results, stop_after=1)
+    with pytest.raises(KeyboardInterrupt):
+        run_study(BASE, CONDITIONS, tmp_path, first, figures=False)
+    assert 0 < len(first.asked) < len(CONDITIONS)
+    assert not (tmp_path / "study.json").exists()
+
+    second, told = Recorded(results), []
+    watcher = Watcher(on_progress=lambda *numbers: told.append(numbers))
+    run_study(BASE, CONDITIONS, tmp_path, second, figures=False, watcher=watcher)
+    assert sorted(first.asked + second.asked) == list(CONDITIONS)
+    assert told[0] == (2, 4, 2)
+    assert told[-1] == (4, 4, 2)
+    assert _bytes(tmp_path) == _bytes(study[0])
+
+    third = Recorded(results)
+    run_study(BASE, CONDITIONS, tmp_path, third, figures=False)
+    assert third.asked == []
+
+
+def test_selection_may_grow_and_files_are_of_the_present_one(
+    study: tuple[Path, StudyVerdict], results: list[ConditionResult], tmp_path: Path
+) -> None:
+    run_study(BASE, CONDITIONS[:1], tmp_path, Recorded(results), figures=False)
+    assert len(read_study(tmp_path / "study.json")) == 1
+    backend = Recorded(results)
+    run_study(BASE, CONDITIONS, tmp_path, backend, figures=False)
+    assert backend.asked == list(CONDITIONS[1:])
+    assert _bytes(tmp_path) == _bytes(study[0])
+
+
+def test_curves_without_a_result_are_made_again(
+    results: list[ConditionResult], tmp_path: Path
+) -> None:
+    run_study(BASE, CONDITIONS, tmp_path, Recorded(results), figures=False)
+    stored = tmp_path / "conditions" / CONDITIONS[1].name
+    stored.with_name(f"{stored.name}.json").unlink()
+    stored.with_name(f"{stored.name}.npz").write_bytes(b"half of")
+    (tmp_path / "conditions" / f".12.{stored.name}.json").write_text("left over")
+    backend = Recorded(results)
+    run_study(BASE, CONDITIONS, tmp_path, backend, figures=False)
+    assert backend.asked == [CONDITIONS[1]]
+    assert not list((tmp_path / "conditions").glob(".*"))
+    with StudyStore(tmp_path, BASE, Provenance.here()) as store:
+        curve = store.curves(CONDITIONS[1])["lpm_full"]
+    np.testing.assert_array_equal(curve.Z, results[1].estimates["lpm_full"].Z)
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"duration": 20.0}, "experiment.duration is 10.0, not 20.0"),
+        ({"joints": 3}, "experiment.joints is 2, not 3"),
+        (
+            {"estimators": ("welch_siso",)},
+            'experiment.estimators is ["welch_siso", "lpm_full"], not ["welch_siso"]',
+        ),
+        (
+            {"arm_sim": {"voluntary": {"rms": 0.1}}},
+            'experiment.arm_sim.voluntary is null, not {"rms": 0.1}',
+        ),
+    ],
+)
+def test_directory_of_another_configuration_is_refused_in_one_line(
+    study: tuple[Path, StudyVerdict], changes: dict[str, object], complaint: str
+) -> None:
+    directory, _ = study
+    before = _bytes(directory)
+    with pytest.raises(ConfigurationError) as caught:
+        run_study(BASE.model_copy(update=changes), CONDITIONS, directory, Recorded([]))
+    assert str(caught.value) == (
+        f"{directory}: holds a study of another configuration, where {complaint}"
+    )
+    assert _bytes(directory) == before
+
+
+def test_levels_and_seed_of_the_configuration_do_not_count(
+    study: tuple[Path, StudyVerdict],
+) -> None:
+    directory, verdict = study
+    other = BASE.model_copy(update={"friction": 1, "seed": 9, "processes": "separate"})
+    assert run_study(other, CONDITIONS, directory, Recorded([]), figures=False) == verdict
+
+
+def test_directory_of_other_software_is_refused(tmp_path: Path) -> None:
+    here = Provenance.here()
+    StudyStore(tmp_path, BASE, here).__exit__(None, None, None)
+    other = replace(here, versions={**here.versions, "numpy": "9.9"})
+    with pytest.raises(ConfigurationError, match=r"versions\.numpy is .*, not \"9\.9\""):
+        StudyStore(tmp_path, BASE, other)
+
+
+def test_directory_with_anything_else_in_it_is_left_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("ten years of work")
+    with pytest.raises(ConfigurationError, match="holds no study, nothing is overwritten"):
+        run_study(BASE, CONDITIONS, tmp_path, Recorded([]))
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(StudyError, match=r"file/out: cannot be used: Not a directory"):
+        run_study(BASE, CONDITIONS, tmp_path / "file" / "out", Recorded([]))
+
+
+def test_wrong_configuration_leaves_no_directory_behind(tmp_path: Path) -> None:
+    wrong = BASE.model_copy(update={"estimators": ("guess",)})
+    with pytest.raises(ConfigurationError):
+        run_study(wrong, CONDITIONS, tmp_path / "out", Recorded([]))
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_processes_do_not_work_in_one_directory(tmp_path: Path) -> None:
+    holder = (
+        "import fcntl, sys\n"
+        "file = open(sys.argv[1], 'w')\n"
+        "fcntl.flock(file, fcntl.LOCK_EX)\n"
+        "print('held', flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", holder, str(tmp_path / ".lock")],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as other:
+        assert other.stdout is not None
+        assert other.stdin is not None
+        other.stdout.readline()
+        with pytest.raises(StudyError, match="another process is at work on it"):
+            StudyStore(tmp_path, BASE, Provenance.here())
+        other.stdin.close()
+    StudyStore(tmp_path, BASE, Provenance.here()).__exit__(None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("content", "complaint"),
+    [
+        (b"", "not the result of a condition: content: Invalid JSON"),
+        (b"{}", "not the result of a condition: config: Field required"),
+        (None, "is of friction 0, resolution 0, perturbation 2, seed 1, not friction 3"),
+    ],
+)
+def test_damaged_result_is_named_and_nothing_is_written_from_it(
+    results: list[ConditionResult], tmp_path: Path, content: bytes | None, complaint: str
+) -> None:
+    run_study(BASE, CONDITIONS, tmp_path, Recorded(results), figures=False)
+    before = _bytes(tmp_path)
+    path = tmp_path / "conditions" / f"{CONDITIONS[-1].name}.json"
+    first = path.with_name(f"{CONDITIONS[0].name}.json")
+    path.write_bytes(first.read_bytes() if content is None else content)
+    with pytest.raises(ArmimpError) as caught:
+        run_study(BASE, CONDITIONS, tmp_path, Recorded(results), figures=False)
+    assert str(caught.value).startswith(f"{path}: {complaint}")
+    assert len(str(caught.value).splitlines()) == 1
+    assert _bytes(tmp_path) == before
+
+
+def test_damaged_configuration_is_named(tmp_path: Path) -> None:
+    (tmp_path / "config.json").write_text("{")
+    with pytest.raises(StudyError, match=r"config\.json: not the configuration of a study"):
+        StudyStore(tmp_path, BASE, Provenance.here())
+
+
+@pytest.mark.parametrize("text", ["", "{}", '[{"schema": 1}]'])
+def test_file_that_is_no_study_is_named(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "study.json"
+    path.write_text(text)
+    with pytest.raises(DataError, match=f"^{path}: not a study: "):
+        read_study(path)
+    with pytest.raises(DataError, match="nowhere: No such file"):
+        read_study(tmp_path / "nowhere")

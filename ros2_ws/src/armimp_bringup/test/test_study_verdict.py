@@ -1,0 +1,271 @@
+"""The worst values of a study, found and compared with the targets."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+from rich.console import Console
+
+from armimp_bringup.study.csv_tables import results_csv, verdict_csv
+from armimp_bringup.study.display import print_verdict
+from armimp_bringup.study.entry import StudyEntry
+from armimp_bringup.study.verdict import COLUMNS, StudyVerdict, judge, relative_error, targets
+from armimp_estimation.results import EstimatorSummary, TrialSummary, TruthSummary
+
+TRUTH = TruthSummary(
+    M=[[0.2, 0.1], [0.08, 0.06]], B=[[0.6, 0.2], [0.3, 0.4]], K=[[8.0, 3.0], [-2.0, 7.0]]
+)
+GOOD = {"vaf": 99.9, "r2": 0.999, "coherence_derived": 0.99}
+
+
+def _square(value: float, joints: int) -> list[list[float]]:
+    return [[value] * joints for _ in range(joints)]
+
+
+def _estimator(joints: int = 2) -> EstimatorSummary:
+    zeros = _square(0.0, joints)
+    return EstimatorSummary(
+        M=TRUTH.M if joints == 2 else zeros,
+        B=TRUTH.B if joints == 2 else zeros,
+        K=TRUTH.K if joints == 2 else zeros,
+        M_se=zeros,
+        B_se=zeros,
+        K_se=zeros,
+        vaf=_square(GOOD["vaf"], joints),
+        r2=_square(GOOD["r2"], joints),
+        coherence_derived=_square(GOOD["coherence_derived"], joints),
+        coherence_torque=_square(0.98, joints),
+        coherence_motion=[0.97] * joints,
+    )
+
+
+def _entry(
+    *, estimators: tuple[str, ...] = ("welch_siso", "lpm_full"), joints: int = 2, **changes: Any
+) -> StudyEntry:
+    values: dict[str, Any] = {
+        "config": {},
+        "joints": joints,
+        "seed": 0,
+        "valid": True,
+        "problems": [],
+        "trials": [
+            TrialSummary(
+                k=k + 1,
+                bag=None,
+                ticks=10,
+                lost=0,
+                lock_ratio=[0.001 * (i + 1) for i in range(joints)],
+                bias_bound=[0.01] * joints,
+            )
+            for k in range(joints)
+        ],
+        "estimators": {name: _estimator(joints) for name in estimators},
+        "truth": TRUTH if joints == 2 else None,
+        "friction": 0,
+        "resolution": 0,
+        "perturbation": 1,
+    }
+    return StudyEntry(**{**values, **changes})
+
+
+def _with(entry: StudyEntry, estimator: str, **scores: Any) -> StudyEntry:
+    changed = entry.estimators[estimator].model_copy(update=scores)
+    return entry.model_copy(update={"estimators": {**entry.estimators, estimator: changed}})
+
+
+def _rows(verdict: StudyVerdict) -> Mapping[tuple[str, str], Any]:
+    return {(one.estimator, one.quantity): one for one in verdict.worst}
+
+
+def test_good_study_meets_every_target() -> None:
+    verdict = judge([_entry(), _entry(friction=3)])
+    assert verdict.met
+    assert verdict.failures() == []
+    assert verdict.conditions == 2
+    assert [(one.estimator, one.quantity) for one in verdict.worst] == [
+        (name, column.quantity) for name in ("welch_siso", "lpm_full") for column in COLUMNS
+    ]
+    assert all(one.met is True for one in verdict.worst)
+
+
+def test_targets_are_those_of_the_design() -> None:
+    assert targets(2) == {
+        "welch_siso": {
+            "VAF": 99.5,
+            "R²": 0.99,
+            "derived coherence": 0.985,
+            "M, K error": 3.0,
+            "B error": 8.0,
+        },
+        "lpm_full": {
+            "VAF": 99.7,
+            "R²": 0.997,
+            "derived coherence": 0.985,
+            "M, K error": 2.0,
+            "B error": 2.0,
+        },
+    }
+    assert targets(3) == {"lpm_full": {"VAF": 99.7}}
+
+
+@pytest.mark.parametrize(
+    ("score", "quantity", "limit", "step"),
+    [
+        ("vaf", "VAF", 99.5, 1e-9),
+        ("r2", "R²", 0.99, 1e-12),
+        ("coherence_derived", "derived coherence", 0.985, 1e-12),
+    ],
+)
+def test_worst_score_is_the_smallest_and_may_reach_the_limit(
+    score: str, quantity: str, limit: float, step: float
+) -> None:
+    good = GOOD[score]
+    for value, met in ((limit, True), (limit - step, False), (math.nan, False)):
+        bad = _with(
+            _entry(friction=2, resolution=1, perturbation=3, seed=7),
+            "welch_siso",
+            **{score: [[good, good], [value, good]]},
+        )
+        verdict = judge([_entry(), bad, _entry(friction=3)])
+        worst = _rows(verdict)["welch_siso", quantity]
+        assert worst.met is met
+        assert verdict.met is met
+        assert worst.worst == pytest.approx(value, nan_ok=True)
+        assert worst.place == ("Z21 at friction 2, resolution 1, perturbation 3, seed 7")
+        others = [one for one in verdict.worst if one is not worst]
+        assert all(one.met is True for one in others)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    ("letter", "quantity", "limit"),
+    [("M", "M, K error", 3.0), ("K", "M, K error", 3.0), ("B", "B error", 8.0)],
+)
+def test_worst_error_counts_in_both_directions_and_relative_to_the_element(
+    letter: str, quantity: str, limit: float, sign: float
+) -> None:
+    for error, met in ((0.99 * limit, True), (1.01 * limit, False)):
+        matrix = [list(row) for row in getattr(TRUTH, letter)]
+        matrix[1][0] *= 1.0 + sign * 0.01 * error
+        entry = _with(_entry(), "welch_siso", **{letter: matrix})
+        assert relative_error(entry, "welch_siso", letter, 1, 0) == pytest.approx(
+            sign * math.copysign(1.0, getattr(TRUTH, letter)[1][0]) * error
+        )
+        worst = _rows(judge([_entry(), entry]))["welch_siso", quantity]
+        assert worst.worst == pytest.approx(error)
+        assert worst.element == f"{letter}21"
+        assert worst.met is met
+
+
+def test_missed_target_is_named_with_value_limit_and_place() -> None:
+    bad = _with(_entry(resolution=3), "lpm_full", B=[[0.6, 0.2], [0.3, 0.412]])
+    assert judge([_entry(), bad]).failures() == [
+        "lpm_full: B error 3.00 % > 2.00 % in B22 at friction 0, resolution 3, perturbation 1, "
+        "seed 0"
+    ]
+    bad = _with(_entry(), "welch_siso", vaf=[[99.9, 98.2], [99.9, 99.9]])
+    assert judge([bad]).failures() == [
+        "welch_siso: VAF 98.200 % < 99.500 % in Z12 at friction 0, resolution 0, perturbation 1, "
+        "seed 0"
+    ]
+
+
+def test_estimator_without_targets_is_shown_but_not_judged() -> None:
+    poor = _with(_entry(estimators=("direct",)), "direct", vaf=_square(3.0, 2))
+    verdict = judge([poor])
+    assert verdict.met
+    worst = _rows(verdict)["direct", "VAF"]
+    assert (worst.worst, worst.limit, worst.met) == (3.0, None, None)
+
+
+def test_three_joints_are_judged_by_the_vaf_of_lpm_full_alone() -> None:
+    entry = _entry(joints=3)
+    verdict = judge([entry])
+    assert verdict.met
+    assert {key for key, one in _rows(verdict).items() if one.met is not None} == {
+        ("lpm_full", "VAF")
+    }
+    scores = _square(99.9, 3)
+    scores[2][1] = 99.6
+    worst = _rows(judge([_with(entry, "lpm_full", vaf=scores)]))["lpm_full", "VAF"]
+    assert (worst.met, worst.element) == (False, "Z32")
+
+
+def test_condition_that_is_not_valid_fails_the_study_with_its_reason() -> None:
+    broken = _entry(friction=1, valid=False, problems=["elbow was not held still", "and more"])
+    verdict = judge([_entry(), broken])
+    assert not verdict.met
+    assert verdict.failures() == [
+        "friction 1, resolution 0, perturbation 1, seed 0 is not valid: elbow was not held still"
+    ]
+
+
+def test_table_of_results_has_a_row_for_each_condition_element_and_estimator() -> None:
+    entries = [
+        _with(
+            _entry(friction=f),
+            "lpm_full",
+            vaf=[[99.1, 99.2], [99.3, 0.1 + 0.2]],
+            M_se=[[0.25, 1.0], [2.0, math.nan]],
+        )
+        for f in (0, 3)
+    ]
+    rows = list(csv.DictReader(io.StringIO(results_csv(entries))))
+    assert len(rows) == 2 * 2 * 4
+    keys = [(r["friction"], r["estimator"], r["row"], r["column"]) for r in rows]
+    assert keys == [
+        (f, name, i, k)
+        for f in ("0", "3")
+        for name in ("welch_siso", "lpm_full")
+        for i in "12"
+        for k in "12"
+    ]
+    last = rows[-1]
+    assert float(last["vaf_percent"]) == 0.1 + 0.2
+    assert float(last["M"]) == TRUTH.M[1][1]
+    assert float(last["M_error_percent"]) == 0.0
+    assert last["M_se"] == ""  # not known
+    assert float(last["lock_ratio"]) == 0.002
+    assert {r["valid"] for r in rows} == {"True"}
+
+
+def test_table_of_the_verdict_has_what_the_verdict_has() -> None:
+    bad = _with(_entry(), "welch_siso", r2=[[0.5, 0.999], [0.999, 0.999]])
+    verdict = judge([bad])
+    rows = list(csv.DictReader(io.StringIO(verdict_csv(verdict))))
+    for row, one in zip(rows, verdict.worst, strict=True):
+        expected = {key: str(value) for key, value in one.model_dump().items()}
+        assert row == expected
+
+
+def test_verdict_is_read_back_as_it_was_written() -> None:
+    bad = _with(_entry(), "welch_siso", r2=[[math.nan, 0.999], [0.999, 0.999]])
+    verdict = judge([bad])
+    text = verdict.model_dump_json(by_alias=True)
+    assert StudyVerdict.model_validate_json(text).model_dump_json(by_alias=True) == text
+    assert not verdict.met
+
+
+def _printed(verdict: StudyVerdict) -> list[str]:
+    file = io.StringIO()
+    print_verdict(verdict, Console(file=file, width=80))
+    return [line.rstrip() for line in file.getvalue().splitlines()]
+
+
+def test_printed_table_fits_into_80_characters() -> None:
+    bad = _with(_entry(friction=3, seed=10), "welch_siso", vaf=_square(98.7654, 2))
+    lines = _printed(judge([bad]))
+    assert max(map(len, lines)) <= 80
+    assert " welch_siso  VAF                98.765 %  ≥ 99.5 %  ✗  Z11  F3 R0 P1 seed 10" in lines
+    assert sum("✓" in line for line in lines) == 9
+
+
+def test_printed_table_grows_beyond_80_characters_rather_than_leave_something_out() -> None:
+    bad = _with(_entry(seed=2**63 - 1), "lpm_full", vaf=_square(-1234567.8, 2))
+    lines = _printed(judge([bad]))
+    assert any("-1234567.800 %" in line and f"seed {2**63 - 1}" in line for line in lines)

@@ -1,0 +1,293 @@
+"""Plain PD locking, the negative control: its equations, edges, stability, and choice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import build, flatten
+from armimp_control.experiment import Experiment
+from armimp_control.imbic import ImbicConfig
+from armimp_control.law import Controller
+from armimp_control.parameters import ControllerParameters
+from armimp_control.pd import PdConfig
+from armimp_control.safety import REFUSED
+from armimp_control.stability import check_stability, spectral_radius
+
+Array = NDArray[np.float64]
+ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
+ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
+POSTURE = np.array([1.0945, 1.3484])
+PERIOD = 1e-3
+COUNT = 2.0 * np.pi / 51200  # of the coarsest encoder
+
+
+def _config(n: int = 2, *, frequency: float = 25.0) -> PdConfig:
+    random = np.random.default_rng(n)
+    return PdConfig(
+        target_posture=random.uniform(-1.0, 1.0, n),
+        target_damping=random.uniform(1.0, 3.0, n),
+        target_stiffness=random.uniform(5.0, 15.0, n),
+        inertia=random.uniform(0.1, 0.4, n),
+        frequency=frequency,
+        damping_ratio=0.8,
+    )
+
+
+def _rig_config(*, frequency: float = 25.0) -> PdConfig:
+    """Gains for the rig with two joints."""
+    return PdConfig(
+        target_posture=POSTURE,
+        target_damping=np.array([2.0, 1.0]),
+        target_stiffness=np.array([10.0, 10.0]),
+        inertia=np.diag(ROBOT).copy(),
+        frequency=frequency,
+    )
+
+
+def _parameters(**changes: Any) -> ControllerParameters:
+    preset = ControllerParameters.preset(
+        joints=("shoulder", "elbow"), posture=POSTURE, robot_inertia=ROBOT, arm_inertia=ARM
+    )
+    return build(ControllerParameters, {**flatten(preset), **changes})
+
+
+# --- the law ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("limit", [1e9, 4.0])
+@pytest.mark.parametrize("n", [1, 2, 3, 7])
+def test_locked_joints_are_held_by_stiffness_and_damping_and_the_perturbed_one_by_its_target(
+    n: int, limit: float
+) -> None:
+    config = _config(n)
+    controller = Controller(config, torque_limit=limit)
+    random = np.random.default_rng(10 + n)
+    last = theta = config.target_posture + 0.01
+    saturated = 0
+    for tick in range(200):
+        perturbed = (tick // 20) % n
+        controller.perturb_joint(perturbed)
+        tau_delta = np.where(np.arange(n) == perturbed, random.uniform(-9.0, 9.0), 0.0)
+        clipped = controller.tick(theta, random.normal(size=n), tau_delta)
+        expected = np.zeros(n)
+        for i in range(n):
+            stiffness = 25.0**2 * config.inertia[i]
+            damping = 2.0 * 0.8 * 25.0 * config.inertia[i]
+            if i == perturbed:
+                stiffness, damping = config.target_stiffness[i], config.target_damping[i]
+            velocity = (theta[i] - last[i]) / PERIOD
+            expected[i] = stiffness * (config.target_posture[i] - theta[i]) - damping * velocity
+        expected = np.clip(expected + tau_delta, -limit, limit)
+        assert controller.command == pytest.approx(expected, rel=1e-9, abs=1e-9)
+        assert clipped == np.count_nonzero(np.abs(expected) == limit)
+        saturated += clipped
+        last, theta = theta, theta + 1e-4 * random.normal(size=n)
+    assert (saturated == 0) if limit > 100.0 else (saturated > 0)
+
+
+def test_torque_sensors_have_no_part_in_it() -> None:
+    config = _config()
+    deaf, hearing = (Controller(config, torque_limit=1e9) for _ in range(2))
+    random = np.random.default_rng(4)
+    for _ in range(20):
+        theta, tau_delta = random.normal(size=2), random.normal(size=2)
+        deaf.tick(theta, np.zeros(2), tau_delta)
+        hearing.tick(theta, random.normal(size=2), tau_delta)
+        assert np.array_equal(deaf.command, hearing.command)
+
+
+def test_when_all_joints_yield_expect_none_to_be_locked() -> None:
+    config = _config(3)
+    _, _, damping, stiffness = config.role(None)
+    assert np.array_equal(damping, config.target_damping)
+    assert np.array_equal(stiffness, config.target_stiffness)
+
+
+def test_first_tick_takes_the_position_for_rest_and_so_does_the_one_after_a_reset() -> None:
+    config = _config()
+    controller = Controller(config, torque_limit=1e9)
+    stiffness = config.role(0)[3]
+    for deflection in (np.array([0.02, -0.01]), np.array([-0.3, 0.1])):
+        controller.tick(config.target_posture + deflection, np.zeros(2), np.zeros(2))
+        assert controller.command == pytest.approx(-stiffness * deflection, rel=1e-9)
+        controller.reset()
+
+
+@pytest.mark.parametrize("place", ["theta", "tau_delta"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_when_an_input_is_not_finite_expect_zero_torque_and_a_new_start(
+    place: str, value: float
+) -> None:
+    config = _config()
+    controller = Controller(config, torque_limit=80.0)
+    controller.tick(config.target_posture + 0.01, np.zeros(2), np.zeros(2))
+    bad = {"theta": config.target_posture.copy(), "tau_delta": np.zeros(2)}
+    bad[place][1] = value
+    assert controller.tick(bad["theta"], np.zeros(2), bad["tau_delta"]) == REFUSED
+    assert np.array_equal(controller.command, np.zeros(2))
+    assert np.array_equal(controller.memory, np.zeros_like(controller.memory))
+    assert controller.tick(config.target_posture, np.zeros(2), np.zeros(2)) == 0
+    assert np.array_equal(controller.command, np.zeros(2))
+
+
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.lists(NUMBERS, min_size=4, max_size=4), min_size=1, max_size=5),
+    st.floats(1e-3, 1e6),
+)
+def test_whatever_comes_in_no_command_leaves_the_limits(
+    samples: list[list[float]], limit: float
+) -> None:
+    controller = Controller(_config(), torque_limit=limit)
+    for sample in samples:
+        values = np.array(sample)
+        controller.tick(values[:2].copy(), np.zeros(2), values[2:].copy())
+        assert np.all(np.abs(controller.command) <= limit)
+
+
+# --- the configuration -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name", ["target_posture", "target_damping", "target_stiffness", "inertia"]
+)
+@pytest.mark.parametrize("values", [[1.0, 2.0, 3.0], [1.0, np.nan], [np.inf, 1.0]])
+def test_vector_of_wrong_length_or_not_finite_is_refused(name: str, values: list[float]) -> None:
+    changes: dict[str, Any] = {name: np.array(values)}
+    with pytest.raises(ConfigurationError, match=r"needs \d finite values: ") as caught:
+        replace(_config(), **changes)
+    assert "\n" not in str(caught.value)
+
+
+def test_joint_without_inertia_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"inertia of joint 2 .* got -0\.1"):
+        replace(_config(), inertia=np.array([0.2, -0.1]))
+
+
+@pytest.mark.parametrize("name", ["frequency", "damping_ratio", "period"])
+@pytest.mark.parametrize("value", [0.0, -1.5, float("nan"), float("inf")])
+def test_scalar_that_is_not_positive_is_refused(name: str, value: float) -> None:
+    changes: dict[str, Any] = {name: value}
+    with pytest.raises(ConfigurationError, match=f"PD {name} must be positive, got {value}"):
+        replace(_config(), **changes)
+
+
+def test_law_of_the_study_is_the_default_and_one_parameter_chooses_the_other() -> None:
+    assert isinstance(_parameters().law_config(), ImbicConfig)
+    chosen = _parameters(**{"law.kind": "pd"})
+    law = chosen.law_config()
+    assert isinstance(law, PdConfig)
+    assert law.inertia == pytest.approx(np.diag(ROBOT))
+    assert (law.frequency, law.damping_ratio, law.period) == (25.0, 1.0, 1e-3)
+    for name in ("target_posture", "target_damping", "target_stiffness"):
+        assert np.array_equal(getattr(law, name), getattr(_parameters().imbic_config(), name))
+    tuned = _parameters(**{"law.pd_frequency": 40.0, "law.pd_damping_ratio": 0.7}).pd_config()
+    assert (tuned.frequency, tuned.damping_ratio) == (40.0, 0.7)
+
+
+def test_unknown_law_is_refused_with_the_names_of_those_there_are() -> None:
+    with pytest.raises(ConfigurationError, match=r"law\.kind.*pid.*'imbic' or 'pd'") as caught:
+        _parameters(**{"law.kind": "pid"})
+    assert "\n" not in str(caught.value)
+
+
+def test_experiment_answers_with_the_chosen_law() -> None:
+    commands = {}
+    for kind in ("imbic", "pd"):
+        experiment = Experiment(_parameters(**{"law.kind": kind}), lambda _: None)
+        experiment.answer(0, POSTURE.tolist(), (0.0, 0.0))
+        experiment.answer(1_000_000, [POSTURE[0], POSTURE[1] + COUNT], (0.0, 0.0))
+        commands[kind] = experiment.command.copy()
+    damping, stiffness = 2.0 * 25.0 * ROBOT[1, 1], 25.0**2 * ROBOT[1, 1]
+    assert commands["pd"] == pytest.approx([0.0, -(damping / PERIOD + stiffness) * COUNT])
+    assert abs(commands["imbic"][1]) > 10.0 * abs(commands["pd"][1])
+
+
+# --- sampled stability -----------------------------------------------------------------------
+
+
+def _sizes(config: PdConfig, perturbed: int, ticks: int) -> Array:
+    """Largest acceleration (ticks,) after a push, of a rig of pure inertia under the law."""
+    controller = Controller(config, torque_limit=1e300)
+    controller.perturb_joint(perturbed)
+    inverse = np.linalg.inv(ROBOT + ARM)
+    theta, velocity, push = POSTURE.copy(), np.zeros(2), np.array([1.0, 1.0])
+    sizes = np.zeros(ticks)
+    for tick in range(ticks):
+        controller.tick(theta, np.zeros(2), np.zeros(2))
+        acceleration = inverse @ (controller.command + push)
+        theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
+        velocity = velocity + PERIOD * acceleration
+        push = np.zeros(2)
+        sizes[tick] = np.max(np.abs(acceleration))
+    return sizes
+
+
+@pytest.mark.parametrize("perturbed", [0, 1])
+@pytest.mark.parametrize("frequency", [25.0, 100.0, 500.0, 600.0])
+def test_spectral_radius_is_the_growth_of_the_loop(frequency: float, perturbed: int) -> None:
+    config = _rig_config(frequency=frequency)
+    radius = spectral_radius(config, perturbed=perturbed, robot_inertia=ROBOT, arm_inertia=ARM)
+    sizes = _sizes(config, perturbed, 6000 if radius < 1.0 else 400)
+    if radius < 1.0:
+        assert np.max(sizes[5000:]) < 1e-3 * np.max(sizes[:10])
+    else:
+        growth = (np.max(sizes[350:]) / np.max(sizes[250:300])) ** 0.01
+        assert growth == pytest.approx(radius, rel=2e-3)
+
+
+def test_default_gains_are_accepted_without_a_warning() -> None:
+    margins = check_stability(_rig_config(), robot_inertia=ROBOT, arm_inertia=ARM)
+    assert max(margins.spectral_radius) < 1.0
+    assert margins.warnings == ()
+    # What the conditions on an internal model are about is not there.
+    assert (margins.time_delay_estimation, margins.force_feedback) == (None, ())
+
+
+def test_gains_near_the_edge_give_a_warning_and_beyond_it_are_refused() -> None:
+    near = check_stability(_rig_config(frequency=420.0), robot_inertia=ROBOT, arm_inertia=ARM)
+    assert all("with gains larger by 25% the loop would be unstable" in w for w in near.warnings)
+    assert near.warnings
+    with pytest.raises(ConfigurationError, match=r"joint 1 is perturbed, motion grows by .* 1\.\d"):
+        check_stability(_rig_config(frequency=500.0), robot_inertia=ROBOT, arm_inertia=ARM)
+    with pytest.raises(ConfigurationError, match="motion grows by a factor of"):
+        _parameters(**{"law.kind": "pd", "law.pd_frequency": 500.0}).check()
+    # The same numbers do not matter to the other law.
+    _parameters(**{"law.pd_frequency": 500.0}).check()
+
+
+def test_inertia_that_makes_no_sense_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="smallest eigenvalue is "):
+        check_stability(_rig_config(), robot_inertia=-ARM, arm_inertia=ARM)
+
+
+def test_with_the_coarsest_encoders_the_locked_rig_stays_within_a_count() -> None:
+    config = _rig_config()
+    controller = Controller(config, torque_limit=80.0)
+    inverse = np.linalg.inv(ROBOT + ARM)
+    theta, velocity = POSTURE + np.array([0.01, -0.01]), np.zeros(2)
+    controller.role = config.role(0)
+    controller.role[:, 0] = config.role(1)[:, 0]  # both locked
+    late, torque = [], []
+    for tick in range(4000):
+        controller.tick(np.round(theta / COUNT) * COUNT, np.zeros(2), np.zeros(2))
+        acceleration = inverse @ controller.command
+        theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
+        velocity = velocity + PERIOD * acceleration
+        if tick >= 2000:
+            late.append(theta - POSTURE)
+            torque.append(controller.command.copy())
+    assert np.max(np.abs(late)) < 1.5 * COUNT
+    # Chatter of a single count is about what the drives lose to friction at its highest level.
+    assert np.max(np.abs(torque)) < 3.0

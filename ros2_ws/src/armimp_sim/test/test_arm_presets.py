@@ -1,0 +1,150 @@
+"""Presets of one to seven joints: the rules that they follow, and that they make sound plants."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.sizes import JOINT_SIZES
+from armimp_sim import even_chain, presets
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import PlantConfig
+
+Array = NDArray[np.float64]
+ALL = range(1, 8)
+
+
+def _inertia(joints: int, deflection: Array | None = None) -> tuple[Array, Array]:
+    """M_r, at a deflection from the posture, and M_h."""
+    arm = presets.human_arm(joints)
+    away = np.zeros(joints) if deflection is None else deflection
+    return presets.robot(joints).mass_matrix(arm.posture + away), arm.inertia
+
+
+def _total(joints: int, deflection: Array | None = None) -> Array:
+    robot, arm = _inertia(joints, deflection)
+    return robot + arm
+
+
+def _smallest(matrix: Array) -> float:
+    return float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
+
+
+def _deflections(joints: int) -> Array:
+    """Motions of up to 0.6 rad: more than any joint makes at the largest perturbation."""
+    return np.random.default_rng(joints).uniform(-0.6, 0.6, (300, joints))
+
+
+@pytest.mark.parametrize("joints", ALL)
+@pytest.mark.parametrize("friction", presets.LEVELS)
+def test_every_number_of_joints_makes_a_plant_at_every_level(joints: int, friction: int) -> None:
+    parameters = SimulatorParameters.preset(joints=joints, friction=friction)
+    config = parameters.plant_config()
+    assert isinstance(config, PlantConfig)
+    assert config.joints == joints == len(set(parameters.joints))
+    assert config.step == pytest.approx(1e-5)
+
+
+@pytest.mark.parametrize("joints", ALL)
+def test_inertia_stays_positive_definite_over_the_motion(joints: int) -> None:
+    smallest = [_smallest(_total(joints, d)) for d in _deflections(joints)]
+    assert min(smallest) > 0.5 * _smallest(_total(joints)) > 0.0
+
+
+@pytest.mark.parametrize("joints", ALL)
+def test_internal_model_made_in_the_posture_serves_over_the_motion(joints: int) -> None:
+    """Time-delay estimation needs eigenvalues of (M_r + M_h)⁻¹ M̄ between 0 and 2."""
+    model = 0.6 * _inertia(joints)[0]
+    for deflection in _deflections(joints):
+        values = np.linalg.eigvals(np.linalg.solve(_total(joints, deflection), model))
+        assert np.max(np.abs(values.imag)) < 0.05
+        assert np.min(values.real) > 0.1
+        assert np.max(values.real) < 1.0
+
+
+@pytest.mark.parametrize("joints", ALL)
+def test_no_motion_gains_energy_from_the_arm(joints: int) -> None:
+    arm = presets.human_arm(joints)
+    for matrix in (arm.inertia, arm.damping, arm.stiffness):
+        assert _smallest(matrix) > 0.0
+    # General matrices are the hard case: stiffness above and below the diagonal differs.
+    assert joints == 1 or not np.allclose(arm.stiffness, arm.stiffness.T)
+
+
+@pytest.mark.parametrize("joints", ALL)
+def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) -> None:
+    inertia = np.diag(_total(joints))
+    shoulder = _total(2)[0, 0] if joints == 1 else inertia[0]
+    rule, sizes = (inertia / shoulder) ** 0.6, JOINT_SIZES[joints]
+    # Shoulder and elbow of the paper have the ratio of its Table III instead.
+    paper = {1: (0.6,), 2: (1.0, 0.6), 3: (1.0, 0.6)}.get(joints, ())
+    known = len(paper)
+    assert sizes[:known] == paper
+    assert paper == pytest.approx(tuple(rule[:known]), rel=0.05)
+    assert sizes[known:] == pytest.approx(tuple(rule[known:]), rel=0.03)
+
+
+def test_one_joint_is_the_elbow_of_two() -> None:
+    one, two = presets.human_arm(1), presets.human_arm(2)
+    assert presets.JOINT_NAMES[1] == presets.JOINT_NAMES[2][1:]
+    assert one.posture.tolist() == [two.posture[1]]
+    for name in ("inertia", "damping", "stiffness"):
+        assert getattr(one, name).tolist() == [[getattr(two, name)[1, 1]]]
+    assert _inertia(1)[0] == pytest.approx(_inertia(2)[0][1:, 1:], rel=1e-12)
+    assert presets.friction(3, 1) == presets.friction(3, 2)[1:]
+
+
+@pytest.mark.parametrize("joints", [2, 3])
+@pytest.mark.parametrize("level", [1, 2, 3])
+def test_shoulder_and_elbow_have_the_same_friction_and_the_wrist_less(
+    level: int, joints: int
+) -> None:
+    shoulder, elbow, *wrist = presets.friction(level, joints)
+    assert elbow == shoulder
+    assert wrist == [shoulder.scaled(0.14)] * (joints - 2)
+
+
+@pytest.mark.parametrize("joints", even_chain.JOINTS)
+def test_friction_of_a_chain_is_in_proportion_to_the_size_of_its_joints(joints: int) -> None:
+    for law, size in zip(presets.friction(3, joints), JOINT_SIZES[joints], strict=True):
+        assert law.coulomb == pytest.approx(2.0 * size)
+        assert law.sigma_0 / law.coulomb == pytest.approx(1000.0)
+        assert law.stribeck_velocity == 0.01
+
+
+@pytest.mark.parametrize("joints", even_chain.JOINTS)
+def test_chain_is_tied_to_the_arm_and_the_robot_with_two_joints(joints: int) -> None:
+    arm, robot, two = presets.human_arm(joints), presets.robot(joints), presets.human_arm(2)
+    for name in ("inertia", "damping", "stiffness"):
+        assert getattr(arm, name)[0, 0] == pytest.approx(getattr(two, name)[0, 0], rel=1e-12)
+    assert arm.posture[0] == two.posture[0]
+    assert np.sum(arm.posture) == pytest.approx(np.sum(two.posture))
+    assert np.sum(robot.lengths) == pytest.approx(np.sum(presets.robot(2).lengths))
+    assert np.ptp(robot.lengths) == 0.0
+    robot_inertia, arm_inertia = _inertia(joints)
+    assert np.diag(robot_inertia) == pytest.approx(2.0 * np.diag(arm_inertia), rel=1e-12)
+    # Of that, the links are an eighth; the last drive is what they leave of the last column.
+    drive = robot_inertia[:, -1] - 0.25 * arm_inertia[:, -1]
+    assert drive == pytest.approx(np.full(joints, 1.75 * arm_inertia[-1, -1]), rel=1e-9)
+
+
+@pytest.mark.parametrize("joints", even_chain.JOINTS)
+def test_coupling_within_a_chain_falls_with_the_distance_of_the_joints(joints: int) -> None:
+    arm = presets.human_arm(joints)
+    size = np.array(JOINT_SIZES[joints])
+    stiffness = arm.stiffness / (7.967 * np.sqrt(np.outer(size, size)))
+    damping = arm.damping / (0.651 * np.sqrt(np.outer(size, size)))
+    for distance in range(1, joints):
+        assert np.diag(stiffness, distance) == pytest.approx(0.43**distance)
+        assert np.diag(stiffness, -distance) == pytest.approx(0.22**distance)
+        for side in (distance, -distance):
+            assert np.diag(damping, side) == pytest.approx(0.46**distance)
+
+
+@pytest.mark.parametrize("joints", [-1, 0, 8])
+def test_other_numbers_of_joints_are_refused_in_one_line_that_names_the_range(joints: int) -> None:
+    for what in (presets.human_arm, presets.robot, lambda n: presets.friction(3, n)):
+        with pytest.raises(ConfigurationError, match=f"with {joints} joints.* 1 to 7$"):
+            what(joints)

@@ -1,0 +1,172 @@
+"""Plain PD locking, without any compensation, must fail the verdict, and for the right reason."""
+
+import functools
+import json
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pydantic import JsonValue
+
+from armimp_bringup.cli import main
+from armimp_bringup.config import ExperimentConfig, NodeParameters, load_config, node_parameters
+from armimp_bringup.offline import run_offline
+from armimp_bringup.testing import FinishedRun
+from armimp_estimation.bags import read_bag
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.results import read_summary
+from armimp_estimation.trial import TrialData
+
+Array = NDArray[np.float64]
+PD = "imbic_controller:\n  law:\n    kind: pd\n"
+OFFLINE, LIVE = 35.0, 10.0  # s of each trial; the former is enough for the segments of the study
+OFF_DIAGONAL = ~np.eye(2, dtype=bool)
+
+
+@functools.cache
+def identified(*, kind: str = "pd", resolution: int = 3, frequency: float = 25.0) -> Identification:
+    """What the estimators make of a short experiment with friction 3, run without ROS."""
+    law: JsonValue = {"kind": kind, "pd_frequency": frequency}
+    config = ExperimentConfig(
+        friction=3, resolution=resolution, duration=OFFLINE, imbic_controller={"law": law}
+    )
+    chosen = node_parameters(config, None)
+    rig = chosen.rig()
+    (trials,) = run_offline([rig])
+    data = [
+        TrialData.from_record(
+            TrialRecord(
+                trial=trial.joint + 1,
+                perturbed_joint=trial.joint,
+                rate=1000.0,
+                joint_names=chosen.simulator.joints,
+                perturbation=trial.perturbation,
+                position=trial.position,
+                torque=trial.torque,
+                command=trial.command,
+                start_ns=0,
+                seed=rig.seed,
+            )
+        )
+        for trial in trials
+    ]
+    arm = rig.plant.arm
+    truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+    return identify(data, ("welch_siso", "lpm_full"), truth)
+
+
+def locks(result: Identification) -> tuple[Array, Array]:
+    """Lock ratios of the locked joints, and bias bounds of all elements."""
+    ratio = np.stack([trial.lock_ratio for trial in result.trials], axis=1)
+    return ratio[OFF_DIAGONAL], np.stack([trial.bias_bound for trial in result.trials], axis=1)
+
+
+@pytest.mark.parametrize("resolution", [0, 3])
+def test_locking_by_pd_alone_fails_for_its_lock_quality_though_coherence_looks_fine(
+    resolution: int,
+) -> None:
+    result = identified(resolution=resolution)
+
+    assert not result.valid
+    ratio, bound = locks(result)
+    assert np.all(ratio > 0.03)  # limit 0.02
+    assert np.all(bound > 0.2)  # limit 0.1
+    for locked, moved in (("elbow", "shoulder"), ("shoulder", "elbow")):
+        sentence = f"{locked} was not held still while {moved} was perturbed: it moved by "
+        assert any(problem.startswith(sentence) for problem in result.problems)
+    assert any("may be biased as much" in problem for problem in result.problems)
+    # By coherence alone nobody would notice, though the estimate of the paper is useless.
+    siso = result.estimators["welch_siso"]
+    assert np.all(siso.coherence_derived >= 0.9)
+    assert not any("coherence" in problem for problem in result.problems)
+    assert siso.vaf is not None
+    assert np.max(siso.vaf) < 90.0
+    assert np.min(siso.vaf) < 0.0
+
+
+def test_same_experiment_under_the_law_of_the_study_has_no_problem() -> None:
+    result = identified(kind="imbic")
+
+    assert result.problems == ()
+    ratio, bound = locks(result)
+    assert np.max(ratio) < 0.006
+    assert np.max(bound) < 0.03
+
+
+def test_when_joints_are_locked_16_times_as_stiff_by_pd_expect_the_verdict_to_fail_still() -> None:
+    """At the price of 9 N·m of chatter for one count of an encoder."""
+    result = identified(frequency=100.0)
+
+    assert not result.valid
+    _, bound = locks(result)
+    assert np.max(bound) > 0.2
+    vaf = result.estimators["welch_siso"].vaf
+    assert vaf is not None
+    assert np.min(vaf) < 80.0
+
+
+def test_when_an_estimator_copes_with_poor_locking_expect_the_verdict_to_fail_all_the_same() -> (
+    None
+):
+    """Inversion of the whole matrix undoes coherent motion; nothing but truth could show that."""
+    result = identified(resolution=0)
+
+    vaf = result.estimators["lpm_full"].vaf
+    assert vaf is not None
+    assert np.min(vaf) > 99.0
+    assert not result.valid
+
+
+@pytest.mark.parametrize("joints", [1, 3, 7])
+def test_pd_locking_is_stable_on_every_preset(joints: int) -> None:
+    options = {"joints": joints, "imbic_controller": {"law": {"kind": "pd"}}}
+    config = ExperimentConfig.model_validate(options)
+    margins = node_parameters(config, None).controller.check()
+    assert max(margins.spectral_radius) < 1.0
+    assert margins.warnings == ()
+
+
+@pytest.fixture(scope="module")
+def graph(
+    environment: None, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[int, FinishedRun, NodeParameters]:
+    """Exit status, output and parameters of the negative control through the node graph."""
+    directory = tmp_path_factory.mktemp("pd")
+    file, out = directory / "experiment.yaml", directory / "out"
+    file.write_text(PD, encoding="utf-8")
+    chosen = node_parameters(load_config(file, {"duration": LIVE}), None)
+    arguments = ["run", "--config", str(file), "--duration", str(LIVE), "--out", str(out)]
+    status = main(arguments)
+    return status, FinishedRun(directory=out, summary=read_summary(out / "summary.json")), chosen
+
+
+def test_through_the_graph_it_fails_with_exit_status_1_and_says_why(
+    graph: tuple[int, FinishedRun, NodeParameters],
+) -> None:
+    status, finished, _ = graph
+    assert status == 1
+    summary = finished.summary
+    assert not summary.valid
+    assert any("elbow was not held still" in problem for problem in summary.problems)
+    assert any("shoulder was not held still" in problem for problem in summary.problems)
+    assert [trial.lost for trial in summary.trials] == [0, 0]
+    for result in summary.estimators.values():
+        assert np.min(np.array(result.coherence_derived)) >= 0.9
+
+
+def test_graph_and_loop_without_ros_give_the_same_bits(
+    graph: tuple[int, FinishedRun, NodeParameters],
+) -> None:
+    _, finished, chosen = graph
+    finished.assert_same_as_offline(run_offline([chosen.rig()])[0])
+
+
+def test_bags_say_which_law_held_the_joints(
+    graph: tuple[int, FinishedRun, NodeParameters],
+) -> None:
+    _, finished, _ = graph
+    for bag in finished.bags:
+        config = json.loads(read_bag(bag).metadata["config"])
+        assert config["imbic_controller"]["law.kind"] == "pd"
