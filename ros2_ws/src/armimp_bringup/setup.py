@@ -23,6 +23,6 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "dask": ["distributed"]},
     entry_points={"console_scripts": ["armimp = armimp_bringup.cli:main"]},
 )

@@ -138,6 +138,8 @@ def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
     from rich.console import Console
 
     errors = Console(stderr=True, soft_wrap=True)
+    if (directory / BENCH_FILE).exists():
+        raise DataError(f"{directory / BENCH_FILE}: exists already")
     results = run_benchmarks(names, lambda text: errors.print(text, highlight=False))
     record = bench_record(results)
     path = write_bench(directory, record)

@@ -41,7 +41,7 @@ class ExperimentConfig(BaseModel):
         default="composed", description="all nodes in one process, or one process for each"
     )
     estimators: tuple[str, ...] = Field(
-        default=("welch_siso", "welch_full"), description="estimators of the result"
+        default=("welch_siso", "lpm_full"), description="estimators of the result"
     )
     arm_sim: Overrides = Field(default={}, description="parameters of that node to override")
     imbic_controller: Overrides = Field(default={}, description="likewise")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
+from collections.abc import Generator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -102,7 +104,7 @@ def test_nothing_more_is_begun_once_nobody_wants_the_results() -> None:
     work = Work()
     running = Threads(1, work).run(_batches(50))
     next(running)
-    running.close()
+    cast("Generator[object, None, None]", running).close()
     time.sleep(0.1)
     assert len(work.seeds) <= 3
 
@@ -127,10 +129,7 @@ def test_number_of_threads_must_be_positive(workers: int) -> None:
 
 
 def test_missing_dask_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> None:
-        raise ImportError(name)
-
-    monkeypatch.setattr(backends.importlib, "import_module", missing)
+    monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigurationError) as caught:
         Dask("tcp://127.0.0.1:8786")
     assert str(caught.value) == (

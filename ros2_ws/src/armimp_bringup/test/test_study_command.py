@@ -84,7 +84,7 @@ def test_configuration_file_decides_what_options_leave_open(
         (("--workers", "0"), "--workers must be at least 1, got 0"),
         (("--workers", "two"), "Invalid value for '--workers'"),
         (("--workers", "2", "--scheduler", "tcp://x:1"), "--workers is for threads"),
-        (("--joints", "5"), "joints"),
+        (("--joints", "9"), "joints"),
         (("--duration", "1"), "duration"),
         (("--estimator", "guess"), "there is no 'guess', only welch_siso"),
         (("--config", "nowhere.yaml"), "nowhere.yaml: No such file or directory"),

@@ -26,8 +26,8 @@ from armimp_common.trial_status import Phase, TrialStatus
 Sink = Callable[[str, bytes, int], None]
 
 _FOLLOWERS = (JOINT_STATES, TORQUE_SENSORS, COMMANDS)
-_KEPT_EARLY = 4000
-"""Messages of each stream that may be ahead of the status, or of the other streams."""
+_KEPT_EARLY = 30_000
+"""Messages of each stream that may be ahead of a status, or of the other streams."""
 _DRIFT = 2e-4
 """By how much the clock of a driver may go wrong relative to the nominal period."""
 _OVERDUE_NS = 2_000_000_000

@@ -18,7 +18,7 @@ class EstimatorParameters(Schema):
         default=("shoulder", "elbow"), description="names of the joints, in the order of results"
     )
     estimators: tuple[str, ...] = Field(
-        default=("welch_siso", "welch_full"), description="estimators of the final result"
+        default=("welch_siso", "lpm_full"), description="estimators of the final result"
     )
     record: bool = Field(default=True, description="write one bag for each trial")
     directory: str = Field(

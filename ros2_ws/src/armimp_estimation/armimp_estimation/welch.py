@@ -128,17 +128,25 @@ def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
     DataError
         If the matrix is singular at a frequency, which the message names.
     """
-    inverse = np.empty(matrix.shape, dtype=np.complex128)
-    for index in range(f.size):
-        try:
-            # One matrix at a time from a fresh array, so that its place in memory cannot matter.
-            inverse[:, :, index] = np.linalg.inv(np.ascontiguousarray(matrix[:, :, index]))
-        except np.linalg.LinAlgError as error:
-            raise DataError(
-                f"motion of the joints is linearly dependent at {f[index]:.4g} Hz: "
-                "the impedance matrix is not determined"
-            ) from error
-    return inverse
+    # A fresh array, so that the place of the matrix in memory cannot matter.
+    stack = np.ascontiguousarray(np.moveaxis(matrix, 2, 0))
+    try:
+        inverse = np.linalg.inv(stack)
+    except np.linalg.LinAlgError as error:
+        singular = next(k for k, one in enumerate(stack) if not _is_regular(one))
+        raise DataError(
+            f"motion of the joints is linearly dependent at {f[singular]:.4g} Hz: "
+            "the impedance matrix is not determined"
+        ) from error
+    return np.ascontiguousarray(np.moveaxis(inverse, 0, 2))
+
+
+def _is_regular(matrix: ComplexArray) -> bool:
+    try:
+        np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def multiply(left: ComplexArray, right: ComplexArray) -> ComplexArray:

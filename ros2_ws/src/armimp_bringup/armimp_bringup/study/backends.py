@@ -124,6 +124,7 @@ class Dask:
         """
         threads = sum(self._client.nthreads().values())
         if not threads:
+            self._client.close()
             raise StudyError(f"--scheduler {self._address}: the cluster has no workers")
         return int(threads)
 

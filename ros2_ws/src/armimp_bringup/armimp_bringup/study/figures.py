@@ -25,6 +25,7 @@ _STYLES: Final = ("-", "--", "-.", ":")
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _WIDTH: Final = 7.16  # inches, two columns of a journal
 _DPI: Final = 200
+_LEGEND_COLUMNS: Final = 8
 _STYLE: Final[Any] = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -300,7 +301,7 @@ def _grouped(
             if limit is not None:
                 panel.axhline(limit, color="0.45", linewidth=0.8, linestyle=(0, (5, 3)))
             panel.set_xticks(sorted(set(levels.tolist())))
-            panel.margins(x=0.08)
+            panel.set_xlim(np.min(levels) - 0.5, np.max(levels) + 0.5)
             panel.grid(visible=True, axis="y", alpha=0.3, linewidth=0.4)
             panel.ticklabel_format(axis="y", useOffset=False)
             if column == 0:
@@ -319,6 +320,7 @@ def _draw_levels(
 ) -> None:
     """Means and ranges by level; what looks alike in other panels has the same label there."""
     present = np.unique(levels)
+    spread = 0.5 if len(lines) <= 4 else 0.8
     for number, (label, values) in enumerate(lines.items()):
         look = looks.index(label)
         groups = [values[levels == level] for level in present]
@@ -326,7 +328,7 @@ def _draw_levels(
         reach = np.array(
             [(m - np.min(g), np.max(g) - m) for m, g in zip(means, groups, strict=True)]
         )
-        shift = 0.5 * ((number + 0.5) / len(lines) - 0.5)
+        shift = spread * ((number + 0.5) / len(lines) - 0.5)
         panel.errorbar(
             present + shift,
             means,
@@ -353,6 +355,6 @@ def _grouped_legend(figure: Any, axes: Any, limits: bool) -> None:
         handles.values(),
         handles.keys(),
         loc="outside lower center",
-        ncols=len(handles),
+        ncols=min(len(handles), _LEGEND_COLUMNS),
         frameon=False,
     )
