@@ -46,7 +46,7 @@ MESSAGE_TYPES: Final[dict[str, str]] = {
 RECORDER_GONE: Final = 2**64 - 1
 """On ``impedance_estimator/received``: nothing is recorded any more, nobody has to wait."""
 
-RECEIVED_EVERY: Final = 250
+RECEIVED_EVERY: Final = 25
 """Samples after which the recorder tells how many it has received."""
 
 VALUE_FIELD: Final[dict[str, ValueField]] = {

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from armimp_common.contract import RECORDER_GONE
 
-LIMIT = 1000
-"""Samples that may be under way to the recorder: half the depth of its queues."""
+LIMIT = 100
+"""Samples that may be under way to the recorder.
+
+Their 400 messages fit the 512 places of a shared-memory port of Fast DDS. What does not fit is lost
+by the transport, and a writer that waits repairs that only with its next heartbeat, seconds later.
+"""
 
 
 class Backlog:

@@ -22,7 +22,7 @@ def test_with_a_recorder_that_falls_behind_the_next_sample_waits() -> None:
     backlog.acknowledge(0)
     assert not sent(backlog, LIMIT - 1).full
     assert sent(backlog, 1).full
-    backlog.acknowledge(250)
+    backlog.acknowledge(25)
     assert not backlog.full
 
 
