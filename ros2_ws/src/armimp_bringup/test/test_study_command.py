@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,6 +39,40 @@ def test_study_that_misses_a_target_exits_with_1_and_names_it(
     (entry,) = read_study(tmp_path / "out" / "study.json")
     assert list(entry.estimators) == ["welch_siso", "lpm_full"]
     assert entry.condition.name == "friction0-resolution0-perturbation3-seed0"
+
+
+def test_interrupted_study_says_how_it_goes_on(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "armimp_bringup.cli", "reproduce", "--no-figures"]
+    command += ["--out", str(tmp_path / "out"), "--seeds", "0:40", "--workers", "1"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as study:
+        assert study.stderr is not None
+        assert study.stderr.readline() == "0 of 1920 conditions\n"
+        study.send_signal(signal.SIGINT)
+        assert study.wait(10.0) == 1  # without waiting for the batch at work
+        told = study.stderr.read().splitlines()
+    assert told == ["armimp: interrupted; the same command goes on from here"]
+
+
+def test_complaints_are_limited_in_number_and_say_where_the_others_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armimp_bringup.study.command._MOST_FAILURES", 1)
+    assert _reproduce(tmp_path / "out", *SHORT) == 1
+    complaints = [x for x in capsys.readouterr().err.splitlines() if x.startswith("armimp: ")]
+    verdict = StudyVerdict.model_validate_json((tmp_path / "out" / "verdict.json").read_bytes())
+    assert complaints == [
+        f"armimp: {verdict.failures()[0]}",
+        f"armimp: and {len(verdict.failures()) - 1} more, see {tmp_path / 'out' / 'verdict.json'}",
+    ]
+
+
+def test_law_that_lets_locked_joints_give_way_fails_the_study(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "pd.yaml"
+    file.write_text("imbic_controller: {law: {kind: pd}}\nestimators: [welch_full]\n")
+    assert _reproduce(tmp_path / "out", *SHORT, "--config", str(file)) == 1
+    assert "is not valid: motion of the locked joints" in capsys.readouterr().err
 
 
 def test_estimator_without_targets_exits_with_0_and_prints_json_alone(

@@ -13,11 +13,13 @@ from armimp_bringup.config import load_config
 from armimp_bringup.study.backends import Backend, Dask, Threads
 from armimp_bringup.study.conditions import select_conditions
 from armimp_bringup.study.display import StudyDisplay, print_verdict
-from armimp_bringup.study.study import Watcher, run_study
+from armimp_bringup.study.errors import StudyError
+from armimp_bringup.study.study import VERDICT_FILE, Watcher, run_study
 from armimp_bringup.study.verdict import StudyVerdict
 from armimp_common.errors import ConfigurationError
 
 DEFAULT_ESTIMATORS = ("welch_siso", "lpm_full")
+_MOST_FAILURES = 20
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,15 +66,19 @@ def reproduce(options: ReproduceOptions) -> int:
         given["estimators"] = DEFAULT_ESTIMATORS
     base = load_config(options.config, given)
     conditions = select_conditions(options.only, options.seeds)
-    with StudyDisplay() as display:
-        verdict = run_study(
-            base,
-            conditions,
-            options.out,
-            _backend(options),
-            figures=options.figures,
-            watcher=Watcher(on_progress=display.show, on_stage=display.tell),
-        )
+    backend = _backend(options)
+    try:
+        with StudyDisplay() as display:
+            verdict = run_study(
+                base,
+                conditions,
+                options.out,
+                backend,
+                figures=options.figures,
+                watcher=Watcher(on_progress=display.show, on_stage=display.tell),
+            )
+    except KeyboardInterrupt:
+        raise StudyError("interrupted; the same command goes on from here") from None
     return _present(verdict, options)
 
 
@@ -98,6 +104,10 @@ def _present(verdict: StudyVerdict, options: ReproduceOptions) -> int:
         told = "[bold]all targets met[/]" if verdict.met else "[bold red]targets missed[/]"
         console.print(told if any(one.limit is not None for one in verdict.worst) else "no targets")
         console.print(f"study in {options.out}", highlight=False)
-    for failure in verdict.failures():
+    failures = verdict.failures()
+    for failure in failures[:_MOST_FAILURES]:
         print(f"armimp: {failure}", file=sys.stderr)
+    if len(failures) > _MOST_FAILURES:
+        more = len(failures) - _MOST_FAILURES
+        print(f"armimp: and {more} more, see {options.out / VERDICT_FILE}", file=sys.stderr)
     return 0 if verdict.met else 1
