@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimate import ImpedanceColumn, ImpedanceEstimate
-from armimp_estimation.frf import frf_matrix, noise_gain, order_trials, residual_power
+from armimp_estimation.frf import noise_gain, residual_power
 from armimp_estimation.trial import TrialData, TrialSpectra
-from armimp_estimation.welch import matrix_estimate
+from armimp_estimation.welch import estimate_by_columns
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -65,12 +65,4 @@ class Direct:
         DataError
             If a joint has no trial, or as :meth:`column`.
         """
-        spectra = [trial.spectra for trial in order_trials(trials)]
-        columns = [self.column(trial) for trial in spectra]
-        return matrix_estimate(
-            self.name,
-            spectra,
-            frf_matrix(spectra),
-            np.stack([column.Z for column in columns], axis=1),
-            np.stack([column.variance for column in columns], axis=1),
-        )
+        return estimate_by_columns(self.name, trials, self.column)

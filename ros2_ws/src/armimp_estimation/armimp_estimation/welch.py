@@ -6,7 +6,7 @@ cause, so ``T = Z R + V`` where ``V_ik = G_{x v_i}/G_xx`` has the variance ``G_v
 disturbance also moves the joints through the loop, but that only has an effect of second order.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,15 +74,7 @@ class WelchSiso:
         DataError
             If a joint has no trial, or as :meth:`column`.
         """
-        spectra = [trial.spectra for trial in order_trials(trials)]
-        columns = [self.column(trial) for trial in spectra]
-        return matrix_estimate(
-            self.name,
-            spectra,
-            frf_matrix(spectra),
-            np.stack([column.Z for column in columns], axis=1),
-            np.stack([column.variance for column in columns], axis=1),
-        )
+        return estimate_by_columns(self.name, trials, self.column)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +110,29 @@ class WelchFull:
                 disturbance = gain * residual_power(trial, coefficients)
                 variance[i] += disturbance * np.abs(inverse[k]) ** 2
         return matrix_estimate(self.name, spectra, frf, impedance, variance)
+
+
+def estimate_by_columns(
+    name: str,
+    trials: Sequence[TrialData],
+    column: Callable[[TrialSpectra], ImpedanceColumn],
+) -> ImpedanceEstimate:
+    """Whole matrix of an estimator that takes each column from the trial of its joint alone.
+
+    Raises
+    ------
+    DataError
+        If a joint has no trial, or as ``column``.
+    """
+    spectra = [trial.spectra for trial in order_trials(trials)]
+    columns = [column(trial) for trial in spectra]
+    return matrix_estimate(
+        name,
+        spectra,
+        frf_matrix(spectra),
+        np.stack([one.Z for one in columns], axis=1),
+        np.stack([one.variance for one in columns], axis=1),
+    )
 
 
 def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
