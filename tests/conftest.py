@@ -1,6 +1,7 @@
 """Experiments that several tests look at, each run once."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,6 +11,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.testing import context, domain_id, node
+from armimp_estimation.report.browser import Browser
 
 __all__ = ["context", "domain_id", "node"]
 
@@ -49,3 +51,14 @@ def separate(run: Run) -> FinishedRun:
 def other_seed(run: Run) -> FinishedRun:
     """The default experiment, but short, with another seed."""
     return run(seed=2)
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """A headless browser to look at reports with."""
+    executable = shutil.which("chromium")
+    if executable is None:
+        pytest.skip("there is no chromium to look at the report with (apt-get install chromium)")
+    started = Browser(executable, tmp_path_factory.mktemp("profile"))
+    yield started
+    started.close()

@@ -98,7 +98,7 @@ def pushed() -> list[list[OfflineTrial]]:
 @pytest.fixture(scope="module")
 def together() -> dict[Condition, OfflineTrial]:
     rigs = [_rig(condition, seed=4, duration=50.0) for condition in CONDITIONS]
-    return dict(zip(CONDITIONS, run_together(rigs), strict=True))
+    return {c: trials[0] for c, trials in zip(CONDITIONS, run_together(rigs), strict=True)}
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)
@@ -189,7 +189,7 @@ def test_when_all_joints_are_perturbed_expect_all_to_yield_to_the_signals_of_the
 
 def test_each_seed_gives_other_signals_to_all_joints() -> None:
     rigs = [replace(_rig((0, 0, 1), seed=s, duration=0.2), seed=s) for s in (1, 2)]
-    first, second = run_together(rigs)
+    (first,), (second,) = run_together(rigs)
     for joint in range(2):
         assert not np.array_equal(first.perturbation[joint], second.perturbation[joint])
     assert not np.array_equal(first.perturbation[0], first.perturbation[1])

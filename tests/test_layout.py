@@ -26,6 +26,7 @@ ROS = {"rclpy", *MESSAGE_PACKAGES}
 WITH_ROS = {
     "armimp_common.channels",
     "armimp_common.lifecycle",
+    "armimp_common.liveliness",
     "armimp_common.parameters",
     "armimp_common.qos",
     "armimp_common.spin",

@@ -13,6 +13,7 @@ from armimp_control import presets as control_presets
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
 from armimp_control.stability import check_stability
+from armimp_control.testing import torque_only
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig
 
@@ -37,7 +38,7 @@ def _law(plant: PlantConfig) -> ImbicConfig:
 
 def _run(plant_config: PlantConfig, law: ImbicConfig, tau_delta: Array, joint: int) -> Array:
     """Deflections, torques on the arm and commands (3, n, N) under ``tau_delta`` (N,)."""
-    plant, controller = Plant([plant_config]), Controller(law, torque_limit=80.0)
+    plant, controller = Plant([plant_config]), Controller(law, safety=torque_only(80.0))
     controller.perturb_joint(joint)
     record = np.zeros((3, law.joints, tau_delta.size))
     still, push = np.zeros((1, law.joints)), np.zeros(law.joints)

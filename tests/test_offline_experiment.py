@@ -15,8 +15,9 @@ from armimp_common.trial_status import Phase
 from armimp_control import presets as control_presets
 from armimp_control.law import Controller
 from armimp_control.perturbation import perturbation
-from armimp_control.safety import SafetyConfig
+from armimp_control.safety import Action, Limit
 from armimp_control.sequence import SequenceConfig, timetable
+from armimp_control.testing import torque_only
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import IntegrationError, Plant, PlantConfig
 from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
@@ -36,7 +37,8 @@ def _rig(*, joints: int = 2, friction: int = 2, level: int = 3, seed: int = 1) -
         ),
         voluntary=VoluntaryConfig(rms=0.2),
         controller=control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture),
-        safety=SafetyConfig(),
+        # In so short a perturbation, scaled to its peak, joints are faster than in a long one.
+        safety=torque_only(80.0),
         perturbation=control_presets.perturbation(level, joints),
         sequence=SequenceConfig(duration=TICKS * 1e-3, settle=0.05, rest=0.06),
         seed=seed,
@@ -81,7 +83,7 @@ def test_experiment_is_that_of_the_nodes_tick_by_tick() -> None:
     rig = _rig(seed=4)
     (trials,) = run_offline([rig])
     plant = Plant([rig.plant])
-    controller = Controller(rig.controller, torque_limit=rig.safety.torque_limit)
+    controller = Controller(rig.controller, safety=rig.safety)
     voluntary = VoluntaryTorque(rig.voluntary, joints=2, period=1e-3, seed=rig.seed)
     for segment in timetable(rig.sequence, joints=2, period=1e-3):
         controller.perturb_joint(segment.joint)
@@ -125,7 +127,7 @@ def _another(level: int) -> Rig:
         plant=replace(rig.plant, arm=arm),
         voluntary=VoluntaryConfig(rms=0.1 * (level + 1)),
         controller=replace(law, gamma=90.0 + level, target_damping=law.target_damping + level),
-        safety=SafetyConfig(torque_limit=10.0 + level),
+        safety=torque_only(10.0 + level),
     )
 
 
@@ -162,7 +164,7 @@ def test_perturbation_and_voluntary_torque_of_one_seed_have_nothing_in_common() 
 
 
 def test_saturated_commands_stay_within_the_limit_and_are_counted() -> None:
-    rig = replace(_rig(), safety=SafetyConfig(torque_limit=6.0))
+    rig = replace(_rig(), safety=torque_only(6.0))
     (trials,) = run_offline([rig])
     for trial in trials:
         assert np.max(np.abs(trial.command)) == 6.0
@@ -171,11 +173,40 @@ def test_saturated_commands_stay_within_the_limit_and_are_counted() -> None:
     assert [trial.clipped for trial in free] == [0, 0]
 
 
+@pytest.mark.parametrize(
+    ("limits", "reason"),
+    [
+        ({"position_limit": (0.01,)}, r"trial 1: joint 1 is -?0\.01\d* rad away from the posture"),
+        ({"velocity_limit": (9.0, 0.1)}, "velocity of joint 2 is .* beyond the limit of 0.1 rad/s"),
+        ({"rate_action": Action.STOP, "rate_limit": 1e4}, "changes by .* in a tick"),
+    ],
+)
+def test_when_the_gate_stops_an_experiment_expect_no_result_but_the_reason(
+    limits: dict[str, Any], reason: str
+) -> None:
+    rig = replace(_rig(), safety=replace(_rig().safety, **limits))
+    with pytest.raises(DataError, match=reason):
+        run_offline([_rig(), rig])
+
+
+@pytest.mark.parametrize("action", list(Action))
+@pytest.mark.parametrize("limit", list(Limit))
+def test_limits_that_are_not_reached_change_no_bit(limit: Limit, action: Action) -> None:
+    change: dict[str, Any] = {f"{limit.value}_action": action}
+    rig = _rig(level=1)
+    (usual,), (other,) = (
+        run_offline([replace(rig, safety=safety)])
+        for safety in (torque_only(80.0), replace(control_presets.safety(2), **change))
+    )
+    assert all(_same(one, two) for one, two in zip(usual, other, strict=True))
+    assert [trial.clipped for trial in other] == [0, 0]
+
+
 def test_integration_that_breaks_down_is_reported() -> None:
     rig = _rig()
     wild = replace(
         rig,
-        safety=SafetyConfig(torque_limit=1e5),
+        safety=torque_only(1e5),
         perturbation=replace(rig.perturbation, peak=(1e5, 1e5)),
     )
     with pytest.raises(IntegrationError, match="plant: ") as caught:

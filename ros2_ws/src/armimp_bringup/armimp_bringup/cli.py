@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer.exceptions import TyperException
 
-from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_bringup.investigations.registry import find_investigation, investigations
+from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 
 if TYPE_CHECKING:
     from armimp_estimation.results import Summary
@@ -24,10 +25,14 @@ app = typer.Typer(
     help="Measure the multi-joint mechanical impedance of a human arm.",
 )
 
+_INVESTIGATIONS = "; ".join(f"{name}: {what}" for name, what in investigations().items()) + "."
 _Bags = Annotated[list[Path], typer.Argument(help="rosbag2 directories, .mcap or .db3 files.")]
 _Estimators = Annotated[
     list[str] | None,
     typer.Option("--estimator", help="Estimator of the result; may be given more than once."),
+]
+_AllowGaps = Annotated[
+    bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
 ]
 _Out = Annotated[Path | None, typer.Option("--out", help="New directory for the results.")]
 _Json = Annotated[bool, typer.Option("--json", help="Print summary.json instead of tables.")]
@@ -92,6 +97,7 @@ def estimate(
     namespace: Annotated[
         str | None, typer.Option(help="Namespace of the topics; default: found by itself.")
     ] = None,
+    allow_gaps: _AllowGaps = False,
     out: _Out = None,
     json: _Json = False,
 ) -> int:
@@ -101,7 +107,9 @@ def estimate(
 
     if out is not None:
         prepare_directory(out)
-    conclusion, notes = estimate_bags(bags, tuple(estimator or ()), namespace=namespace)
+    conclusion, notes = estimate_bags(
+        bags, tuple(estimator or ()), namespace=namespace, allow_gaps=allow_gaps
+    )
     for note in notes:
         _say(f"note: {note}")
     if out is not None:
@@ -113,6 +121,7 @@ def estimate(
 def replay(
     bags: _Bags,
     estimator: _Estimators = None,
+    allow_gaps: _AllowGaps = False,
     out: _Out = None,
     domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
     json: _Json = False,
@@ -127,6 +136,7 @@ def replay(
             bags,
             tuple(estimator or ()),
             out,
+            allow_gaps=allow_gaps,
             domain_id=domain_id,
             on_progress=display.show,
             interrupted=stopped,
@@ -196,6 +206,28 @@ def bench(
     return run_bench(names or (), out if out is not None else _new_directory("bench"), as_json=json)
 
 
+@app.command()
+def investigate(
+    name: Annotated[str, typer.Argument(metavar="NAME", help=_INVESTIGATIONS)],
+    out: _Out = None,
+    seeds: Annotated[
+        str | None, typer.Option(help="Seeds, as in 77 or 0:10; default: those of NAME.")
+    ] = None,
+    workers: Annotated[int | None, typer.Option(help="Threads; default: one per core.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> int:
+    """Answer one question by Monte Carlo simulation; what it measured is in the documents."""
+    from armimp_bringup.investigations.options import InvestigationOptions
+    from armimp_bringup.orchestrator import prepare_directory
+
+    run_investigation = find_investigation(name)
+    directory = out if out is not None else _new_directory(name)
+    prepare_directory(directory)
+    return run_investigation(
+        InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; every error that a user can cause ends in one line."""
     try:
@@ -229,13 +261,19 @@ def _present(
     namespace: str | None = None,
 ) -> int:
     """Draw, report and print a result, and return the exit status that it deserves."""
+    complete = True
     if directory is not None:
         from armimp_estimation.figures import write_figures
         from armimp_estimation.report import load_result, write_report
 
-        result = load_result(directory, bags, namespace=namespace)
-        write_figures(directory, result)
-        write_report(directory, result)
+        try:
+            result = load_result(directory, bags, namespace=namespace)
+            write_figures(directory, result)
+            write_report(directory, result)
+        except DataError as error:
+            # As on a full disk; the numbers are there all the same.
+            _say(f"armimp: {error}")
+            complete = False
     if as_json:
         print(summary.model_dump_json(by_alias=True))
     else:
@@ -244,7 +282,7 @@ def _present(
         print_summary(summary, directory)
     for problem in summary.problems:
         _say(f"armimp: not valid: {problem}")
-    return 0 if summary.valid else 1
+    return 0 if summary.valid and complete else 1
 
 
 def _new_directory(what: str) -> Path:

@@ -17,6 +17,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, explain, flatten
 from armimp_common.versions import git_revision, versions
 from armimp_control.parameters import ControllerParameters
+from armimp_estimation.conclusion import TIMING_KEY
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.parameters import SimulatorParameters
 
@@ -148,6 +149,7 @@ def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePar
             perturbation=config.perturbation,
             duration=config.duration,
             seed=config.seed,
+            encoder_resolution=plant.sensors.encoder_resolution,
         ),
         CONTROLLER_NODE,
         config.imbic_controller,
@@ -188,6 +190,7 @@ def bag_metadata(
         "seed": json.dumps(config.seed),
         "joint_names": json.dumps(list(simulator.joints)),
         "truth": json.dumps(truth),
+        TIMING_KEY: json.dumps(simulator.sensors.sampling.value),
     }
 
 

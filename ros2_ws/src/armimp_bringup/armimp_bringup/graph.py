@@ -21,6 +21,7 @@ from armimp_bringup.resources import config_file
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
+from armimp_common.lifeline import Lifeline
 from armimp_common.spin import Spinner
 
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
@@ -29,14 +30,15 @@ _MODULES = {
     CONTROLLER_NODE: "armimp_control.node",
     ESTIMATOR_NODE: "armimp_estimation.node",
 }
+_VARIABLES = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_DOMAIN_ID")
 _PATIENCE = 5.0
 
 
 class NodeGroup(Protocol):
     """Some nodes of the graph."""
 
-    def dead(self) -> str | None:
-        """Say which node died and how; None while all live."""
+    def dead(self) -> Mapping[str, str]:
+        """Names of the nodes that died, with a sentence that says how."""
 
     def close(self) -> None:
         """Take the nodes down."""
@@ -46,7 +48,8 @@ class GraphContext:
     """A ROS context of its own, out of reach and hearing of everything else.
 
     Discovery stays on the local host, in a domain that no other experiment has, unless the
-    environment or the caller chooses otherwise.
+    environment or the caller chooses otherwise. Child processes inherit all that by environment
+    variables, which are as they were after `close`.
 
     Parameters
     ----------
@@ -57,21 +60,35 @@ class GraphContext:
     def __init__(self, domain_id: int | None = None) -> None:
         self.claim = DomainClaim(domain_id)
         # Read by the middleware when the context is made; child processes inherit them.
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_file("fastdds.xml")))
-        os.environ["ROS_DOMAIN_ID"] = str(self.claim.domain_id)
+        variables = {
+            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+            "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_file("fastdds.xml")),
+            **os.environ,
+            "ROS_DOMAIN_ID": str(self.claim.domain_id),
+        }
+        self._before = {name: os.environ.get(name) for name in _VARIABLES}
+        os.environ.update({name: variables[name] for name in _VARIABLES})
         self.context = Context()
-        rclpy.init(
-            args=[],
-            context=self.context,
-            domain_id=self.claim.domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        try:
+            rclpy.init(
+                args=[],
+                context=self.context,
+                domain_id=self.claim.domain_id,
+                signal_handler_options=SignalHandlerOptions.NO,
+            )
+        except BaseException:
+            self.close()
+            raise
 
     def close(self) -> None:
-        """Shut the context down and give the domain back."""
+        """Shut the context down, give the domain back, and restore the environment."""
         self.context.try_shutdown()
         self.claim.release()
+        for name, value in self._before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
     def __enter__(self) -> GraphContext:
         return self
@@ -120,9 +137,9 @@ class ComposedNodes:
             self._nodes.append(node)
             spinner.add_node(node)
 
-    def dead(self) -> str | None:
-        """Nodes of this process die with it: always None."""
-        return None
+    def dead(self) -> Mapping[str, str]:
+        """Nodes of this process die with it: always none."""
+        return {}
 
     def close(self) -> None:
         """Destroy the nodes."""
@@ -133,7 +150,7 @@ class ComposedNodes:
 
 
 class SeparateNodes:
-    """Nodes in processes of their own.
+    """Nodes in processes of their own, which end when this process does.
 
     Parameters
     ----------
@@ -142,27 +159,42 @@ class SeparateNodes:
     log_directory : Path
         Where their output goes, one file for each.
     names : which nodes
+
+    Raises
+    ------
+    GraphError
+        If a process can't be started.
     """
 
     def __init__(self, parameters: Path, log_directory: Path, names: Sequence[str] = NODES) -> None:
-        log_directory.mkdir(parents=True, exist_ok=True)
         self._logs = {name: log_directory / f"{name}.log" for name in names}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
-        for name in names:
-            command = [sys.executable, "-m", _MODULES[name], "--ros-args"]
-            command += ["--params-file", str(parameters)]
-            with self._logs[name].open("wb") as log:
-                self.processes[name] = subprocess.Popen(
-                    command,
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    # Ctrl-C is for the orchestrator, which then takes the nodes down in order.
-                    start_new_session=True,
-                )
+        self._forced: set[str] = set()
+        self._lifeline: Lifeline | None = Lifeline()
+        environment = self._lifeline.environment()
+        try:
+            log_directory.mkdir(parents=True, exist_ok=True)
+            for name in names:
+                command = [sys.executable, "-m", _MODULES[name], "--ros-args"]
+                command += ["--params-file", str(parameters)]
+                with self._logs[name].open("wb") as log:
+                    self.processes[name] = subprocess.Popen(
+                        command,
+                        stdin=subprocess.DEVNULL,
+                        stdout=log,
+                        stderr=subprocess.STDOUT,
+                        # Ctrl-C is for the orchestrator, which takes the nodes down in order.
+                        start_new_session=True,
+                        pass_fds=[self._lifeline.child_end],
+                        env=environment,
+                    )
+        except OSError as error:
+            self.close()
+            raise GraphError(f"the nodes could not be started: {error}") from None
 
-    def dead(self) -> str | None:
-        """Say which node died, how, and its last words."""
+    def dead(self) -> Mapping[str, str]:
+        """Say which nodes died, how, and their last words."""
+        sentences: dict[str, str] = {}
         for name, process in self.processes.items():
             status = process.poll()
             if status is not None:
@@ -172,21 +204,35 @@ class SeparateNodes:
                     else f"ended with status {status}"
                 )
                 lines = self._logs[name].read_text(errors="replace").strip().splitlines()
-                return f"node {name} {how}" + (f": {lines[-1]}" if lines else "")
-        return None
+                sentences[name] = f"node {name} {how}" + (f": {lines[-1]}" if lines else "")
+        return sentences
+
+    def crashed(self) -> list[str]:
+        """Say which nodes died by a signal that did not come from here, at the very end too."""
+        ours = -signal.SIGINT
+        return [
+            sentence
+            for name, sentence in self.dead().items()
+            if ours != self.processes[name].returncode < 0 and name not in self._forced
+        ]
 
     def close(self) -> None:
         """End the processes: politely, then firmly."""
         for signal_number in (signal.SIGINT, signal.SIGKILL):
-            for process in self.processes.values():
+            for name, process in self.processes.items():
                 if process.poll() is None:
                     process.send_signal(signal_number)
+                    if signal_number == signal.SIGKILL:
+                        self._forced.add(name)
             deadline = time.monotonic() + _PATIENCE
             for process in self.processes.values():
                 try:
                     process.wait(max(deadline - time.monotonic(), 0.01))
                 except subprocess.TimeoutExpired:
                     continue
+        if self._lifeline is not None:
+            self._lifeline.close()
+            self._lifeline = None
         for name, process in self.processes.items():
             if process.poll() is None:
                 raise GraphError(f"node {name} could not be ended (process {process.pid})")

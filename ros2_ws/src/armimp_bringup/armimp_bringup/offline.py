@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.trial_status import Phase
+from armimp_control.faults import in_words
+from armimp_control.gate import FAULT, GATE_ROWS, JOURNAL
 from armimp_control.law import LawConfig, LawNumbers, control_tick
 from armimp_control.layout import MEMORY_ROWS
 from armimp_control.perturbation import PerturbationConfig, perturbation
-from armimp_control.safety import REFUSED, SafetyConfig
+from armimp_control.safety import SafetyConfig
 from armimp_control.sequence import Segment, SequenceConfig, timetable
 from armimp_sim.packed import Tag
 from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
@@ -80,7 +82,7 @@ class OfflineTrial:
     joint : perturbed joint, 0-based; the first one if all were perturbed at once
     first_tick : tick of the first sample since the start of the experiment
     position, torque, command, perturbation : (n, N) rad, N·m, N·m, N·m
-    clipped : number of saturated joint commands
+    clipped : number of clipped joint commands
     """
 
     joint: int
@@ -108,7 +110,10 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     targets: NDArray[np.float64],
     models: NDArray[np.float64],
     scalars: NDArray[np.float64],
+    rules: NDArray[np.float64],
     memory: NDArray[np.float64],
+    gates: NDArray[np.float64],
+    journals: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
     voluntary: NDArray[np.float64],
     record: NDArray[np.float64],
@@ -124,11 +129,13 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     laws : (lanes,) numbers of the laws, from :class:`armimp_control.law.LawNumbers`
     roles : (lanes, 4, n) from the configurations of the laws
     targets, models : (lanes, n) θ_rd, rad, and (lanes, n, n) M̄, kg·m²
-    scalars : (lanes, 3) Γ, rad/s; L, s; torque limit, N·m
+    scalars : (lanes, 2) Γ, rad/s; L, s
+    rules : (lanes, RULE_ROWS, n) of the safety gates
     memory : (lanes, MEMORY_ROWS, n) of the law, updated
+    gates, journals : (lanes, GATE_ROWS, n) and (lanes, JOURNAL) of the safety gates, updated
     tau_delta, voluntary : (ticks, lanes, n) N·m
     record : (3, lanes, n, ticks), written: positions, torques, commands
-    clipped : (lanes,) numbers of saturated commands, added to
+    clipped : (lanes,) numbers of clipped joint commands, added to
 
     Returns
     -------
@@ -140,7 +147,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     worst = 0.0
     for k in range(tau_delta.shape[0]):
         for lane in range(m):
-            count = control_tick(
+            clipped[lane] += control_tick(
                 laws[lane],
                 position[lane],
                 torque[lane],
@@ -150,13 +157,12 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
                 models[lane],
                 scalars[lane, 0],
                 scalars[lane, 1],
-                scalars[lane, 2],
+                rules[lane],
                 memory[lane],
+                gates[lane],
+                journals[lane],
                 command[lane],
             )
-            if count == REFUSED:
-                return np.nan
-            clipped[lane] += count
             for i in range(n):
                 record[0, lane, i, k] = position[lane, i]
                 record[1, lane, i, k] = torque[lane, i]
@@ -196,7 +202,7 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
     Raises
     ------
     DataError
-        If the sequences differ.
+        If the sequences differ, or the safety gate of a rig stopped the experiment.
     IntegrationError
         If the plant left the stability region of the integrator.
     """
@@ -205,31 +211,41 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
     return _run(rigs, timetable(first.sequence, joints=joints, period=period), together=False)
 
 
-def run_together(rigs: Sequence[Rig]) -> list[OfflineTrial]:
-    """Run, side by side, single trials in which every joint yields and is perturbed at once.
+def run_together(
+    rigs: Sequence[Rig], *, trials: int = 1, mixing: Sequence[NDArray[np.float64]] | None = None
+) -> list[list[OfflineTrial]]:
+    """Run, side by side, trials in which every joint yields and is perturbed at once.
 
-    The perturbation of each joint is that of its own trial in :func:`run_offline`.
+    The perturbation of each joint in the first trial is that of its own trial in
+    :func:`run_offline`; those of further trials are independent of them.
 
     Parameters
     ----------
     rigs : as for :func:`run_offline`
+    trials : how many, one after the other
+    mixing : for each rig, if given, an (n, n) matrix that makes τ_Δ out of these perturbations;
+        off its diagonal it couples the inputs
 
     Returns
     -------
-    list of OfflineTrial
-        One for each rig.
+    list of list of OfflineTrial
+        For each rig, its trials in order.
 
     Raises
     ------
     DataError, IntegrationError
         As :func:`run_offline`.
     """
-    segments = timetable(rigs[0].sequence, joints=1, period=rigs[0].plant.period)
-    return [trials[0] for trials in _run(rigs, segments, together=True)]
+    segments = timetable(rigs[0].sequence, joints=trials, period=rigs[0].plant.period)
+    return _run(rigs, segments, together=True, mixing=mixing)
 
 
 def _run(
-    rigs: Sequence[Rig], segments: Sequence[Segment], *, together: bool
+    rigs: Sequence[Rig],
+    segments: Sequence[Segment],
+    *,
+    together: bool,
+    mixing: Sequence[NDArray[np.float64]] | None = None,
 ) -> list[list[OfflineTrial]]:
     """Run a timetable with one perturbed joint in each trial, or with all of them together."""
     first = rigs[0]
@@ -242,12 +258,11 @@ def _run(
     laws = np.array([law.law for law in numbers])
     targets = np.array([law.target for law in numbers])
     models = np.array([law.model for law in numbers])
-    scalars = np.array(
-        [
-            (law.gamma, law.period, rig.safety.torque_limit)
-            for law, rig in zip(numbers, rigs, strict=True)
-        ]
+    scalars = np.array([(law.gamma, law.period) for law in numbers])
+    rules = np.array(
+        [rig.safety.rules(law.target, law.period) for law, rig in zip(numbers, rigs, strict=True)]
     )
+    gates, journals = np.zeros((lanes, GATE_ROWS, n)), np.zeros((lanes, JOURNAL))
     streams = [
         VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
         for rig in rigs
@@ -261,10 +276,12 @@ def _run(
                 tau_delta[:, lane, joint] = perturbation(
                     rig.perturbation,
                     joint=joint,
-                    trial=segment.trial + joint - segment.joint,
+                    trial=segment.joint * n + joint + 1 if together else segment.trial,
                     ticks=segment.ticks,
                     seed=rig.seed,
                 )
+            for lane, matrix in enumerate(mixing or ()):
+                tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T
         role = None if together else segment.joint
         record = np.empty((3, lanes, n, segment.ticks))
         clipped = np.zeros(lanes, dtype=np.int64)
@@ -283,19 +300,27 @@ def _run(
             targets,
             models,
             scalars,
+            rules,
             memory,
+            gates,
+            journals,
             tau_delta,
             np.stack([stream.take(segment.ticks) for stream in streams], axis=1),
             record,
             clipped,
         )
         check_ratio(worst, plant.config.step)
+        for journal, rule in zip(journals, rules, strict=True):
+            if fault := in_words(journal, FAULT, rule):
+                raise DataError(
+                    f"offline run: the safety gate stopped in trial {segment.trial}: {fault}"
+                )
         if segment.phase is not Phase.PERTURB:
             continue
         for lane in range(lanes):
             trials[lane].append(
                 OfflineTrial(
-                    joint=segment.joint,
+                    joint=0 if together else segment.joint,
                     first_tick=segment.first,
                     position=record[0, lane].copy(),
                     torque=record[1, lane].copy(),

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from armimp_common.errors import DataError
 from armimp_estimation.bags import BagContent, read_bag
+from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
+from armimp_estimation.gaps import GapConfig
 from armimp_estimation.parameters import EstimatorParameters
 
 
 def estimate_bags(
-    bags: Sequence[Path], estimators: tuple[str, ...], *, namespace: str | None = None
+    bags: Sequence[Path],
+    estimators: tuple[str, ...],
+    *,
+    namespace: str | None = None,
+    allow_gaps: bool = False,
 ) -> tuple[Conclusion, list[str]]:
     """Identify the impedance from bags that hold one trial for each joint between them.
 
@@ -24,6 +31,8 @@ def estimate_bags(
         Names; empty for the defaults.
     namespace : str, optional
         Namespace of the topics.
+    allow_gaps : bool
+        Use the intact parts of trials that lost samples.
 
     Returns
     -------
@@ -40,24 +49,24 @@ def estimate_bags(
     """
     contents = read_bags(bags, namespace=namespace)
     names = contents[0].joint_names
-    notes = [f"{content.path}: {note}" for content in contents for note in content.notes]
+    notes = [note for content in contents for note in content.notes]
     trials: list[FinishedTrial] = []
     for content in contents:
         for trial in content.trials:
-            trial.require()
-            notes += [f"{content.path}: {trial.note}"] if trial.note else []
+            trial.intact(allow_gaps=allow_gaps)
             trials.append(FinishedTrial(assembled=trial, bag=str(content.path)))
     conclusion = conclude(
         trials,
         metadata=contents[0].metadata,
         joints=len(names),
         estimators=estimators or EstimatorParameters().estimators,
+        gaps=GapConfig(allow=allow_gaps),
     )
     return conclusion, notes
 
 
 def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
-    """Read bags which belong to one experiment.
+    """Read bags which belong to one experiment; those that a killed recorder left are finished.
 
     Raises
     ------
@@ -66,7 +75,11 @@ def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[Bag
     DataError
         If the joints differ between them.
     """
-    contents = [read_bag(path, namespace=namespace) for path in bags]
+    contents = []
+    for path in bags:
+        finished = finish_bag(path)
+        content = read_bag(path, namespace=namespace)
+        contents.append(replace(content, notes=(finished, *content.notes)) if finished else content)
     for content in contents[1:]:
         if content.joint_names != contents[0].joint_names:
             raise DataError(

@@ -16,10 +16,12 @@ from armimp_common import contract, qos
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.liveliness import SignOfLife
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import expected_bytes, require_free_space
+from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.parameters import EstimatorParameters
@@ -30,7 +32,7 @@ GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_N
 """Order of activation: whoever listens comes before whoever speaks."""
 LOGS = "logs"
 _STALL = 30.0
-_PERIOD = 0.1
+_PERIOD = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,11 +54,14 @@ class Supervisor(Node):
     """Listens to everything that tells how the experiment goes."""
 
     def __init__(self, graph: GraphContext, on_progress: Callable[[Progress], None]) -> None:
-        super().__init__("armimp", context=graph.context, use_global_arguments=False)
+        super().__init__(
+            contract.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False
+        )
         self._on_progress = on_progress
         self.problems: list[str] = []
         self.concluded = self.finished = False
         self.last_news = time.monotonic()
+        self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
             DiagnosticStatus, contract.PROGRESS, self._on_progress_message, qos.PROGRESS
         )
@@ -159,6 +164,8 @@ def run_experiment(
                 nodes.close()
                 spinner.remove_node(supervisor)
                 supervisor.destroy_node()
+            if isinstance(nodes, SeparateNodes):
+                problems += [crash for crash in nodes.crashed() if crash not in problems]
     problems += supervisor.problems
     return settle(directory, parameters.estimator, problems)
 
@@ -203,33 +210,79 @@ def lead(
     list of str
         What went wrong.
     """
-    manager = LifecycleManager(supervisor, names, spin_until=spinner.spin_until, timeout=60.0)
+    roll = _Roll(nodes)
+    manager = LifecycleManager(
+        supervisor, names, spin_until=spinner.spin_until, timeout=60.0, check=roll.check
+    )
     problems: list[str] = []
+    begun: list[str] = []
     try:
         manager.wait_for_nodes()
         for name in names:
+            begun.append(name)
             manager.configure(name)
         for name in names:
             manager.activate(name)
         supervisor.last_news = time.monotonic()
         drive()
-        problems += _watch(supervisor, spinner, nodes, interrupted)
+        problems += _watch(supervisor, spinner, roll, interrupted)
     except ArmimpError as error:
         # From the graph itself or, where nodes live in this process, from one of their callbacks.
-        problems.append(nodes.dead() or str(error))
-    if nodes.dead() is None:
-        for name in reversed(names):
-            try:
-                manager.shutdown(name)
-            except GraphError as error:
-                problems.append(str(error))
-    return problems
+        problems += roll.deaths() or [str(error)]
+    # Those that were never asked for anything have nothing to close.
+    return problems + _shut_down(manager, roll, begun)
+
+
+class _Roll:
+    """Which nodes are known to have died.
+
+    Parameters
+    ----------
+    nodes : the nodes
+
+    Attributes
+    ----------
+    awaited : the only node whose death matters to :meth:`check`; None if each does
+    told : sentences about those that died, by name
+    """
+
+    def __init__(self, nodes: NodeGroup) -> None:
+        self._nodes = nodes
+        self.awaited: str | None = None
+        self.told: dict[str, str] = {}
+
+    def deaths(self) -> list[str]:
+        """Return sentences about those that died since the last call."""
+        new = {name: how for name, how in self._nodes.dead().items() if name not in self.told}
+        self.told.update(new)
+        return list(new.values())
+
+    def check(self) -> None:
+        """Raise a GraphError if it is vain to wait any longer."""
+        dead = self._nodes.dead()
+        if dead if self.awaited is None else self.awaited in dead:
+            raise GraphError("a node died")
+
+
+def _shut_down(manager: LifecycleManager, roll: _Roll, names: Sequence[str]) -> list[str]:
+    """Finalise the nodes that live, whatever has happened to the others."""
+    problems: list[str] = []
+    for name in reversed(names):
+        problems += roll.deaths()
+        if name in roll.told:
+            continue
+        roll.awaited = name
+        try:
+            manager.shutdown(name)
+        except ArmimpError as error:
+            problems += roll.deaths() or [str(error)]
+    return problems + roll.deaths()
 
 
 def _watch(
     supervisor: Supervisor,
     spinner: Spinner,
-    nodes: NodeGroup,
+    roll: _Roll,
     interrupted: Callable[[], bool],
 ) -> list[str]:
     problems: list[str] = []
@@ -237,8 +290,8 @@ def _watch(
     def over() -> bool:
         if interrupted():
             problems.append("interrupted by the user")
-        elif (dead := nodes.dead()) is not None:
-            problems.append(dead)
+        elif deaths := roll.deaths():
+            problems.extend(deaths)
         elif time.monotonic() - supervisor.last_news > _STALL:
             problems.append(f"nothing happened for {_STALL:g} s")
         return bool(problems) or (supervisor.concluded and supervisor.finished)
@@ -259,6 +312,7 @@ def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[s
     problems : sequence of str
         What the orchestrator saw go wrong.
     """
+    finish_bags(directory)  # An estimator that was killed could not.
     path = directory / SUMMARY_FILE
     if not path.exists():
         conclusion = conclude(

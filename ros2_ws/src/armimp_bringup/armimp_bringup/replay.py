@@ -156,6 +156,7 @@ def replay_bags(
     estimators: tuple[str, ...],
     directory: Path | None,
     *,
+    allow_gaps: bool = False,
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
@@ -170,6 +171,8 @@ def replay_bags(
         Names; empty for the defaults.
     directory : Path or None
         New directory for the results; None keeps no files.
+    allow_gaps : bool
+        Use the intact parts of trials that lost samples.
     domain_id, on_progress, interrupted
         As for :func:`armimp_bringup.orchestrator.run_experiment`.
 
@@ -183,7 +186,7 @@ def replay_bags(
     contents = read_bags(bags)
     for content in contents:
         for trial in content.trials:
-            trial.require()
+            trial.intact(allow_gaps=allow_gaps)
     with tempfile.TemporaryDirectory() as temporary:
         if directory is None:
             directory = Path(temporary)
@@ -193,6 +196,7 @@ def replay_bags(
             joints=contents[0].joint_names,
             estimators=estimators or EstimatorParameters().estimators,
             record=False,
+            allow_gaps=allow_gaps,
             directory=str(directory.absolute()),
             metadata=json.dumps(dict(contents[0].metadata)),
         )

@@ -12,6 +12,7 @@ from rich.table import Table
 
 from armimp_estimation.results import EstimatorSummary, Summary
 
+_COUNTS = ("duplicated", "reordered", "late", "clipped", "excluded")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 
 
@@ -75,6 +76,10 @@ def _trial_table(summary: Summary) -> Table:
     table.add_column("joint", justify="right")
     table.add_column("samples", justify="right")
     table.add_column("lost", justify="right")
+    # What is zero in all trials, as it mostly is, takes no room.
+    counts = [kind for kind in _COUNTS if any(getattr(one, kind) for one in summary.trials)]
+    for kind in counts:
+        table.add_column(kind, justify="right")
     table.add_column("lock ratio", justify="right")
     table.add_column("x real time", justify="right")
     table.add_column("bag", overflow="fold")
@@ -84,11 +89,16 @@ def _trial_table(summary: Summary) -> Table:
             str(trial.k),
             str(trial.ticks),
             str(trial.lost),
+            *(_count(kind, getattr(trial, kind)) for kind in counts),
             _largest(others),
             "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
             "–" if trial.bag is None else trial.bag,
         )
     return table
+
+
+def _count(kind: str, value: float) -> str:
+    return f"{100.0 * value:.3g} %" if kind == "excluded" else str(value)
 
 
 def _largest(values: Sequence[float]) -> str:

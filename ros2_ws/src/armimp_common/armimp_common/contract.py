@@ -15,6 +15,12 @@ PERIOD_NS: Final = 1_000_000
 SIM_NODE: Final = "arm_sim"
 CONTROLLER_NODE: Final = "imbic_controller"
 ESTIMATOR_NODE: Final = "impedance_estimator"
+SUPERVISOR_NODE: Final = "armimp"
+
+CONTROLLER_STOP_SERVICE: Final = "imbic_controller/emergency_stop"
+CONTROLLER_RESET_SERVICE: Final = "imbic_controller/reset"
+SIM_STOP_SERVICE: Final = "arm_sim/emergency_stop"
+SIM_RESET_SERVICE: Final = "arm_sim/reset"
 
 JOINT_STATES: Final = "joint_states"
 TORQUE_SENSORS: Final = "torque_sensors"
@@ -46,7 +52,7 @@ MESSAGE_TYPES: Final[dict[str, str]] = {
 RECORDER_GONE: Final = 2**64 - 1
 """On ``impedance_estimator/received``: nothing is recorded any more, nobody has to wait."""
 
-RECEIVED_EVERY: Final = 25
+RECEIVED_EVERY: Final = 10
 """Samples after which the recorder tells how many it has received."""
 
 VALUE_FIELD: Final[dict[str, ValueField]] = {
@@ -55,3 +61,8 @@ VALUE_FIELD: Final[dict[str, ValueField]] = {
     PERTURBATION: "effort",
 }
 """Where each JointState stream carries its numbers: encoder angle (rad) or torque (N·m)."""
+
+
+def alive(node: str) -> str:
+    """Return the topic on which a node offers its sign of life."""
+    return f"{node}/alive"

@@ -1,6 +1,7 @@
 """Lifecycle transitions: asking for them from outside, and reporting why one failed."""
 
 import functools
+import math
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -19,6 +20,8 @@ SpinUntil: TypeAlias = Callable[[Future, float], bool]
 TransitionName: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
 
 _POLL: Final = 0.01
+_CHECK_PERIOD: Final = 0.05
+_REPEAT: Final = 2.0
 
 
 class LifecycleManager:
@@ -39,12 +42,22 @@ class LifecycleManager:
         process it must spin them too.
     timeout
         For each answer (s); discovery and a slow configuration count.
+    check
+        Called often while something is waited for; what it raises ends the waiting. To be used
+        for what makes waiting vain, like the death of a process.
     """
 
     def __init__(
-        self, node: Node, names: Sequence[str], *, spin_until: SpinUntil, timeout: float = 10.0
+        self,
+        node: Node,
+        names: Sequence[str],
+        *,
+        spin_until: SpinUntil,
+        timeout: float = 10.0,
+        check: Callable[[], None] = lambda: None,
     ) -> None:
         self._node = node
+        self._check = check
         self._spin_until = spin_until
         self._timeout = timeout
         self.names = tuple(names)
@@ -66,6 +79,7 @@ class LifecycleManager:
         while missing := [name for name in self.names if not self._is_there(name)]:
             if time.monotonic() >= deadline:
                 raise GraphError(f"node did not appear: {', '.join(missing)}")
+            self._check()
             self._spin_until(Future(), _POLL)
 
     def state(self, name: str) -> str:
@@ -150,12 +164,29 @@ class LifecycleManager:
         while not client.service_is_ready():
             if time.monotonic() >= deadline:
                 raise GraphError(f"node {name} is not there to {purpose}")
+            self._check()
             self._spin_until(Future(), _POLL)
-        future = client.call_async(request)
-        if not self._spin_until(future, max(deadline - time.monotonic(), _POLL)):
-            client.remove_pending_request(future)
-            raise GraphError(f"node {name} did not answer to {purpose} in {self._timeout} s")
-        return future.result()
+        problem = f"node {name} did not answer to {purpose} in {self._timeout} s"
+        while True:
+            # An answer gets lost if the node has not yet discovered this side. A question may be
+            # repeated; a transition may not, but questions about it go before.
+            patience = math.inf if service == "change_state" else _REPEAT
+            future = client.call_async(request)
+            try:
+                if self._await(future, min(deadline, time.monotonic() + patience)):
+                    return future.result()
+            finally:
+                if not future.done():
+                    client.remove_pending_request(future)
+            if time.monotonic() >= deadline:
+                raise GraphError(problem)
+
+    def _await(self, future: Future, deadline: float) -> bool:
+        while not self._spin_until(future, _CHECK_PERIOD):
+            self._check()
+            if time.monotonic() >= deadline:
+                return False
+        return True
 
 
 class HasTransitionError(Protocol):

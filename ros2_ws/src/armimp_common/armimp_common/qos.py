@@ -2,7 +2,14 @@
 
 from typing import Final
 
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 
 from armimp_common import contract
 
@@ -30,6 +37,30 @@ CLOCK: Final = _profile(1, reliable=False)
 
 DIAGNOSTICS: Final = _profile(10)
 """Diagnostics: what diagnostic aggregators expect."""
+
+OFFERED_LEASE_MS: Final = 30
+"""Lease that a sign of life offers: the middleware renews it after two thirds of that time (ms)."""
+
+WATCHED_LEASE_MS: Final = 120
+"""Silence after which a process counts as dead, or is looked up if it is on this machine (ms).
+
+Long against the renewal every 20 ms, as a busy machine holds everything up; short enough for the
+others to be safe 200 ms after a death.
+"""
+
+
+def _alive(lease_ms: int) -> QoSProfile:
+    profile = _profile(1, latched=True)
+    profile.liveliness = LivelinessPolicy.AUTOMATIC
+    profile.liveliness_lease_duration = Duration(nanoseconds=lease_ms * 1_000_000)
+    return profile
+
+
+ALIVE: Final = _alive(OFFERED_LEASE_MS)
+"""Sign of life of a process, for the publisher that offers it."""
+
+ALIVE_WATCHED: Final = _alive(WATCHED_LEASE_MS)
+"""The same for the subscription that watches it."""
 
 PROFILES: Final[dict[str, QoSProfile]] = {
     **dict.fromkeys(contract.DATA_STREAMS, SAMPLE),

@@ -27,6 +27,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_common.lifeline import follow_lifeline
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -35,8 +36,8 @@ ExecutorKind: TypeAlias = Literal["events", "single"]
 NodeT = TypeVar("NodeT", bound=Node)
 NodeT_co = TypeVar("NodeT_co", bound=Node, covariant=True)
 
-PERIOD: Final = 0.2
-"""How often stop conditions are looked at (s)."""
+PERIOD: Final = 0.05
+"""How often stop conditions are looked at (s); a node that is told to end does so that soon."""
 
 _RESOLUTION: Final = 0.02
 
@@ -237,6 +238,7 @@ def run_node(
     arguments = list(sys.argv if args is None else args)
     try:
         with stop_on_signals() as stopped, _initialised(arguments) as context:
+            follow_lifeline()
             _run(factory(context=context), stopped, until, kind)
     except ConfigurationError as error:
         print(f"{_program(arguments)}: {error}", file=sys.stderr)

@@ -12,6 +12,7 @@ STATUS_NAME: Final = "imbic_controller: trial"
 """``name`` of the DiagnosticStatus that carries a trial status."""
 
 _INTEGER: Final = re.compile(r"-?[0-9]{1,40}")
+_INTERVALS: Final = re.compile(r"([0-9]{1,19}-[0-9]{1,19}( [0-9]{1,19}-[0-9]{1,19}){0,99})?")
 _BOOLEANS: Final = {"true": True, "false": False}
 
 
@@ -60,6 +61,11 @@ class TrialStatus:
         False as soon as something spoiled the present trial.
     reason
         Why it is not valid.
+    clipped
+        Joint commands that the safety gate clipped so far during the perturbation of this trial.
+    clipped_intervals
+        When: ``first-last first-last ...`` in ticks from the first perturbed sample, which is 0; at
+        most 100 intervals, which hold all clipped ticks (and others, where there would be more).
 
     Raises
     ------
@@ -78,15 +84,21 @@ class TrialStatus:
     seed: int
     valid: bool
     reason: str = ""
+    clipped: int = 0
+    clipped_intervals: str = ""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trial <= self.trials:
             raise ConfigurationError(f"trial {self.trial} is not within 1..{self.trials}")
-        for name in ("joint", "tick", "ticks", "seed"):
+        for name in ("joint", "tick", "ticks", "seed", "clipped"):
             if getattr(self, name) < 0:
                 raise ConfigurationError(f"{name} is negative: {getattr(self, name)}")
         if self.phase is Phase.PERTURB and self.start_ns is None:
             raise ConfigurationError("start_ns is missing in phase perturb")
+        if not _INTERVALS.fullmatch(self.clipped_intervals):
+            raise ConfigurationError(
+                f"clipped_intervals is not a list of intervals: {self.clipped_intervals!r:.80}"
+            )
 
     @property
     def sentence(self) -> str:
@@ -113,6 +125,8 @@ class TrialStatus:
             "seed": str(self.seed),
             "valid": "true" if self.valid else "false",
             "reason": self.reason,
+            "clipped": str(self.clipped),
+            "clipped_intervals": self.clipped_intervals,
         }
 
     @classmethod
@@ -143,6 +157,9 @@ class TrialStatus:
                 seed=_integer(values, "seed"),
                 valid=_BOOLEANS[valid],
                 reason=_get(values, "reason"),
+                # Bags that are older than these do not have them.
+                clipped=_integer({"clipped": "0", **values}, "clipped"),
+                clipped_intervals=values.get("clipped_intervals", ""),
             )
         except ConfigurationError as error:
             raise MalformedMessageError(f"trial status: {error}") from None

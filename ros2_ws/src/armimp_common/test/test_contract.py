@@ -12,7 +12,7 @@ def test_every_topic_has_a_message_type() -> None:
     topics = {
         value
         for name, value in vars(contract).items()
-        if name.isupper() and isinstance(value, str) and not name.endswith("_NODE")
+        if name.isupper() and isinstance(value, str) and not name.endswith(("_NODE", "_SERVICE"))
     }
 
     assert topics == set(contract.MESSAGE_TYPES)

@@ -198,3 +198,26 @@ raise SystemExit(run_node(lambda *, context: LifecycleNode("remote", context=con
     finally:
         process.kill()
         process.wait()
+
+
+def test_when_waiting_is_vain_expect_its_reason_at_once(node: Node, managed: Managed) -> None:
+    asked = 0
+
+    def check() -> None:
+        nonlocal asked
+        asked += 1
+        if asked > 3:
+            raise GraphError("the process died")
+
+    with Spinner([node]) as spinner:  # which does not spin the managed node
+        manager = LifecycleManager(
+            node, ["managed", "absent"], spin_until=spinner.spin_until, timeout=1000.0, check=check
+        )
+        for wait in (
+            manager.wait_for_nodes,
+            lambda: manager.configure("absent"),
+            lambda: manager.configure("managed"),
+        ):
+            asked = 0
+            with pytest.raises(GraphError, match=r"^the process died$"):
+                wait()

@@ -41,6 +41,8 @@ def statuses(draw: st.DrawFn) -> TrialStatus:
         seed=draw(counts),
         valid=draw(st.booleans()),
         reason=draw(st.text()),
+        clipped=draw(counts),
+        clipped_intervals=" ".join(draw(st.lists(st.just("3-17") | st.just("0-0"), max_size=100))),
     )
 
 
@@ -58,7 +60,16 @@ def test_when_keys_are_unknown_expect_them_ignored() -> None:
     assert TrialStatus.from_values({**STATUS.to_values(), "added_later": "x"}) == STATUS
 
 
-@pytest.mark.parametrize("key", list(STATUS.to_values()))
+ADDED_LATER = {"clipped", "clipped_intervals"}
+
+
+def test_status_of_an_old_bag_that_tells_nothing_of_clipping_can_be_read() -> None:
+    values = STATUS.to_values()
+    old = {key: value for key, value in values.items() if key not in ADDED_LATER}
+    assert TrialStatus.from_values(old) == STATUS
+
+
+@pytest.mark.parametrize("key", [key for key in STATUS.to_values() if key not in ADDED_LATER])
 def test_when_a_key_is_missing_expect_malformed_message(key: str) -> None:
     values = STATUS.to_values()
     del values[key]
@@ -86,6 +97,13 @@ def test_when_a_key_is_missing_expect_malformed_message(key: str) -> None:
         ("ticks", "9" * 5000),
         ("seed", "0x10"),
         ("valid", "True"),
+        ("clipped", "-1"),
+        ("clipped", ""),
+        ("clipped_intervals", "3"),
+        ("clipped_intervals", "3-4, 5-6"),
+        ("clipped_intervals", "3-4  5-6"),
+        ("clipped_intervals", "-1-4"),
+        ("clipped_intervals", " ".join(["3-4"] * 101)),
     ],
 )
 def test_when_a_value_is_nonsense_expect_malformed_message(key: str, text: str) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -10,10 +9,11 @@ from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS
 from armimp_common.trial_status import Phase, TrialStatus
+from armimp_control.clips import ClipLedger
 from armimp_control.law import Controller
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.perturbation import perturbation
-from armimp_control.safety import REFUSED
+from armimp_control.safety import Limit
 from armimp_control.sequence import Segment, timetable
 
 
@@ -29,7 +29,7 @@ class Experiment:
     ----------
     command : (n,) N·m, answer to the last sample
     tau_delta : (n,) N·m, perturbation of the last sample
-    clipped : number of saturated joint commands in the present trial
+    fault : why the experiment has ended early, in words; empty if it has not
     lost : number of samples that were missing between others in the present trial
     finished : whether all trials are over, in good order or not
 
@@ -46,9 +46,7 @@ class Experiment:
         self._parameters = parameters
         self._announce = announce
         self._perturbation_config = parameters.perturbation_config()
-        self._law = Controller(
-            parameters.law_config(), torque_limit=parameters.safety_config().torque_limit
-        )
+        self._law = Controller(parameters.law_config(), safety=parameters.safety_config())
         n = len(parameters.joints)
         self._segments = timetable(parameters.sequence_config(), joints=n, period=PERIOD)
         self._next_segment = 0
@@ -58,9 +56,11 @@ class Experiment:
         self._signal: NDArray[np.float64] = np.zeros(0)
         self._theta, self._tau_h = np.zeros(n), np.zeros(n)
         self._tick = 0
-        self._reason = ""
+        self._reason = self._malformed = ""
         self.command, self.tau_delta = self._law.command, np.zeros(n)
-        self.clipped = self.lost = 0
+        self._clips = ClipLedger()
+        self.fault = ""
+        self.lost = 0
         self.finished = False
         self._compile()
 
@@ -72,34 +72,69 @@ class Experiment:
         stamp_ns : of the sample, ns
         theta : (n,) encoder readings, rad
         tau_h : (n,) torque on the arm, N·m
+
+        Notes
+        -----
+        A sample that is wrong in any way ends the experiment, and nothing of it is used.
         """
-        if not self.finished:
-            self._check(stamp_ns, theta, tau_h)
-        if not self.finished:
-            self._advance(stamp_ns)
-        if self.finished:
-            self.command[:] = 0.0
-            self.tau_delta[:] = 0.0
+        self._malformed = self._wrong_length(theta, tau_h)
+        if self._malformed:
+            self.abort(self._malformed)
         else:
+            if not self.finished:
+                self._check(stamp_ns)
+            if not self.finished:
+                self._advance(stamp_ns)
             self._control(theta, tau_h)
         self._tick += 1
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether the experiment is over and the torque zero."""
+        return self.finished and not self.command.any()
+
+    @property
+    def tick(self) -> int:
+        """Number of samples answered."""
+        return self._tick
+
+    @property
+    def clips(self) -> dict[Limit, int]:
+        """Number of clipped joint commands for each limit, in all phases of all trials."""
+        return self._law.clips
+
+    @property
+    def present_fault(self) -> str:
+        """What was wrong with the last sample, in words; else empty."""
+        return self._malformed or self._law.present_fault
+
     def abort(self, reason: str) -> None:
-        """End the experiment; every further answer is zero torque. The first reason stays."""
+        """End the experiment with zero torque at once. The first reason stays."""
+        self._law.cut()
+        self._end(reason)
+
+    def stop(self, reason: str) -> None:
+        """End the experiment and let the torque ramp down to zero. The first reason stays.
+
+        The ramp takes one tick for each further answer, or those of :meth:`fall`.
+        """
+        self._law.stop()
+        self._end(reason)
+
+    def fall(self, ticks: int) -> None:
+        """Go on with the ramp after :meth:`stop` by some ticks, where no samples come."""
+        self._law.fall(ticks)
+
+    def _end(self, reason: str) -> None:
+        self.tau_delta[:] = 0.0
         if self.finished:
             return
         self.finished = True
-        self._reason = reason
-        self.command[:] = 0.0
-        self.tau_delta[:] = 0.0
+        self.fault = self._reason = reason
         self._announce(self._status(Phase.ABORTED))
 
-    def _check(self, stamp_ns: int, theta: Sequence[float], tau_h: Sequence[float]) -> None:
-        for what, values in (("position", theta), ("torque reading", tau_h)):
-            for joint, value in enumerate(values):
-                if not math.isfinite(value):
-                    self.abort(f"{what} of joint {joint + 1} is not finite: {value}")
-                    return
+    def _check(self, stamp_ns: int) -> None:
+        """Check what the gate can not know: the order of the samples, and gaps between them."""
         last, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
         if last is None or stamp_ns - last == PERIOD_NS:
             return
@@ -116,6 +151,7 @@ class Experiment:
             return
         if self._next_segment == len(self._segments):
             self.finished = True
+            self._law.release()
             self._announce(self._status(Phase.DONE))
             return
         segment = self._segment = self._segments[self._next_segment]
@@ -131,7 +167,8 @@ class Experiment:
         self._law.perturb_joint(settle.joint)
         self._start_ns = None
         self._reason = ""
-        self.clipped = self.lost = 0
+        self._clips = ClipLedger()
+        self.lost = 0
         self._signal = perturbation(
             self._perturbation_config,
             joint=settle.joint,
@@ -142,16 +179,24 @@ class Experiment:
 
     def _control(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
         segment = self._segment
-        assert segment is not None
-        if segment.phase is Phase.PERTURB:
-            self.tau_delta[segment.joint] = self._signal[self._tick - segment.first]
+        place: int | None = None  # within the perturbation
+        self.tau_delta[:] = 0.0
+        if not self.finished and segment is not None and segment.phase is Phase.PERTURB:
+            place = self._tick - segment.first
+            self.tau_delta[segment.joint] = self._signal[place]
         self._theta[:] = theta
         self._tau_h[:] = tau_h
         clipped = self._law.tick(self._theta, self._tau_h, self.tau_delta)
-        if clipped == REFUSED:
-            self.abort("the control law produced a torque that is not finite")
-        elif clipped:
-            self.clipped += clipped
+        if clipped and place is not None:
+            self._clips.add(place, clipped)
+        if not self.finished and self._law.closed:
+            self._end(self._law.fault)
+
+    def _wrong_length(self, theta: Sequence[float], tau_h: Sequence[float]) -> str:
+        for what, values in (("position", theta), ("torque reading", tau_h)):
+            if len(values) != self.command.size:
+                return f"{what} has {len(values)} values for {self.command.size} joints"
+        return ""
 
     def _perturbed_ticks(self, trial: int) -> int:
         return next(
@@ -174,6 +219,8 @@ class Experiment:
             seed=self._parameters.seed,
             valid=not self._reason,
             reason=self._reason,
+            clipped=self._clips.clipped,
+            clipped_intervals=self._clips.text,
         )
 
     def _compile(self) -> None:
@@ -181,5 +228,6 @@ class Experiment:
         n = len(self._parameters.joints)
         self._law.perturb_joint(0)
         self._law.tick(np.zeros(n), np.zeros(n), np.zeros(n))
+        self._law.stop()
+        self._law.fall(1)
         self._law.reset()
-        self.command[:] = 0.0

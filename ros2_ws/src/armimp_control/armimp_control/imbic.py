@@ -10,10 +10,21 @@ with θ̇ = (θ_k − θ_{k−1})/L and θ̈_{t−L} = (θ_k − 2θ_{k−1} + �
 is the measured torque on the arm; on locked joints τ_h' = 0 and τ_Δ = 0 and the target is stiff,
 so that they hold still whatever the arm does. τ_{t−L} is the command actually sent, after
 saturation.
+
+When a joint gets locked, its target starts where the joint is and goes to θ_rd from there: a stiff
+target that jumps would ask for more torque than there is.
+
+A locked joint can be given a dither: two sines in its target, above the band of the perturbation,
+that move it by about a count of its encoder. A joint that is held to within a fraction of a count
+is read with an error that follows perturbation and voluntary torque, and every estimate is biased
+by it. With the dither readings are right on the mean: what is left of the error is in proportion
+to the characteristic function of the motion at the resolution (Schuchman, IEEE Trans. Commun.
+Technol. 12(4), 1964), here J_0(2π a/q)² for sines of amplitude a and a resolution q.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,17 +33,25 @@ from numpy.typing import NDArray
 from armimp_common.compiled import compiled
 from armimp_common.errors import ConfigurationError
 from armimp_control.layout import (
+    APPROACH,
     COMMAND,
     DAMPING,
+    DITHER,
+    DITHER_ANGLE,
     IDEAL_VELOCITY,
     INERTIA,
+    OFFSET,
     ROLE_ROWS,
     SENSED,
-    STARTED,
+    SENSED_BEFORE,
     STIFFNESS,
     THETA_1,
     THETA_2,
+    TICKS,
 )
+
+SECOND_TONE = 1.3
+"""Frequency of the second sine of the dither, over that of the first."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,6 +69,9 @@ class ImbicConfig:
     model_inertia : (n, n) M̄, kg·m²
     gamma : Γ, rad/s
     period : L, s
+    lock_approach : time constant with which the target of a joint that gets locked goes to θ_rd, s
+    lock_dither : amplitude of each of two sines that a locked joint is to make, rad; 0 for none
+    lock_dither_frequency : lower of their frequencies, Hz; the other is 1.3 times that
 
     Raises
     ------
@@ -66,6 +88,9 @@ class ImbicConfig:
     lock_damping_ratio: float = 1.0
     gamma: float = 100.0
     period: float = 1e-3
+    lock_approach: float = 0.05
+    lock_dither: float = 0.0
+    lock_dither_frequency: float = 35.0
 
     def __post_init__(self) -> None:
         n = self.target_posture.size
@@ -85,7 +110,22 @@ class ImbicConfig:
                 raise ConfigurationError(
                     f"controller: target_inertia of joint {i + 1} must be positive, got {value}"
                 )
-        for name in ("lock_frequency", "lock_damping_ratio", "gamma", "period"):
+        if not 0.0 <= self.lock_dither < np.inf:
+            raise ConfigurationError(
+                f"controller: lock_dither must not be negative, got {self.lock_dither}"
+            )
+        if not 0.0 < SECOND_TONE * self.lock_dither_frequency < 0.5 / self.period:
+            raise ConfigurationError(
+                "controller: lock_dither_frequency must lie between 0 and "
+                f"{0.5 / self.period / SECOND_TONE:.4g} Hz, got {self.lock_dither_frequency}"
+            )
+        for name in (
+            "lock_frequency",
+            "lock_damping_ratio",
+            "lock_approach",
+            "gamma",
+            "period",
+        ):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ConfigurationError(
                     f"controller: {name} must be positive, got {getattr(self, name)}"
@@ -97,10 +137,11 @@ class ImbicConfig:
         return self.target_posture.size
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
-        """Law parameters (4, n) while joint ``perturbed`` (0-based) yields and the others lock.
+        """Law parameters (7, n) while joint ``perturbed`` (0-based) yields and the others lock.
 
         With None all joints yield. Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd
-        (N·m·s/rad), K_rd (N·m/rad).
+        (N·m·s/rad), K_rd (N·m/rad), what a tick leaves of the distance between target and θ_rd,
+        amplitude (rad) and angle per tick (rad) of the dither in the target.
         """
         every = np.arange(self.joints)
         locked = every != (every if perturbed is None else perturbed)
@@ -115,6 +156,13 @@ class ImbicConfig:
         rows[STIFFNESS] = np.where(
             locked, self.lock_frequency**2 * self.target_inertia, self.target_stiffness
         )
+        rows[APPROACH] = np.exp(-self.period / self.lock_approach)
+        # The target has to move further than the joint, which follows like a low-pass.
+        turning = 2.0 * np.pi * self.lock_dither_frequency
+        ratio = math.sqrt(SECOND_TONE) * turning / self.lock_frequency
+        attenuation = np.hypot(1.0 - ratio**2, 2.0 * self.lock_damping_ratio * ratio)
+        rows[DITHER] = np.where(locked, self.lock_dither * attenuation, 0.0)
+        rows[DITHER_ANGLE] = turning * self.period
         return rows
 
 
@@ -136,7 +184,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     Parameters
     ----------
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (4, n) from :meth:`ImbicConfig.role`
+    role : (7, n) from :meth:`ImbicConfig.role`
     target : (n,) θ_rd, rad
     model : (n, n) M̄, kg·m²
     gamma, period : rad/s, s
@@ -144,17 +192,28 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     command : (n,) N·m, written
     """
     n = theta.size
-    if memory[STARTED, 0] == 0.0:
+    ticks = memory[TICKS, 0]
+    if ticks == 0.0:
         for i in range(n):
             memory[THETA_1, i] = memory[THETA_2, i] = theta[i]
-        memory[STARTED, 0] = 1.0
+    memory[TICKS, 0] = ticks + 1.0
     for i in range(n):
+        goal = target[i]
+        if role[SENSED, i] == 0.0:
+            if ticks == 0.0 or memory[SENSED_BEFORE, i] != 0.0:
+                memory[OFFSET, i] = theta[i] - target[i]
+            else:
+                memory[OFFSET, i] *= role[APPROACH, i]
+            angle = role[DITHER_ANGLE, i] * ticks
+            tones = math.sin(angle) + math.sin(SECOND_TONE * angle)
+            goal += memory[OFFSET, i] + role[DITHER, i] * tones
+        memory[SENSED_BEFORE, i] = role[SENSED, i]
         velocity = (theta[i] - memory[THETA_1, i]) / period
         u = (
             tau_delta[i]
             - role[SENSED, i] * tau_h[i]
             - role[DAMPING, i] * velocity
-            - role[STIFFNESS, i] * (theta[i] - target[i])
+            - role[STIFFNESS, i] * (theta[i] - goal)
         ) / role[INERTIA, i]
         memory[IDEAL_VELOCITY, i] += period * u
         acceleration = (theta[i] - 2.0 * memory[THETA_1, i] + memory[THETA_2, i]) / (

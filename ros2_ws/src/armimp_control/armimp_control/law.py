@@ -9,10 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
+from armimp_control.faults import clip_counts, in_words
+from armimp_control.gate import (
+    CLOSED,
+    FAULT,
+    GATE_ROWS,
+    JOURNAL,
+    PRESENT,
+    RATE,
+    SENT,
+    close_gate,
+    examine,
+    fall,
+    let_through,
+)
 from armimp_control.imbic import ImbicConfig, imbic
 from armimp_control.layout import COMMAND, MEMORY_ROWS
 from armimp_control.pd import PdConfig, pd
-from armimp_control.safety import REFUSED, limit_torque
+from armimp_control.safety import Limit, SafetyConfig
 
 LawConfig: TypeAlias = ImbicConfig | PdConfig
 
@@ -66,34 +80,38 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     model: NDArray[np.float64],
     gamma: float,
     period: float,
-    torque_limit: float,
+    rules: NDArray[np.float64],
     memory: NDArray[np.float64],
+    gate: NDArray[np.float64],
+    journal: NDArray[np.float64],
     command: NDArray[np.float64],
 ) -> int:
-    """One tick of a law, and the safety gate after it.
+    """One tick of a law, with the safety gate before and after it.
 
     Parameters
     ----------
     law : number of the law, see :class:`LawNumbers`
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (4, n) from the configuration of the law
+    role : (7, n) from the configuration of the law
     target, model, gamma, period : see :class:`LawNumbers`
-    torque_limit : N·m
+    rules : (RULE_ROWS, n) from :meth:`armimp_control.safety.SafetyConfig.rules`
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
+    gate, journal : (GATE_ROWS, n) and (JOURNAL,) of :mod:`armimp_control.gate`, likewise
     command : (n,) N·m, written
 
     Returns
     -------
     int
-        Number of saturated joints; :data:`armimp_control.safety.REFUSED` if the result is not
-        finite: the command is then zero and the memory starts anew.
+        Number of joints whose command was clipped. After a stop, which the journal tells, the law
+        is not computed any more and its memory is empty.
     """
-    if law == _PD:
-        pd(theta, tau_delta, role, target, period, memory, command)
-    else:
-        imbic(theta, tau_h, tau_delta, role, target, model, gamma, period, memory, command)
-    clipped = limit_torque(command, torque_limit)
-    if clipped == REFUSED:
+    if examine(theta, tau_h, tau_delta, rules, period, gate, journal):
+        if law == _PD:
+            pd(theta, tau_delta, role, target, period, memory, command)
+        else:
+            imbic(theta, tau_h, tau_delta, role, target, model, gamma, period, memory, command)
+    clipped = let_through(command, rules, gate, journal)
+    if journal[CLOSED] != 0.0:
         memory[:] = 0.0
     else:
         memory[COMMAND] = command
@@ -101,31 +119,78 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 
 class Controller:
-    """A law with its memory, for use tick by tick.
+    """A law and its safety gate with their memory, for use tick by tick.
 
-    Arrays given back are reused; copy what must last.
+    Arrays given back are reused; copy what must last. A gate that has closed stays closed.
 
     Parameters
     ----------
     config : ImbicConfig or PdConfig
-    torque_limit : N·m
+    safety : SafetyConfig
+
+    Raises
+    ------
+    ConfigurationError
+        If the limits do not fit the joints.
     """
 
-    def __init__(self, config: LawConfig, *, torque_limit: float) -> None:
+    def __init__(self, config: LawConfig, *, safety: SafetyConfig) -> None:
         self.config = config
-        self.torque_limit = torque_limit
+        self.rules = safety.rules(config.target_posture, config.period)
         self.memory = np.zeros((MEMORY_ROWS, config.joints))
         self.command = np.zeros(config.joints)
         self.role = config.role(0)
+        self._gate = np.zeros((GATE_ROWS, config.joints))
+        self._journal = np.zeros(JOURNAL)
+        self._ramp_ticks = safety.ramp_ticks(config.period)
         self._numbers = LawNumbers.of(config)
+
+    @property
+    def closed(self) -> bool:
+        """Whether commands pass no more: the torque is zero, or on its way there."""
+        return bool(self._journal[CLOSED])
+
+    @property
+    def fault(self) -> str:
+        """Why the gate has closed by itself, in words; else empty."""
+        return in_words(self._journal, FAULT, self.rules)
+
+    @property
+    def present_fault(self) -> str:
+        """What is wrong with the last sample, whether or not the gate is closed; else empty."""
+        return in_words(self._journal, PRESENT, self.rules)
+
+    @property
+    def clips(self) -> dict[Limit, int]:
+        """Number of clipped joint commands for each limit."""
+        return clip_counts(self._journal)
 
     def perturb_joint(self, joint: int) -> None:
         """Make ``joint`` (0-based) the compliant one and lock the others, without a jump."""
         self.role = self.config.role(joint)
 
     def reset(self) -> None:
-        """Forget the past: the next tick starts from rest with zero torque."""
-        self.memory[:] = 0.0
+        """Forget the past: the next tick starts from rest with zero torque and an open gate."""
+        for memory in (self.memory, self._gate, self._journal, self.command):
+            memory.fill(0.0)
+
+    def stop(self) -> None:
+        """Close the gate for a fault that the caller knows; the torque ramps down to zero."""
+        close_gate(self._ramp_ticks, True, self._gate, self._journal)
+
+    def cut(self) -> None:
+        """Close the gate for a fault that the caller knows; zero torque at once."""
+        close_gate(0, True, self._gate, self._journal)
+        self.command[:] = 0.0
+
+    def release(self) -> None:
+        """Close the gate at the end, without a fault: to zero as fast as the rate limit allows."""
+        ticks = np.ceil(np.max(np.abs(self._gate[SENT]) / self.rules[RATE]))
+        close_gate(max(int(ticks), 1), False, self._gate, self._journal)
+
+    def fall(self, ticks: int) -> None:
+        """Go on with the ramp of a closed gate by some ticks, where no samples come."""
+        fall(ticks, self.command, self.rules, self._gate, self._journal)
 
     def tick(
         self,
@@ -156,7 +221,9 @@ class Controller:
             numbers.model,
             numbers.gamma,
             numbers.period,
-            self.torque_limit,
+            self.rules,
             self.memory,
+            self._gate,
+            self._journal,
             self.command,
         )

@@ -6,8 +6,11 @@ import sys
 import time
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from std_msgs.msg import UInt64
+from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
@@ -16,18 +19,27 @@ from armimp_common.channels import (
     JointStateSubscription,
     wait_until_matched,
 )
-from armimp_common.diagnostics import trial_status_message
+from armimp_common.diagnostics import Level, make_array, make_status, trial_status_message
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.lifecycle import reported
+from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
-from armimp_common.trial_status import TrialStatus
+from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
-from armimp_control.parameters import ControllerParameters
-from armimp_control.safety import Watchdog
+from armimp_control.parameters import PERIOD, ControllerParameters
+from armimp_control.safety import Limit
+from armimp_control.watchdog import Watchdog
 
 _MATCH_TIMEOUT = 10.0
 _WATCHDOG_PERIOD = 0.005
+_DIAGNOSTICS_TICKS = 1000
+GATE_STATUS = f"{contract.CONTROLLER_NODE}: gate"
+"""``name`` of the status on ``/diagnostics``."""
+_STOPPED = "emergency stop"
+_NO_SAMPLE = "no sensor sample arrived any more"
+_LOCKSTEP_TICK = 0.1
+"""A control period may last as long as this (s) only in lockstep."""
 
 
 class ImbicControllerNode(LifecycleNode):
@@ -38,6 +50,20 @@ class ImbicControllerNode(LifecycleNode):
         self.transition_error = ""
         self._active = False
         self._experiment: Experiment | None = None
+        self._sign = SignOfLife(self, contract.CONTROLLER_NODE)
+        self._watches = [
+            Watch(self, contract.SIM_NODE, self._on_presence),
+            Watch(self, contract.SUPERVISOR_NODE, self._on_supervisor_presence),
+            Watch(self, contract.ESTIMATOR_NODE, self._on_recorder_presence),
+        ]
+        self._recorded = False
+        self._fault = ""
+        self._clips_told = 0
+        self._stamp_ns = 0
+        self._diagnostics: Publisher | None = None
+        self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
+        self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
+        self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
         declare(self, ControllerParameters)
         guard(self, lambda: "a trial is running" if self._active else None)
 
@@ -51,6 +77,9 @@ class ImbicControllerNode(LifecycleNode):
         self._commands = CommandPublisher(self, contract.COMMANDS, len(names))
         self._perturbation = JointStatePublisher(self, contract.PERTURBATION, names, "effort")
         self._trial = self.create_publisher(DiagnosticStatus, contract.TRIAL, qos.LATCHED)
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
+        )
         self._joint_states = JointStateSubscription(
             self,
             contract.JOINT_STATES,
@@ -72,7 +101,11 @@ class ImbicControllerNode(LifecycleNode):
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Wait for the other end, then answer samples."""
+        """Wait for the other end, then answer samples; refused while a fault is latched."""
+        if self._fault:
+            raise GraphError(
+                f"a fault is latched: {self._fault}; call {contract.CONTROLLER_RESET_SERVICE} first"
+            )
         lonely = wait_until_matched(
             self,
             publishers=[self._commands],
@@ -81,10 +114,13 @@ class ImbicControllerNode(LifecycleNode):
         )
         if lonely:
             raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
+        for watch in self._watches:
+            if watch.ghost and watch.name != contract.SUPERVISOR_NODE:
+                raise GraphError(watch.sentence)
         if self._experiment is None:
             self._prepare()
         safety = self._settings.safety
-        self._watchdog = Watchdog(self._settings.safety_config(), period=safety.slowest_tick)
+        self._watchdog = Watchdog(safety.config(), slowest_tick=safety.slowest_tick, period=PERIOD)
         self._active = True
         self._timer.reset()
         return super().on_activate(state)
@@ -102,8 +138,14 @@ class ImbicControllerNode(LifecycleNode):
         self.destroy_timer(self._timer)
         for channel in (self._joint_states, self._torque_sensors):
             self.destroy_subscription(channel.subscription)
-        for publisher in (self._commands.publisher, self._perturbation.publisher, self._trial):
+        for publisher in (
+            self._commands.publisher,
+            self._perturbation.publisher,
+            self._trial,
+            *([] if self._diagnostics is None else [self._diagnostics]),
+        ):
             self.destroy_publisher(publisher)
+        self._diagnostics = None
         self._experiment = None
         return TransitionCallbackReturn.SUCCESS
 
@@ -125,20 +167,23 @@ class ImbicControllerNode(LifecycleNode):
         # Readings of the two sensor topics that still wait for their partner, by stamp.
         self._positions: dict[int, tuple[float, ...]] = {}
         self._torques: dict[int, tuple[float, ...]] = {}
-        # What the watchdog ramps down; stays zero if the experiment is over before it expires.
-        self._last_command = self._experiment.command.copy()
+        self._garbled = ""
+        self._clips_told = 0
         return self._experiment
 
     def _stop(self, reason: str) -> None:
         """Leave the plant with zero torque and the world with an explanation."""
         self._active = False
         self._timer.cancel()
-        if self._experiment is not None and not self._experiment.finished:
+        if self._experiment is not None and not self._experiment.at_rest:
             self._experiment.abort(reason)
             self._commands.publish(self._experiment.command)
 
     def _announce(self, status: TrialStatus) -> None:
         self._trial.publish(trial_status_message(status))
+        # Without being active: the node was told to end the experiment, which is no fault.
+        if status.phase is Phase.ABORTED and self._active:
+            self._latch(status.reason)
 
     def _on_position(self, stamp_ns: int, theta: tuple[float, ...]) -> None:
         tau_h = self._torques.pop(stamp_ns, None)
@@ -163,15 +208,53 @@ class ImbicControllerNode(LifecycleNode):
             for old in [stamp for stamp in waiting if stamp < stamp_ns]:
                 del waiting[old]
         self._watchdog.feed(time.monotonic())
+        self._stamp_ns, self._garbled = stamp_ns, ""
         experiment.answer(stamp_ns, theta, tau_h)
         self._commands.publish(experiment.command)
         self._perturbation.publish(stamp_ns, experiment.tau_delta)
+        if experiment.tick % _DIAGNOSTICS_TICKS == 0:
+            self._report()
 
     def _on_malformed(self, error: ArmimpError) -> None:
         experiment = self._experiment
         if not self._active or experiment is None:
             return
-        experiment.abort(f"malformed sensor message: {error}")
+        self._garbled = f"malformed sensor message: {error}"
+        experiment.abort(self._garbled)
+        self._commands.publish(experiment.command)
+
+    def _on_presence(self, watch: Watch) -> None:
+        # In lockstep time stands still with a simulator that is stalled; a rig goes on.
+        if watch.presence.lost or (watch.presence.mute and not self._lockstep):
+            self._take_away(watch.sentence)
+
+    def _on_supervisor_presence(self, watch: Watch) -> None:
+        # Silence alone is no danger: the other nodes still watch one another.
+        if watch.presence in (Presence.GONE, Presence.LEFT):
+            self._take_away(watch.sentence)
+
+    def _on_recorder_presence(self, watch: Watch) -> None:
+        # In lockstep the simulator waits for a recorder which is only stopped; a rig cannot wait.
+        waits = self._lockstep and watch.presence in (Presence.STALLED, Presence.SILENT)
+        if watch.presence.mute and not waits:
+            self._take_away(watch.sentence)
+
+    @property
+    def _lockstep(self) -> bool:
+        return self._active and self._settings.safety.slowest_tick >= _LOCKSTEP_TICK
+
+    def _on_received(self, message: UInt64) -> None:
+        """Hear from the recorder; without one a trial is of no use to anybody."""
+        recorded, self._recorded = self._recorded, message.data != contract.RECORDER_GONE
+        if recorded and not self._recorded:
+            self._take_away("nothing is recorded any more")
+
+    def _take_away(self, reason: str) -> None:
+        """End a running experiment with zero torque, for a reason outside of this node."""
+        experiment = self._experiment
+        if not self._active or experiment is None or (experiment.finished and experiment.at_rest):
+            return
+        experiment.abort(reason)
         self._commands.publish(experiment.command)
 
     def _on_watchdog(self) -> None:
@@ -179,12 +262,75 @@ class ImbicControllerNode(LifecycleNode):
         if experiment is None or not self._watchdog.expired(now):
             return
         if not experiment.finished:
-            self._last_command = experiment.command.copy()
-            experiment.abort("no sensor sample arrived any more")
-        allowance = self._watchdog.allowance(now)
-        self._commands.publish(self._last_command * allowance)
-        if allowance == 0.0:
+            experiment.stop(_NO_SAMPLE)
+        experiment.fall(self._watchdog.ticks_due(now))
+        self._commands.publish(experiment.command)
+        if experiment.at_rest:
             self._timer.cancel()
+
+    def _latch(self, reason: str) -> None:
+        """Remember the first fault, until it is reset."""
+        self._fault = self._fault or reason
+        self._report()
+
+    def _on_emergency_stop(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        """Zero torque at once, in whatever state the node is."""
+        experiment = self._experiment
+        if self._active and experiment is not None and not experiment.at_rest:
+            experiment.abort(_STOPPED)
+            self._commands.publish(experiment.command)
+        self._latch(_STOPPED)
+        response.success = True
+        response.message = f"no torque until {contract.CONTROLLER_RESET_SERVICE} is called"
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        """Forget the fault; an experiment that it ended stays over."""
+        refusal = self._reset_refusal()
+        response.success = not refusal
+        if refusal:
+            response.message = f"not reset: {refusal}"
+        elif self._fault:
+            response.message = f"reset: {self._fault}; the next activation begins a new experiment"
+            self._fault = ""
+            self._report()
+        else:
+            response.message = "there was no fault"
+        return response
+
+    def _reset_refusal(self) -> str:
+        """Why the fault must not be forgotten now; empty if it may."""
+        experiment = self._experiment
+        if not self._active or experiment is None:
+            return ""  # nothing is heard of the rig; the gate will look at the first sample
+        if not experiment.finished:
+            return "a trial is running"
+        if self._watchdog.expired(time.monotonic()):
+            return f"the cause persists: {_NO_SAMPLE}"
+        persisting = self._garbled or experiment.present_fault
+        return f"the cause persists: {persisting}" if persisting else ""
+
+    def _report(self) -> None:
+        """Publish what the gate does on ``/diagnostics``."""
+        experiment = self._experiment
+        if self._diagnostics is None:
+            return
+        clips = {} if experiment is None else experiment.clips
+        told, self._clips_told = self._clips_told, sum(clips.values())
+        level = Level.WARN if self._clips_told > told else Level.OK
+        status = make_status(
+            GATE_STATUS,
+            Level.ERROR if self._fault else level,
+            self._fault or ("commands were clipped" if level is Level.WARN else "no fault"),
+            {
+                "fault": self._fault,
+                "tick": 0 if experiment is None else experiment.tick,
+                **{f"clipped_{limit.value}": clips.get(limit, 0) for limit in Limit},
+            },
+        )
+        self._diagnostics.publish(make_array(self._stamp_ns, [status]))
 
 
 def main() -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Literal
 
 import numpy as np
@@ -16,7 +17,7 @@ from armimp_control.imbic import ImbicConfig
 from armimp_control.law import LawConfig
 from armimp_control.pd import PdConfig
 from armimp_control.perturbation import PerturbationConfig
-from armimp_control.safety import SafetyConfig
+from armimp_control.safety import Action, SafetyConfig
 from armimp_control.sequence import SequenceConfig
 from armimp_control.stability import StabilityMargins, check_stability
 
@@ -36,6 +37,20 @@ class TargetParameters(Schema):
         default=100.0, gt=0.0, description="ω of joints locked by imbic (rad/s)"
     )
     lock_damping_ratio: float = Field(default=1.0, gt=0.0, description="their ζ (–)")
+    lock_approach: float = Field(
+        default=0.05,
+        gt=0.0,
+        description="time constant of their targets on the way from where they are to θ_rd (s)",
+    )
+    lock_dither: float = Field(
+        default=0.0,
+        ge=0.0,
+        lt=0.01,
+        description="amplitude of each of two sines that they make, against encoder bias (rad)",
+    )
+    lock_dither_frequency: float = Field(
+        default=35.0, gt=0.0, lt=380.0, description="frequency of the first, above the band (Hz)"
+    )
 
 
 class LawParameters(Schema):
@@ -76,9 +91,24 @@ class SequenceParameters(Schema):
 
 
 class SafetyParameters(Schema):
-    """Safety gate."""
+    """Safety gate: limits, and what is done beyond them; watchdog."""
 
+    position_limit: Vector = Field(
+        default=(0.5,), description="largest distance from θ_rd (rad); one for all joints or each"
+    )
+    position_action: Action = Field(default=Action.STOP, description="beyond it")
+    velocity_limit: Vector = Field(
+        default=(4.0,), description="largest speed over 5 ticks (rad/s); one for all joints or each"
+    )
+    velocity_action: Action = Field(default=Action.STOP, description="beyond it")
     torque_limit: float = Field(default=80.0, gt=0.0, description="limit of each command (N·m)")
+    torque_action: Action = Field(default=Action.CLIP, description="beyond it")
+    rate_limit: float = Field(
+        default=150e3, gt=0.0, description="limit of its change from tick to tick (N·m/s)"
+    )
+    rate_action: Action = Field(default=Action.CLIP, description="beyond it")
+    power_limit: float = Field(default=200.0, gt=0.0, description="limit of |τ·θ̇| per joint (W)")
+    power_action: Action = Field(default=Action.CLIP, description="beyond it")
     watchdog_ticks: int = Field(
         default=5, ge=1, le=100, description="periods without a sample until torque is gone"
     )
@@ -89,8 +119,22 @@ class SafetyParameters(Schema):
         description="wall time that counts as one period in lockstep, which has no pace (s)",
     )
     ramp_time: float = Field(
-        default=0.05, ge=0.0, le=0.05, description="time in which the watchdog does so (s)"
+        default=0.01, ge=0.0, le=0.05, description="time in which a stop takes the torque away (s)"
     )
+
+    @classmethod
+    def preset(cls, joints: int) -> SafetyParameters:
+        """Default limits of a rig with so many joints."""
+        limits = {
+            name: value
+            for name, value in dataclasses.asdict(presets.safety(joints)).items()
+            if name in cls.model_fields
+        }
+        return cls(**limits)
+
+    def config(self) -> SafetyConfig:
+        """The same as the gate and the watchdog take it."""
+        return SafetyConfig(**self.model_dump(exclude={"slowest_tick"}))
 
 
 class ControllerParameters(Schema):
@@ -116,6 +160,7 @@ class ControllerParameters(Schema):
         perturbation: int = 3,
         duration: float = 50.0,
         seed: int = 1,
+        encoder_resolution: float = 0.0,
     ) -> ControllerParameters:
         """Default law for a rig, with the perturbation of a level from 1 to 3.
 
@@ -127,6 +172,7 @@ class ControllerParameters(Schema):
         perturbation : level, 1 to 3
         duration : of every perturbation, s
         seed : of the perturbation
+        encoder_resolution : rad per count, for the dither of locked joints
         """
         law = presets.imbic(robot_inertia, posture)
         return cls(
@@ -137,6 +183,7 @@ class ControllerParameters(Schema):
                 inertia=_flat(law.target_inertia),
                 damping=_flat(law.target_damping),
                 stiffness=_flat(law.target_stiffness),
+                lock_dither=presets.lock_dither(encoder_resolution),
             ),
             law=LawParameters(model_inertia=_flat(law.model_inertia)),
             known=KnownParameters(
@@ -146,7 +193,7 @@ class ControllerParameters(Schema):
                 peak=presets.perturbation(perturbation, len(joints)).peak
             ),
             sequence=SequenceParameters(duration=duration),
-            safety=SafetyParameters(torque_limit=presets.torque_limit(len(joints))),
+            safety=SafetyParameters.preset(len(joints)),
         )
 
     def law_config(self) -> LawConfig:
@@ -162,6 +209,9 @@ class ControllerParameters(Schema):
             target_stiffness=np.array(self.target.stiffness),
             lock_frequency=self.target.lock_frequency,
             lock_damping_ratio=self.target.lock_damping_ratio,
+            lock_approach=self.target.lock_approach,
+            lock_dither=self.target.lock_dither,
+            lock_dither_frequency=self.target.lock_dither_frequency,
             model_inertia=self._matrix("law.model_inertia", self.law.model_inertia),
             gamma=self.law.gamma,
             period=PERIOD,
@@ -201,11 +251,7 @@ class ControllerParameters(Schema):
 
     def safety_config(self) -> SafetyConfig:
         """The gate."""
-        return SafetyConfig(
-            torque_limit=self.safety.torque_limit,
-            watchdog_ticks=self.safety.watchdog_ticks,
-            ramp_time=self.safety.ramp_time,
-        )
+        return self.safety.config()
 
     def check(self) -> StabilityMargins:
         """Check that everything fits together and is stable when sampled.
@@ -220,6 +266,7 @@ class ControllerParameters(Schema):
             raise ConfigurationError(
                 f"parameter 'target.posture' has {law.joints} values for {len(self.joints)} joints"
             )
+        self.safety_config().rules(law.target_posture, PERIOD)
         return check_stability(
             law,
             robot_inertia=self._matrix("known.robot_inertia", self.known.robot_inertia),

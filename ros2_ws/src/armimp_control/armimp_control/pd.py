@@ -30,9 +30,9 @@ from armimp_control.layout import (
     INERTIA,
     ROLE_ROWS,
     SENSED,
-    STARTED,
     STIFFNESS,
     THETA_1,
+    TICKS,
 )
 
 
@@ -89,14 +89,14 @@ class PdConfig:
         return self.target_posture.size
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
-        """Law parameters (4, n) while joint ``perturbed`` (0-based) yields and the others lock.
+        """Law parameters (7, n) while joint ``perturbed`` (0-based) yields and the others lock.
 
         With None all joints yield. Rows as of :meth:`armimp_control.imbic.ImbicConfig.role`; no
         joint senses τ_h.
         """
         every = np.arange(self.joints)
         locked = every != (every if perturbed is None else perturbed)
-        rows = np.empty((ROLE_ROWS, self.joints))
+        rows = np.zeros((ROLE_ROWS, self.joints))
         rows[SENSED] = 0.0
         rows[INERTIA] = self.inertia
         rows[DAMPING] = np.where(
@@ -121,17 +121,17 @@ def pd(
     Parameters
     ----------
     theta, tau_delta : (n,) rad, N·m: encoders, perturbation
-    role : (4, n) from :meth:`PdConfig.role`
+    role : (7, n) from :meth:`PdConfig.role`
     target : (n,) θ_rd, rad
     period : s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
     command : (n,) N·m, written
     """
     n = theta.size
-    if memory[STARTED, 0] == 0.0:
+    if memory[TICKS, 0] == 0.0:
         for i in range(n):
             memory[THETA_1, i] = theta[i]
-        memory[STARTED, 0] = 1.0
+        memory[TICKS, 0] = 1.0
     for i in range(n):
         velocity = (theta[i] - memory[THETA_1, i]) / period
         memory[THETA_1, i] = theta[i]

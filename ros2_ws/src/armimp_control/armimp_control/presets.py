@@ -9,6 +9,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
 from armimp_control.imbic import ImbicConfig
 from armimp_control.perturbation import PerturbationConfig
+from armimp_control.safety import SafetyConfig
 
 LEVELS = (1, 2, 3)
 
@@ -43,13 +44,44 @@ def perturbation(level: int, joints: int) -> PerturbationConfig:
     )
 
 
-def torque_limit(joints: int) -> float:
-    """Limit of each command, N·m. Assumption.
+def lock_dither(encoder_resolution: float) -> float:
+    """Amplitude of the dither of locked joints for a resolution, rad per count."""
+    return 0.7 * encoder_resolution
 
-    About twice what IMBIC commands at the first joint for one count of every encoder at resolution
-    level 3, δ Σ_j M̄_1j / L²: 40 N·m for two joints, 43 for three, 67 for seven.
+
+def safety(joints: int) -> SafetyConfig:
+    """Limits of the gate. Assumptions, well above all that nominal experiments need.
+
+    Torque: about twice what IMBIC commands at the first joint for one count of every encoder at
+    resolution level 3, δ Σ_j M̄_1j / L²: 40 N·m for two joints, 43 for three, 67 for seven.
+
+    Largest values in the 48 conditions of the study (and with four to seven joints, trials of 4 s):
+
+    ========  ============================================  =====================================
+    limit     largest nominal value                         default
+    ========  ============================================  =====================================
+    position  0.19 rad (large joints), 0.38 rad (small)     0.5 rad, 0.8 rad
+    velocity  1.5 rad/s (large joints), 5.6 rad/s (small)   4 rad/s, 10 rad/s
+    torque    77 N·m up to three joints, 92 N·m beyond      80 N·m, 140 N·m
+    rate      115 N·m per tick, 152 N·m per tick            150 N·m per tick, 260 N·m per tick
+    power     67 W, 87 W                                    200 W
+    ========  ============================================  =====================================
+
+    The rate is chatter of the coarsest encoders. A rig with finer ones can do with far less.
     """
-    return 80.0 if joints <= 3 else 140.0
+    if joints not in JOINT_SIZES:
+        raise ConfigurationError(
+            f"there are no preset limits for {joints} joints, only for "
+            f"{min(JOINT_SIZES)} to {max(JOINT_SIZES)}"
+        )
+    sizes = JOINT_SIZES[joints]
+    few = joints <= 3
+    return SafetyConfig(
+        position_limit=tuple(0.5 if size >= 0.2 else 0.8 for size in sizes),
+        velocity_limit=tuple(4.0 if size >= 0.5 else 10.0 for size in sizes),
+        torque_limit=80.0 if few else 140.0,
+        rate_limit=150e3 if few else 260e3,
+    )
 
 
 def imbic(robot_inertia: NDArray[np.float64], posture: NDArray[np.float64]) -> ImbicConfig:

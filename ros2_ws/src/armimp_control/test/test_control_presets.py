@@ -59,3 +59,19 @@ def test_law_for_other_numbers_of_joints_follows_the_robot(n: int) -> None:
 
 def test_rule_for_other_numbers_of_joints_is_close_to_the_values_for_two() -> None:
     assert 0.56 * np.diag(ROBOT) == pytest.approx([0.2, 0.1], rel=0.01)
+
+
+@pytest.mark.parametrize("joints", range(1, 8))
+def test_limits_of_the_gate_fit_every_number_of_joints(joints: int) -> None:
+    config = presets.safety(joints)
+    assert config.rules(np.zeros(joints), 1e-3).shape[1] == joints
+    # Nominal experiments need up to 77 N·m with three joints and 92 N·m with seven.
+    assert config.torque_limit == (80.0 if joints <= 3 else 140.0)
+    # Not so wide that they could never matter.
+    assert config.rate_limit * 1e-3 < 2.0 * config.torque_limit
+
+
+@pytest.mark.parametrize("joints", [0, 8])
+def test_number_of_joints_without_preset_limits_is_refused(joints: int) -> None:
+    with pytest.raises(ConfigurationError, match=f"no preset limits for {joints} joints"):
+        presets.safety(joints)

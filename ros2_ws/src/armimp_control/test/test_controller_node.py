@@ -6,19 +6,21 @@ from typing import Any
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
 
-from armimp_common import contract
+from armimp_common import contract, qos
 from armimp_common.contract import PERIOD_NS
-from armimp_common.diagnostics import Level
-from armimp_common.errors import GraphError
+from armimp_common.diagnostics import Level, values_of
+from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.schema import Value
+from armimp_common.schema import Value, build, flatten
 from armimp_common.spin import Spinner, run_node
 from armimp_common.stamps import to_time
 from armimp_common.testing import (
@@ -340,6 +342,222 @@ class TestFaults:
         assert not driver.has_said(Phase.ABORTED)
 
 
+class Service:
+    """Asks a service of the controller."""
+
+    def __init__(self, node: Node, spinner: Spinner, name: str) -> None:
+        self._client = node.create_client(Trigger, name)
+        self._spinner = spinner
+
+    def __call__(self) -> tuple[bool, str]:
+        eventually(self._spinner, self._client.service_is_ready, "a service")
+        future = self._client.call_async(Trigger.Request())
+        assert self._spinner.spin_until(future, PATIENCE)
+        response = future.result()
+        assert response is not None
+        return response.success, response.message
+
+
+@pytest.fixture
+def emergency_stop(node: Node, spinner: Spinner) -> Service:
+    return Service(node, spinner, contract.CONTROLLER_STOP_SERVICE)
+
+
+@pytest.fixture
+def reset(node: Node, spinner: Spinner) -> Service:
+    return Service(node, spinner, contract.CONTROLLER_RESET_SERVICE)
+
+
+class TestServices:
+    def start(
+        self, controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
+    ) -> None:
+        bring_up(controller, driver)
+        for theta, tau_h in wobble(60):
+            driver.feed(theta, tau_h)
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
+        assert driver.commands[-1] != (0.0, 0.0)
+
+    def test_emergency_stop_takes_the_torque_away_at_once_and_for_good(
+        self,
+        make: MakeController,
+        driver: ScriptedDriver,
+        spinner: Spinner,
+        emergency_stop: Service,
+        reset: Service,
+    ) -> None:
+        controller = make()
+        self.start(controller, driver, spinner)
+
+        success, message = emergency_stop()
+        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
+
+        assert success
+        assert message == "no torque until imbic_controller/reset is called"
+        assert driver.commands[60:] == [(0.0, 0.0)]
+        assert driver.statuses[-1].reason == "emergency stop"
+        feed_still(driver, 20)
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
+        assert controller.trigger_deactivate() is SUCCESS
+        assert controller.trigger_activate() is FAILURE
+        assert controller.transition_error == (
+            "a fault is latched: emergency stop; call imbic_controller/reset first"
+        )
+        assert controller.trigger_cleanup() is SUCCESS
+        assert controller.trigger_configure() is SUCCESS
+        assert controller.trigger_activate() is FAILURE
+        assert set(driver.commands[60:]) == {(0.0, 0.0)}
+
+        assert reset() == (
+            True,
+            "reset: emergency stop; the next activation begins a new experiment",
+        )
+        assert controller.trigger_activate() is SUCCESS, controller.transition_error
+
+    def test_reset_does_not_let_the_experiment_go_on(
+        self,
+        make: MakeController,
+        driver: ScriptedDriver,
+        spinner: Spinner,
+        emergency_stop: Service,
+        reset: Service,
+    ) -> None:
+        controller = make()
+        self.start(controller, driver, spinner)
+        emergency_stop()
+
+        assert reset()[0]
+
+        for theta, tau_h in wobble(60):
+            driver.feed(theta, tau_h)
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
+        assert set(driver.commands[60:]) == {(0.0, 0.0)}
+        assert [status.phase for status in driver.statuses].count(Phase.ABORTED) == 1
+        assert controller.trigger_deactivate() is SUCCESS
+        assert controller.trigger_activate() is SUCCESS, controller.transition_error
+        driver.messages.clear()
+        driver.commands.clear()
+        driver.feed(*wobble(2)[1])
+        eventually(spinner, lambda: driver.has_said(Phase.SETTLE), "a new experiment")
+        assert driver.statuses[-1].tick == 0
+
+    def test_while_a_trial_runs_expect_reset_refused(
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
+    ) -> None:
+        self.start(make(), driver, spinner)
+
+        assert reset() == (False, "not reset: a trial is running")
+
+        assert not driver.has_said(Phase.ABORTED)
+
+    @pytest.mark.parametrize(
+        ("theta", "reason"),
+        [
+            ((POSTURE[0] + 0.6, POSTURE[1]), "joint 1 is 0.6 rad away from the posture"),
+            ((POSTURE[0], math.nan), "position of joint 2 is not finite: nan"),
+        ],
+    )
+    def test_while_the_cause_persists_expect_reset_refused(
+        self,
+        make: MakeController,
+        driver: ScriptedDriver,
+        spinner: Spinner,
+        reset: Service,
+        theta: tuple[float, float],
+        reason: str,
+    ) -> None:
+        self.start(make(), driver, spinner)
+        for _ in range(20):
+            driver.feed(theta, (0.0, 0.0))
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
+        assert driver.commands[-1] == (0.0, 0.0)
+
+        success, message = reset()
+        assert not success
+        assert message.startswith(f"not reset: the cause persists: {reason}")
+
+        feed_still(driver, 20)
+        eventually(spinner, lambda: driver.answered, "an answer to every sample")
+        success, message = reset()
+        assert success
+        assert message.startswith(f"reset: {reason}")
+        assert reset() == (True, "there was no fault")
+
+    def test_after_a_malformed_message_reset_needs_a_good_sample(
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
+    ) -> None:
+        self.start(make(), driver, spinner)
+        driver.channels[contract.JOINT_STATES].publisher.publish(b"rubbish")
+        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
+
+        success, message = reset()
+        assert not success
+        assert message.startswith("not reset: the cause persists: malformed sensor message")
+
+        feed_still(driver, 1)
+        eventually(spinner, lambda: len(driver.perturbations) == 61, "an answer")
+        assert reset()[0]
+
+    def test_when_samples_stay_away_expect_reset_refused(
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
+    ) -> None:
+        self.start(make(IMPATIENT), driver, spinner)
+        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
+
+        assert reset() == (
+            False,
+            "not reset: the cause persists: no sensor sample arrived any more",
+        )
+
+    def test_emergency_stop_before_activation_keeps_the_node_from_it(
+        self, make: MakeController, driver: ScriptedDriver, emergency_stop: Service, reset: Service
+    ) -> None:
+        controller = make()
+        assert emergency_stop()[0]
+        assert controller.trigger_configure() is SUCCESS
+        assert controller.trigger_activate() is FAILURE
+        assert driver.commands == []
+        assert reset()[0]
+        assert controller.trigger_activate() is SUCCESS, controller.transition_error
+
+
+class TestDiagnostics:
+    def test_clips_and_fault_go_out_at_a_low_rate_and_at_once_on_a_fault(
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, node: Node
+    ) -> None:
+        heard: list[DiagnosticStatus] = []
+
+        def hear(message: DiagnosticArray) -> None:
+            heard.extend(message.status)
+
+        node.create_subscription(DiagnosticArray, contract.DIAGNOSTICS, hear, qos.DIAGNOSTICS)
+        bring_up(make({"safety.torque_limit": 1e-3, "sequence.duration": 2.0}), driver)
+        samples = wobble(1010)
+        for start in range(0, 1010, 101):
+            for theta, tau_h in samples[start : start + 101]:
+                driver.feed(theta, tau_h)
+            eventually(spinner, lambda: driver.answered, "an answer to every sample")
+        eventually(spinner, lambda: len(heard) == 1, "diagnostics")
+        values = values_of(heard[0])
+        assert (heard[0].name, heard[0].level) == ("imbic_controller: gate", bytes([Level.WARN]))
+        assert heard[0].message == "commands were clipped"
+        assert values["tick"] == "1000"
+        clipped = (np.abs(driver.commands[:1000]) == 1e-3).sum()
+        assert values["clipped_torque"] == str(clipped)
+        assert {key: value for key, value in values.items() if value == "0"}.keys() == {
+            *("clipped_position", "clipped_velocity", "clipped_rate", "clipped_power")
+        }
+
+        driver.feed((math.nan, 0.0), (0.0, 0.0))
+        eventually(spinner, lambda: len(heard) == 2, "diagnostics of the fault")
+        assert heard[1].level == bytes([Level.ERROR])
+        assert heard[1].message == values_of(heard[1])["fault"]
+        assert heard[1].message == "position of joint 1 is not finite: nan"
+        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
+        in_trial = (np.abs(driver.commands[SETTLE:1010]) == 1e-3).sum()
+        assert driver.statuses[-1].clipped == in_trial > 0
+
+
 class TestParameters:
     def test_while_active_changes_are_refused_with_a_reason(
         self, make: MakeController, driver: ScriptedDriver
@@ -364,6 +582,9 @@ class TestParameters:
             ({"law.model_inertia": [1.0]}, "parameter 'law.model_inertia' has 1 values, needs 4"),
             ({"perturbation.peak": [1.0]}, "parameter 'perturbation.peak' has 1 values for 2"),
             ({"target.damping": [1.0, 2.0, 3.0]}, "target_damping needs 2 finite values"),
+            ({"safety.position_limit": [0.5] * 3}, "position_limit has 3 values, needs 1 or 2"),
+            ({"safety.velocity_limit": [-1.0]}, "velocity_limit must be positive"),
+            ({"safety.rate_limit": 100.0}, "rate_limit 100.0 N·m/s a stop can't bring"),
         ],
         ids=lambda value: None if isinstance(value, dict) else value[:30],
     )
@@ -412,6 +633,28 @@ class TestParameters:
 
         assert status == 2
         assert capfd.readouterr().err == f"imbic_controller: {reason}\n"
+
+    @pytest.mark.parametrize(
+        ("name", "value", "reason"),
+        [
+            ("safety.torque_limit", 0.0, "= 0.0: input should be greater than 0"),
+            ("safety.power_limit", -1.0, "= -1.0: input should be greater than 0"),
+            ("safety.rate_limit", math.nan, "= nan: "),
+            ("safety.rate_limit", math.inf, "= inf: "),
+            ("safety.rate_action", "ignore", "= \"ignore\": input should be 'clip' or 'stop'"),
+            ("safety.position_limit", 0.5, "= 0.5: should be a double array"),
+            ("safety.position_limit", [0.5, math.nan], "nan: input should be a finite number"),
+        ],
+    )
+    def test_limit_that_makes_no_sense_is_refused_on_one_line(
+        self, name: str, value: Value, reason: str
+    ) -> None:
+        with pytest.raises(ConfigurationError) as caught:
+            build(ControllerParameters, {**flatten(PARAMETERS), name: value})
+        told = str(caught.value)
+        assert told.startswith(f"parameter '{name}")
+        assert reason in told
+        assert "\n" not in told
 
 
 class TestLife:

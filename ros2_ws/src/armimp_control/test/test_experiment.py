@@ -20,6 +20,7 @@ from armimp_control.parameters import (
     SequenceParameters,
 )
 from armimp_control.perturbation import perturbation
+from armimp_control.safety import Limit
 
 POSTURE = np.radians([62.708, 77.260])
 SETTLE, PERTURB, REST = 50, 200, 60
@@ -153,7 +154,7 @@ def test_commands_are_those_of_the_law_with_the_role_of_each_trial() -> None:
 
     samples = bench.wobble(TRIAL + 40)
 
-    law = Controller(bench.parameters.imbic_config(), torque_limit=80.0)
+    law = Controller(bench.parameters.imbic_config(), safety=bench.parameters.safety_config())
     expected = []
     for tick, (theta, tau_h) in enumerate(samples):
         law.perturb_joint(tick // TRIAL)
@@ -205,7 +206,7 @@ def test_when_the_first_reading_is_not_finite_expect_an_abort_of_the_first_trial
 
     bench.answer((math.nan, 0.0))
 
-    assert bench.phases == [(Phase.ABORTED, 1, 0)]
+    assert bench.phases == [(Phase.SETTLE, 1, 0), (Phase.ABORTED, 1, 0)]
     assert not bench.commands[0].any()
 
 
@@ -306,16 +307,101 @@ def test_first_reason_of_an_abort_stays() -> None:
     assert [status.reason for status in bench.statuses] == ["", "one thing"]
 
 
-def test_saturated_commands_are_counted_for_each_trial() -> None:
+def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     bench = Bench(parameters=parameters(torque_limit=1e-3))
 
-    bench.wobble(TRIAL)
+    bench.wobble(TRIAL + SETTLE + 20)
 
-    clipped = int((np.abs(bench.commands) == 1e-3).sum())
-    assert bench.experiment.clipped == clipped > TRIAL
+    clipped = np.abs(bench.commands) == 1e-3
+    trial = clipped[SETTLE : SETTLE + PERTURB]
     assert np.abs(bench.commands).max() <= 1e-3
-    bench.run(1)
-    assert bench.experiment.clipped <= 2
+    assert bench.experiment.clips[Limit.TORQUE] == clipped.sum() > TRIAL
+    settle, perturb, rest, *_ = bench.statuses
+    assert (settle.clipped, perturb.clipped, rest.clipped) == (0, 0, trial.sum())
+    ticks = np.concatenate(
+        [
+            np.arange(int(first), int(last) + 1)
+            for first, last in (text.split("-") for text in rest.clipped_intervals.split())
+        ]
+    )
+    assert np.array_equal(ticks, np.flatnonzero(trial.any(axis=1)))
+    assert [status.clipped for status in bench.statuses[3:]] == [0, 0]
+    assert rest.valid
+
+
+@pytest.mark.parametrize("phase", [Phase.SETTLE, Phase.PERTURB])
+def test_when_a_joint_is_too_far_away_expect_the_torque_to_ramp_down_and_an_abort(
+    phase: Phase,
+) -> None:
+    bench = Bench()
+    ticks = 20 if phase is Phase.SETTLE else SETTLE + 20
+    bench.wobble(ticks)
+    before = bench.commands[-1]
+
+    for _ in range(20):
+        bench.answer(POSTURE - np.array([0.0, 0.51]))
+
+    ramp = np.array([before, *bench.commands[ticks:]])
+    assert ramp[1] == pytest.approx(0.9 * before)
+    assert np.all(np.diff(np.abs(ramp), axis=0) <= 0.0)
+    assert not ramp[10:].any()
+    assert not np.any(bench.perturbations[ticks:])
+    assert bench.experiment.at_rest
+    status = bench.statuses[-1]
+    assert (status.phase, status.valid, status.tick) == (Phase.ABORTED, False, ticks)
+    assert status.reason == bench.experiment.fault == bench.experiment.present_fault
+    assert status.reason.startswith("joint 2 is -0.51 rad away from the posture")
+    bench.wobble(TRIAL)
+    assert bench.experiment.present_fault == ""
+    assert not np.any(bench.commands[ticks + 20 :])
+    assert [phase for phase, _, _ in bench.phases].count(Phase.ABORTED) == 1
+
+
+@pytest.mark.parametrize("theta", [(), (1.0,), (1.0, 1.0, 1.0)])
+def test_when_a_sample_has_a_wrong_length_expect_zero_torque_and_an_abort(
+    theta: tuple[float, ...],
+) -> None:
+    bench = Bench()
+    bench.wobble(SETTLE + 20)
+
+    bench.answer(theta)
+
+    assert not bench.commands[-1].any()
+    assert not bench.perturbations[-1].any()
+    reason = f"position has {len(theta)} values for 2 joints"
+    assert bench.statuses[-1].reason == bench.experiment.present_fault == reason
+    bench.wobble(20)
+    assert bench.experiment.present_fault == ""
+    assert not np.any(bench.commands[SETTLE + 20 :])
+
+
+def test_stop_ramps_down_and_falls_on_where_no_samples_come() -> None:
+    bench = Bench()
+    bench.wobble(SETTLE + 20)
+    last = bench.commands[-1]
+
+    bench.experiment.stop("nobody there")
+
+    assert bench.statuses[-1].reason == "nobody there"
+    bench.experiment.fall(3)
+    assert bench.experiment.command == pytest.approx(0.7 * last)
+    assert not bench.experiment.at_rest
+    bench.answer(POSTURE)
+    assert bench.commands[-1] == pytest.approx(0.6 * last)
+    bench.experiment.fall(6)
+    assert bench.experiment.at_rest
+
+
+def test_samples_after_the_end_are_no_fault_wherever_the_arm_is() -> None:
+    bench = Bench()
+    bench.run(2 * TRIAL + 1)
+
+    bench.answer(POSTURE + 3.0)
+    bench.answer((math.nan, 0.0))
+
+    assert bench.statuses[-1].phase is Phase.DONE
+    assert bench.experiment.fault == ""
+    assert not np.any(bench.commands[-3:])
 
 
 def test_when_the_loop_would_be_unstable_expect_a_refusal() -> None:

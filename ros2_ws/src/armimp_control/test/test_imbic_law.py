@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
-from armimp_control.safety import REFUSED
+from armimp_control.testing import torque_only
 
 Array = NDArray[np.float64]
 PERIOD, GAMMA = 1e-3, 70.0
@@ -72,7 +72,10 @@ class Transcription:
 @pytest.mark.parametrize("n", [1, 2, 3, 7])
 def test_law_is_that_of_the_design(n: int, limit: float) -> None:
     config = _config(n)
-    controller, expected = Controller(config, torque_limit=limit), Transcription(config, limit)
+    controller, expected = (
+        Controller(config, safety=torque_only(limit)),
+        Transcription(config, limit),
+    )
     random = np.random.default_rng(10 + n)
     theta = config.target_posture + random.uniform(-1e-4, 1e-4, n)
     saturated = 0
@@ -93,7 +96,7 @@ def test_law_is_that_of_the_design(n: int, limit: float) -> None:
 
 def test_inputs_are_not_changed() -> None:
     config = _config()
-    controller = Controller(config, torque_limit=1.0)
+    controller = Controller(config, safety=torque_only(1.0))
     inputs = [config.target_posture + 0.1, np.array([9.0, -8.0]), np.array([90.0, 0.0])]
     before = [values.copy() for values in inputs]
     target, model = config.target_posture.copy(), config.model_inertia.copy()
@@ -105,7 +108,7 @@ def test_inputs_are_not_changed() -> None:
 
 def test_at_rest_in_the_target_posture_the_first_commands_are_zero() -> None:
     config = _config()
-    controller = Controller(config, torque_limit=80.0)
+    controller = Controller(config, safety=torque_only(80.0))
     for _ in range(10):
         controller.tick(config.target_posture, np.zeros(2), np.zeros(2))
         assert np.array_equal(controller.command, np.zeros(2))
@@ -113,7 +116,7 @@ def test_at_rest_in_the_target_posture_the_first_commands_are_zero() -> None:
 
 def test_first_tick_away_from_the_target_takes_the_position_for_rest() -> None:
     config = _config()
-    controller = Controller(config, torque_limit=1e9)
+    controller = Controller(config, safety=torque_only(1e9))
     deflection = np.array([0.02, -0.01])
     controller.tick(config.target_posture + deflection, np.zeros(2), np.zeros(2))
     role = config.role(0)
@@ -126,7 +129,7 @@ def test_first_tick_away_from_the_target_takes_the_position_for_rest() -> None:
 
 def test_after_reset_the_law_starts_from_rest_again() -> None:
     config = _config()
-    used, fresh = (Controller(config, torque_limit=80.0) for _ in range(2))
+    used, fresh = (Controller(config, safety=torque_only(80.0)) for _ in range(2))
     random = np.random.default_rng(3)
     for _ in range(20):
         used.tick(config.target_posture + 1e-3 * random.normal(size=2), np.ones(2), np.zeros(2))
@@ -140,7 +143,7 @@ def test_after_reset_the_law_starts_from_rest_again() -> None:
 
 def test_delayed_torque_is_the_one_sent_so_saturation_does_not_wind_up() -> None:
     config = _config(1)
-    controller = Controller(config, torque_limit=1.0)
+    controller = Controller(config, safety=torque_only(1.0))
     posture = config.target_posture
     # Push far into the limit, in a way that leaves no ideal velocity behind.
     for push in (500.0, 500.0, -500.0, -500.0):
@@ -156,7 +159,7 @@ def test_delayed_torque_is_the_one_sent_so_saturation_does_not_wind_up() -> None
 @pytest.mark.parametrize("perturbed", [0, 1, 2])
 def test_locked_joints_ignore_the_torque_transducers(perturbed: int) -> None:
     config = _config(3)
-    deaf, hearing = (Controller(config, torque_limit=1e9) for _ in range(2))
+    deaf, hearing = (Controller(config, safety=torque_only(1e9)) for _ in range(2))
     deaf.perturb_joint(perturbed)
     hearing.perturb_joint(perturbed)
     random = np.random.default_rng(4)
@@ -188,7 +191,7 @@ def test_roles_hold_the_soft_target_for_one_joint_and_the_stiff_one_for_the_othe
 
 def test_changing_roles_at_rest_in_the_target_does_not_move_the_command() -> None:
     config = _config()
-    controller = Controller(config, torque_limit=80.0)
+    controller = Controller(config, safety=torque_only(80.0))
     controller.tick(config.target_posture, np.zeros(2), np.array([3.0, 0.0]))
     controller.tick(config.target_posture, np.zeros(2), np.array([-3.0, 0.0]))
     held = controller.command.copy()
@@ -210,16 +213,16 @@ SENSIBLE = st.floats(-2.0, 2.0)
 def test_whatever_the_inputs_the_command_is_finite_and_within_the_limit(
     samples: list[list[float]], limit: float
 ) -> None:
-    controller = Controller(_config(), torque_limit=limit)
+    controller = Controller(_config(), safety=torque_only(limit))
     for sample in samples:
         theta, tau_h, tau_delta = np.array(sample).reshape(3, 2)
-        clipped = controller.tick(theta, tau_h, tau_delta)
+        controller.tick(theta, tau_h, tau_delta)
         assert np.all(np.abs(controller.command) <= limit)
         assert np.all(np.isfinite(controller.memory))
         if not np.all(np.isfinite(sample)):
-            assert clipped == REFUSED
-        if clipped == REFUSED:
+            assert controller.closed
             assert np.array_equal(controller.command, np.zeros(2))
+        if controller.closed:
             assert np.array_equal(controller.memory, np.zeros_like(controller.memory))
 
 
@@ -227,19 +230,20 @@ def test_whatever_the_inputs_the_command_is_finite_and_within_the_limit(
 @pytest.mark.parametrize("place", range(6))
 def test_one_bad_number_anywhere_gives_zero_torque_on_all_joints(place: int, bad: float) -> None:
     config = _config()
-    controller = Controller(config, torque_limit=80.0)
+    controller = Controller(config, safety=torque_only(80.0))
     controller.tick(config.target_posture, np.zeros(2), np.array([5.0, 0.0]))
     assert np.max(np.abs(controller.command)) > 0.1
     sample = np.concatenate([config.target_posture, np.ones(4)])
     sample[place] = bad
-    assert controller.tick(sample[:2], sample[2:4], sample[4:]) == REFUSED
+    controller.tick(sample[:2], sample[2:4], sample[4:])
+    assert controller.closed
     assert np.array_equal(controller.command, np.zeros(2))
 
 
 @pytest.mark.parametrize("shape", [(1,), (3,), (1, 2)])
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_inputs_of_another_shape_are_refused(which: int, shape: tuple[int, ...]) -> None:
-    controller = Controller(_config(), torque_limit=80.0)
+    controller = Controller(_config(), safety=torque_only(80.0))
     inputs = [np.zeros(2), np.zeros(2), np.zeros(2)]
     inputs[which] = np.zeros(shape)
     with pytest.raises(ValueError, match=r"must all be \(2,\)"):

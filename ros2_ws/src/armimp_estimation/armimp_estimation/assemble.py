@@ -19,9 +19,11 @@ from armimp_common import contract
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
 from armimp_common.trial_status import TrialStatus
+from armimp_estimation.kept_stream import KeptStream
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.sample_ledger import SampleLedger, StreamCount
-from armimp_estimation.trial_streams import Stream, TrialStreams, decode_streams
+from armimp_estimation.trial_problems import TrialProblems, find_problems
+from armimp_estimation.trial_streams import TrialStreams, decode_streams
 from armimp_estimation.trial_windows import (
     TrialWindow,
     infer_windows,
@@ -42,15 +44,18 @@ class AssembledTrial:
     window : TrialWindow
         What the trial was meant to be.
     record : TrialRecord or None
-        The samples, if there is one for every control period and all are finite. Duplicates
-        are dropped (the first one stays) and the order is that of the stamps.
+        The samples, if there is a usable one for every control period. Duplicates are dropped
+        (the first one stays) and the order is that of the stamps.
     segments : tuple of TrialRecord
-        The longest runs of periods without a gap, in their order; the record is the only one
-        where there is a record.
+        The longest runs of usable periods, in their order; the record is the only one where
+        there is a record. Periods are not usable if a stream with stamps has no sample of them or
+        one that is not finite, nor while the controller clipped its command.
     ledger : SampleLedger
         The account of the samples.
     problem : str
         Why the trial should not be estimated; empty if nothing speaks against it.
+    fault : str
+        The part of the problem that remains when only the intact parts are used.
     source : str
         Where the trial comes from, for messages.
     """
@@ -60,6 +65,7 @@ class AssembledTrial:
     segments: tuple[TrialRecord, ...]
     ledger: SampleLedger
     problem: str
+    fault: str = ""
     source: str = ""
 
     @property
@@ -81,7 +87,7 @@ class AssembledTrial:
         return f"trial {self.trial} is cut short: {ticks - self.shortfall} of {ticks} samples"
 
     def require(self) -> TrialRecord:
-        """Return the record of a trial without a problem.
+        """Return the record of a trial without a problem or an interval that is excluded.
 
         Raises
         ------
@@ -89,9 +95,36 @@ class AssembledTrial:
             If there is a problem; the message names the source and the trial.
         """
         if self.problem or self.record is None:
-            where = f"{self.source}: " if self.source else ""
-            raise DataError(f"{where}trial {self.trial}: {self.problem or 'no record'}")
+            raise self._refusal(self.problem or "has intervals that are excluded")
         return self.record
+
+    def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
+        """Return the parts of the trial that an estimate may use, in their order.
+
+        A trial without gaps has one part, its record; intervals of clipped commands divide it.
+
+        Parameters
+        ----------
+        allow_gaps : bool
+            Also take the parts of a trial that lost samples, or had some that were repeated, out
+            of order or not finite.
+
+        Raises
+        ------
+        DataError
+            If there are none; the message names the source and the trial.
+        """
+        if self.problem and not allow_gaps:
+            healed = "; --allow-gaps uses the intact parts"
+            hint = healed if self.segments and not self.fault else ""
+            raise self._refusal(self.problem + hint)
+        if self.fault or not self.segments:
+            raise self._refusal(self.fault or self.problem or "no usable samples")
+        return self.segments
+
+    def _refusal(self, reason: str) -> DataError:
+        where = f"{self.source}: " if self.source else ""
+        return DataError(f"{where}trial {self.trial}: {reason}")
 
 
 def assemble_trials(
@@ -156,7 +189,7 @@ def assemble_trial(
     source : str
         Where it comes from, for messages.
     """
-    kept = {topic: _Kept(stream, window.start_ns) for topic, stream in streams.stamped.items()}
+    kept = {topic: KeptStream(stream, window.start_ns) for topic, stream in streams.stamped.items()}
     stamps = _union([one.stamps for one in kept.values()])
     numbers = tick_numbers(stamps)
     if stamps.size:
@@ -167,117 +200,43 @@ def assemble_trial(
     inside = int(np.searchsorted(numbers, span))
     last_ns = int(stamps[inside - 1]) if inside else window.start_ns
 
-    counts = {topic: one.count(span, last_ns) for topic, one in kept.items()}
-    counts[contract.COMMANDS] = _count_commands(streams, kept[contract.PERTURBATION], span)
-    ledger = SampleLedger(
-        streams={topic: counts[topic] for topic in contract.DATA_STREAMS if topic in counts}
-    )
     usable = np.ones(span, np.bool_)
     for one in kept.values():
         usable &= one.finite(span)
-    problem = _problem(window, kept, ledger, stamps[:inside], numbers[:inside], usable)
-    joint = _joint_index(window, streams.joint_names)
+    counts = {topic: one.count(span, last_ns) for topic, one in kept.items()}
+    problems = find_problems(window, kept, counts, stamps[:inside], numbers[:inside], usable)
+    for first, last in window.clipped_intervals:
+        # A command acts until the next sample, which is the first to show it.
+        usable[first : last + 2] = False
+    runs = _runs(usable)
+    counts[contract.COMMANDS] = _count_commands(streams, kept[contract.PERTURBATION], span)
+    ledger = SampleLedger(
+        streams={topic: counts[topic] for topic in contract.DATA_STREAMS if topic in counts},
+        clipped=window.clipped,
+        excluded=int(span - usable.sum()),
+        stretches=len(runs),
+    )
     segments: tuple[TrialRecord, ...] = ()
+    joint = _joint_index(window, streams.joint_names)
     if joint is None:
         known = ", ".join(streams.joint_names)
         name = window.joint_name or f"joint {window.joint + 1}"
-        problem = f"perturbed joint is not among the joints {known}: {name}"
+        unknown = f"perturbed joint is not among the joints {known}: {name}"
+        problems = TrialProblems(all=unknown, lasting=unknown)
     else:
-        segments = tuple(
-            _record(window, joint, streams, kept, start, stop) for start, stop in _runs(usable)
-        )
+        segments = tuple(_record(window, joint, streams, kept, start, stop) for start, stop in runs)
         if segments and not any(segment.perturbation[joint].any() for segment in segments):
-            problem = problem or "the perturbation is zero throughout"
+            problems = problems.and_also("the perturbation is zero throughout")
     whole = bool(segments) and bool(usable.all())
     return AssembledTrial(
         window=window,
         record=segments[0] if whole else None,
         segments=segments,
         ledger=ledger,
-        problem=" ".join(problem.split()),
+        problem=problems.all,
+        fault=problems.lasting,
         source=source,
     )
-
-
-class _Kept:
-    """The messages of one stream from the start of the trial on, without repetitions.
-
-    Attributes
-    ----------
-    stream : Stream
-        All messages.
-    start_ns : int
-        Stamp of the first sample of the trial.
-    order : ndarray
-        Index into them of each kept one, in the order of the stamps.
-    stamps, numbers : ndarray
-        Stamp and number of the control period of each kept one.
-    """
-
-    def __init__(self, stream: Stream, start_ns: int) -> None:
-        self.stream = stream
-        self.start_ns = start_ns
-        if (np.diff(stream.stamps) > 0).all():
-            self.stamps: NDArray[np.int64] = stream.stamps
-            self.order: NDArray[np.intp] = np.arange(stream.stamps.size)
-            self._orderly = True
-        else:
-            self.stamps, self.order = np.unique(stream.stamps, return_index=True)
-            self._orderly = False
-        first = int(np.searchsorted(self.stamps, start_ns))
-        self.stamps = self.stamps[first:]
-        self.order = self.order[first:]
-        self.numbers: NDArray[np.int64] = np.empty(0, np.int64)
-
-    def number(self, stamps: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
-        """Take the period numbers from those of all stamps, and keep one message for each."""
-        self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
-        single = np.diff(self.numbers, prepend=-1) > 0
-        if not single.all():
-            self.stamps, self.order = self.stamps[single], self.order[single]
-            self.numbers = self.numbers[single]
-            self._orderly = False
-
-    def inside(self, span: int) -> int:
-        """How many of the kept messages are within the span."""
-        return int(np.searchsorted(self.numbers, span))
-
-    def count(self, span: int, last_ns: int) -> StreamCount:
-        """Make up the account of the periods before `span`, the last stamp of which is given."""
-        distinct = self.inside(span)
-        received, reordered = distinct, 0
-        if not self._orderly:
-            stamps = self.stream.stamps
-            received = int(((stamps >= self.start_ns) & (stamps <= last_ns)).sum())
-            arrived = stamps[np.sort(self.order[:distinct])]
-            reordered = int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum())
-        return StreamCount(
-            expected=span,
-            received=received,
-            lost=span - distinct,
-            duplicated=received - distinct,
-            reordered=reordered,
-        )
-
-    def finite(self, span: int) -> NDArray[np.bool_]:
-        """Whether each period of the span has a sample, and one that is finite."""
-        inside = self.inside(span)
-        values = self.stream.values[:, self.order[:inside]]
-        finite = np.zeros(span, np.bool_)
-        finite[self.numbers[:inside]] = np.isfinite(values).all(axis=0)
-        return finite
-
-    def values(self, start: int, stop: int) -> NDArray[np.float64]:
-        """(n, stop - start) values of a run of periods, all of which are there."""
-        return np.ascontiguousarray(self.stream.values[:, self.chosen(start, stop)])
-
-    def chosen(self, start: int, stop: int) -> NDArray[np.intp]:
-        """Ordinal numbers, in the stream, of the messages of a run of periods."""
-        first = int(np.searchsorted(self.numbers, start))
-        return self.order[first : first + stop - start]
-
-    def stamp(self, number: int) -> int:
-        return int(self.stamps[np.searchsorted(self.numbers, number)])
 
 
 def _union(stamps: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
@@ -286,7 +245,7 @@ def _union(stamps: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     return np.unique(np.concatenate(stamps))
 
 
-def _span(window: TrialWindow, kept: Mapping[str, _Kept]) -> int:
+def _span(window: TrialWindow, kept: Mapping[str, KeptStream]) -> int:
     """Number of control periods that should be there."""
     if not all(one.numbers.size for one in kept.values()):
         # The recording broke off before every stream had a sample of the trial.
@@ -305,7 +264,7 @@ def _span(window: TrialWindow, kept: Mapping[str, _Kept]) -> int:
     return span
 
 
-def _count_commands(streams: TrialStreams, perturbation: _Kept, span: int) -> StreamCount:
+def _count_commands(streams: TrialStreams, perturbation: KeptStream, span: int) -> StreamCount:
     """Count commands by their ordinal number, as every one goes with one perturbation."""
     before = int((streams.stamped[contract.PERTURBATION].stamps < perturbation.start_ns).sum())
     received = min(max(streams.commands - before, 0), span)
@@ -333,7 +292,7 @@ def _record(
     window: TrialWindow,
     joint: int,
     streams: TrialStreams,
-    kept: Mapping[str, _Kept],
+    kept: Mapping[str, KeptStream],
     start: int,
     stop: int,
 ) -> TrialRecord:
@@ -362,53 +321,3 @@ def _commands(streams: TrialStreams, ordinals: NDArray[np.intp]) -> NDArray[np.f
         return None
     command = np.ascontiguousarray(values[:, ordinals])
     return command if np.isfinite(command).all() else None
-
-
-def _problem(
-    window: TrialWindow,
-    kept: Mapping[str, _Kept],
-    ledger: SampleLedger,
-    stamps: NDArray[np.int64],
-    numbers: NDArray[np.int64],
-    usable: NDArray[np.bool_],
-) -> str:
-    """Say in one line what speaks against estimating the trial; nothing if nothing does."""
-    if not usable.size:
-        return window.fault or "no samples of it were recorded"
-    steps = np.diff(stamps)
-    if steps.size > 1 and np.median(steps) > 1.5 * PERIOD_NS:
-        return f"samples are {np.median(steps) / 1e6:.6g} ms apart, not {PERIOD_NS / 1e6:.6g} ms"
-    parts = [window.fault] if window.fault else []
-    close = np.flatnonzero(np.diff(numbers) == 0)
-    if close.size:
-        first, second = stamps[close[0]], stamps[close[0] + 1]
-        parts.append(
-            f"{close.size} stamps do not agree, the first {second - first} ns from its neighbour"
-        )
-    parts += _tallies(kept, ledger, usable)
-    return "; ".join(parts)
-
-
-def _tallies(
-    kept: Mapping[str, _Kept], ledger: SampleLedger, usable: NDArray[np.bool_]
-) -> list[str]:
-    parts: list[str] = []
-    for kind in ("lost", "duplicated", "reordered"):
-        counts = {topic: getattr(ledger.streams[topic], kind) for topic in kept}
-        if any(counts.values()):
-            listing = ", ".join(f"{topic} {count}" for topic, count in counts.items() if count)
-            parts.append(f"samples {kind}: {listing} of {usable.size}")
-    for topic, one in kept.items():
-        if one.stream.malformed and ledger.streams[topic].lost:
-            parts.append(f"{one.stream.malformed} malformed of {topic}: {one.stream.defect}")
-        bad = (
-            ledger.streams[topic].expected
-            - ledger.streams[topic].lost
-            - int(one.finite(usable.size).sum())
-        )
-        if bad:
-            parts.append(f"not finite: {topic} in {bad} of {usable.size} samples")
-    if parts and not usable.all():
-        first = int(np.flatnonzero(~usable)[0])
-        parts[-1] += f" (first gap at {first * PERIOD_NS / 1e9:.3f} s)"
-    return parts

@@ -30,6 +30,8 @@ _KEPT_EARLY = 30_000
 """Messages of each stream that may be ahead of a status, or of the other streams."""
 _DRIFT = 2e-4
 """By how much the clock of a driver may go wrong relative to the nominal period."""
+_ASTRAY_NS = 1_000_000_000
+"""A stamp so far (ns) ahead of the next one of its stream is wrong: nothing waits for its time."""
 _OVERDUE_NS = 2_000_000_000
 """So long after the planned end (ns), whatever is missing is lost: queues hold no more."""
 
@@ -146,6 +148,8 @@ class TrialCollector:
 
     def finish(self) -> None:
         """Complete the present trial with what there is, if its perturbation has begun."""
+        if self._start_ns is not None:
+            self._release_all()
         statuses, messages = tuple(self._statuses), self._messages
         begun = self._start_ns is not None
         self._forget()
@@ -174,11 +178,14 @@ class TrialCollector:
         self._latest[topic] = stamp_ns
         if topic == PERTURBATION and not self._finished and stamp_ns < self._end_ns:
             self._lead(message, stamp_ns)
-        elif topic != PERTURBATION and stamp_ns <= self._up_to_ns:
+        elif topic != PERTURBATION and stamp_ns <= self._up_to_ns and not self._early[topic]:
             self._keep(topic, message, stamp_ns)
         else:
+            # Behind those that wait, so that the order of arrival is kept.
             self._early[topic].append((stamp_ns, topic, message))
             self._finished = self._finished or topic == PERTURBATION
+            if stamp_ns <= self._up_to_ns:
+                self._release(topic)
         if self._finished:
             self._complete_if_all_there()
 
@@ -186,12 +193,32 @@ class TrialCollector:
         """A perturbation extends the trial up to its stamp."""
         self._up_to_ns = max(stamp_ns, self._up_to_ns)
         for topic in _FOLLOWERS:
-            waiting = self._early[topic]
-            while waiting and waiting[0][0] <= self._up_to_ns:
-                early_ns, _, early = waiting.popleft()
-                self._keep(topic, early, early_ns)
+            self._release(topic)
         self._keep(PERTURBATION, message, stamp_ns)
         self._finished = len(self._messages[PERTURBATION]) == self._ticks
+
+    def _release(self, topic: str) -> None:
+        """Keep what has waited for the perturbation to come up to its stamp, in its order."""
+        waiting = self._early[topic]
+        while waiting:
+            if waiting[0][0] <= self._up_to_ns:
+                early_ns, _, early = waiting.popleft()
+                self._keep(topic, early, early_ns)
+            elif len(waiting) > 1 and waiting[0][0] - waiting[1][0] > _ASTRAY_NS:
+                waiting.rotate(-1)
+            else:
+                return
+
+    def _release_all(self) -> None:
+        """Keep what belongs to the trial and waits behind samples that came after its end."""
+        for topic in _FOLLOWERS:
+            waiting = list(self._early[topic])
+            self._early[topic].clear()
+            for early_ns, _, early in waiting:
+                if early_ns <= self._up_to_ns:
+                    self._keep(topic, early, early_ns)
+                else:
+                    self._early[topic].append((early_ns, topic, early))
 
     def _keep(self, topic: str, message: bytes, stamp_ns: int) -> None:
         self._messages[topic].append(message)

@@ -14,7 +14,9 @@ import numpy as np
 from armimp_common.contract import PERTURBATION
 from armimp_common.errors import ArmimpError, DataError
 from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.identify import Identification, identify
+from armimp_estimation.lpm import LpmConfig, TorqueTiming
 from armimp_estimation.mbk import MBK
 from armimp_estimation.results import (
     Summary,
@@ -26,11 +28,12 @@ from armimp_estimation.results import (
     write_summary,
 )
 from armimp_estimation.settings import IdentifyConfig
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 
 SUMMARY_FILE = "summary.json"
 FRF_FILE = "frf.npz"
+TIMING_KEY = "torque_timing"
+"""Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,6 +93,7 @@ def conclude(
     joints: int,
     estimators: Sequence[str],
     config: IdentifyConfig | None = None,
+    gaps: GapConfig | None = None,
     problems: Sequence[str] = (),
 ) -> Conclusion:
     """Identify the impedance from the trials; what stands against it becomes a problem.
@@ -105,7 +109,10 @@ def conclude(
     estimators : sequence of str
         Names of estimators.
     config : IdentifyConfig, optional
-        Options; by default Welch segments that suit the shortest trial.
+        Options; by default Welch segments that suit the shortest trial, and torques read when the
+        metadata say.
+    gaps : GapConfig, optional
+        What to do with trials that lost samples; by default they are refused.
     problems : sequence of str
         What is known to have gone wrong beforehand.
 
@@ -115,15 +122,18 @@ def conclude(
         If an estimator does not exist.
     """
     found = list(problems)
+    options = gaps if gaps is not None else GapConfig()
     identification = None
     truth = truth_of(metadata)
     try:
-        records = [trial.assembled.require() for trial in trials]
+        parts = [trial.assembled.intact(allow_gaps=options.allow) for trial in trials]
         if config is None:
-            shortest = min((record.samples for record in records), default=0)
-            config = IdentifyConfig(welch=WelchConfig.for_samples(shortest))
-        data = [TrialData.from_record(record, config.welch) for record in records]
+            config = IdentifyConfig(
+                welch=segments_for(parts), lpm=LpmConfig(timing=timing_of(metadata))
+            )
+        data = [TrialData.from_stretches(stretches, config.welch) for stretches in parts]
         identification = identify(data, estimators, truth, config)
+        found += [problem for one in trials for problem in judge_gaps(one.assembled, options)]
     except DataError as error:
         found.append(str(error))
     seed = _seed_of(trials, metadata)
@@ -141,7 +151,7 @@ def conclude(
             ),
             identification=None,
         )
-    ledgers = {trial.assembled.require().perturbed_joint: _ledger(trial) for trial in trials}
+    ledgers = {trial.assembled.segments[0].perturbed_joint: _ledger(trial) for trial in trials}
     summary = summarise(
         identification,
         ledgers,
@@ -169,6 +179,21 @@ def truth_of(metadata: Mapping[str, str]) -> MBK | None:
         raise DataError(f"metadata: truth is not three matrices M, B, K: {error}") from None
 
 
+def timing_of(metadata: Mapping[str, str]) -> TorqueTiming:
+    """When torques were read, from the metadata of a bag; ``before_update`` if it does not know.
+
+    Raises
+    ------
+    DataError
+        If it is there, but is none of the ways that there are.
+    """
+    known = [timing.value for timing in TorqueTiming]
+    told = _parsed(metadata, TIMING_KEY, TorqueTiming.BEFORE_UPDATE.value)
+    if told not in known:
+        raise DataError(f"metadata: {TIMING_KEY} is {told!r}, known are {', '.join(known)}")
+    return TorqueTiming(told)
+
+
 def _parsed(metadata: Mapping[str, str], key: str, default: Any) -> Any:
     if key not in metadata:
         return default
@@ -192,18 +217,13 @@ def _ledger(trial: FinishedTrial) -> TrialLedger:
         ticks=ledger.streams[PERTURBATION].received,
         lost=ledger.lost,
         rtf=trial.rtf,
+        samples=ledger,
     )
 
 
 def _bare(trial: FinishedTrial, joints: int) -> TrialSummary:
     """A trial without scores, as nothing could be estimated."""
-    ledger = _ledger(trial)
-    return TrialSummary(
-        k=trial.assembled.window.joint + 1,
-        bag=ledger.bag,
-        ticks=ledger.ticks,
-        lost=ledger.lost,
-        lock_ratio=[math.nan] * joints,
-        bias_bound=[math.nan] * joints,
-        rtf=ledger.rtf,
+    nothing = [math.nan] * joints
+    return TrialSummary.of(
+        _ledger(trial), trial.assembled.window.joint, lock_ratio=nothing, bias_bound=nothing
     )

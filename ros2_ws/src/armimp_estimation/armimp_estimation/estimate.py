@@ -90,6 +90,9 @@ class ImpedanceEstimate:
         Number of independent averages behind each value and its variance.
     T, R : ndarray, shape (n, n, n_freq)
         Responses of torques and of angles (rad/(N·m)) to the perturbation.
+    systematic : ndarray, shape (n, n, n_freq), or None
+        Standard error of a correction that the values contain, N·m/rad: complex, since it is the
+        same error at all frequencies, in this proportion. The variance includes it.
     weight_floor : float or None
         Relative error beside the variance that the M-B-K fit should allow for in its weights, see
         :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit.
@@ -103,6 +106,7 @@ class ImpedanceEstimate:
     averages: float
     T: ComplexArray
     R: ComplexArray
+    systematic: ComplexArray | None = None
     weight_floor: float | None = None
 
     @property

@@ -95,7 +95,8 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
     limited as :class:`FitConfig` says. Each parameter is then a sum ``Σ_f a_f y_f``, so whatever
     the weights, its variance is the sandwich ``½ Σ_fg a_f a_g σ_f σ_g ρ(|f - g|)``: half of the
     complex variance for either part, and the correlation ρ of neighbouring frequencies, which
-    windowing causes.
+    windowing causes. The error of a correction, which is the same at all frequencies, adds the
+    square of ``Σ_f a_f s_f`` with its standard error s.
 
     Parameters
     ----------
@@ -119,12 +120,16 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
     n = estimate.joints
     values = np.zeros((3, n, n))
     errors = np.zeros((3, n, n))
+    systematic = estimate.systematic
+    if systematic is None:
+        systematic = np.zeros_like(estimate.Z)
     for i in range(n):
         for j in range(n):
             values[:, i, j], errors[:, i, j] = _fit_element(
                 estimate.f,
                 estimate.Z[i, j],
-                estimate.variance[i, j],
+                estimate.variance[i, j] - np.abs(systematic[i, j]) ** 2,
+                systematic[i, j],
                 estimate.bin_correlation,
                 options,
             )
@@ -145,6 +150,7 @@ def _fit_element(
     f: FloatArray,
     impedance: ComplexArray,
     variance: FloatArray,
+    systematic: ComplexArray,
     correlation: FloatArray,
     options: FitConfig,
 ) -> tuple[FloatArray, FloatArray]:
@@ -159,9 +165,16 @@ def _fit_element(
     of_real = np.linalg.solve(normal, design * weights)
     of_imaginary = weights * relative / np.sum(weights * relative**2)
     coefficients = np.stack((of_real[0] / scale**2, of_imaginary / scale, of_real[1]))
-    parts = np.stack((impedance.real, impedance.imag, impedance.real))
-    values = np.sum(coefficients * parts, axis=1)
-    return values, np.sqrt(_sandwich(coefficients, variance, correlation))
+    values = _apply(coefficients, impedance)
+    common = _apply(coefficients, systematic)
+    return values, np.sqrt(_sandwich(coefficients, variance, correlation) + common**2)
+
+
+def _apply(coefficients: FloatArray, values: ComplexArray) -> FloatArray:
+    """Values of (M, B, K) from those of an impedance."""
+    parts = np.stack((values.real, values.imag, values.real))
+    applied: FloatArray = np.sum(coefficients * parts, axis=1)
+    return applied
 
 
 def _weights(

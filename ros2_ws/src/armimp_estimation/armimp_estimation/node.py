@@ -26,11 +26,13 @@ from armimp_common.errors import (
     MalformedMessageError,
 )
 from armimp_common.lifecycle import reported
+from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, truth_of
+from armimp_estimation.gaps import segments_for
 from armimp_estimation.messages import (
     column_message,
     conclusion_message,
@@ -39,8 +41,8 @@ from armimp_estimation.messages import (
 )
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.recording import Recording
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
+from armimp_estimation.trial_windows import only_missed_samples
 from armimp_estimation.welch import WelchSiso
 
 _MATCH_TIMEOUT = 10.0
@@ -60,6 +62,12 @@ class ImpedanceEstimatorNode(LifecycleNode):
         super().__init__(contract.ESTIMATOR_NODE, **kwargs)
         self.transition_error = ""
         self._active = False
+        self._sign = SignOfLife(self, contract.ESTIMATOR_NODE)
+        self._controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
+        # Not at configuration: a new subscription gets the last experiment's statuses again.
+        self._trial = self.create_subscription(
+            DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED
+        )
         declare(self, EstimatorParameters)
         guard(self, lambda: "a trial is being recorded" if self._active else None)
 
@@ -92,9 +100,6 @@ class ImpedanceEstimatorNode(LifecycleNode):
             )
             for topic, kind in _RECORDED_BESIDE.items()
         ]
-        self._trial = self.create_subscription(
-            DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED
-        )
         self._timer = self.create_timer(
             self._settings.progress_period, self._on_timer, autostart=False
         )
@@ -126,7 +131,6 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
         self.destroy_timer(self._timer)
-        self.destroy_subscription(self._trial)
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
         self.destroy_publisher(self._received)
@@ -215,7 +219,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
             return
         try:
             status = TrialStatus.from_values(values_of(message))
-            if status.reason:
+            healed = self._settings.allow_gaps and only_missed_samples(status)
+            if status.reason and not healed:
                 self._note(f"trial {status.trial}: {status.reason}")
             self._recording.add_status(status)
         except ArmimpError as error:
@@ -230,6 +235,14 @@ class ImpedanceEstimatorNode(LifecycleNode):
             if self._recording.status is None:
                 self._conclude()
 
+    def _on_controller(self, controller: Watch) -> None:
+        """Close the bag when the controller is lost: nobody else would say that it is over."""
+        if controller.presence.lost and self._active and not self._concluded:
+            if self._done_at == math.inf:
+                self._note(controller.sentence)
+            self._recording.stop()
+            self._conclude()
+
     def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
         self._ended += 1
         if trial is None:
@@ -242,8 +255,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     def _publish_column(self, assembled: AssembledTrial) -> None:
         try:
-            record = assembled.require()
-            data = TrialData.from_record(record, WelchConfig.for_samples(record.samples))
+            parts = assembled.intact(allow_gaps=self._settings.allow_gaps)
+            data = TrialData.from_stretches(parts, segments_for([parts]))
             column = WelchSiso().column(data.spectra)
         except DataError as error:
             self._result.publish(failed_trial_message(assembled, str(error)))
@@ -270,6 +283,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
             metadata=self._metadata,
             joints=len(self._settings.joints),
             estimators=self._settings.estimators,
+            gaps=self._settings.gaps(),
             problems=self._problems,
         )
 
@@ -297,6 +311,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if time.monotonic() - self._done_at > _STRAGGLERS:
             self._recording.stop()
             self._conclude()
+            return
+        try:
+            self._recording.flush_if_idle()
+        except ArmimpError as error:
+            self._give_up(str(error))
             return
         self._progress.publish(
             progress_message(

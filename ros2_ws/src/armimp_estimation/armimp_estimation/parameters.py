@@ -8,6 +8,7 @@ from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
+from armimp_estimation.gaps import GapConfig
 from armimp_estimation.registry import estimator_names
 
 
@@ -28,9 +29,23 @@ class EstimatorParameters(Schema):
         default="{}",
         description="JSON object of strings to store in the bags: configuration, truth, versions",
     )
+    allow_gaps: bool = Field(
+        default=False,
+        description="estimate from the intact parts of trials that lost samples",
+    )
+    most_excluded: float = Field(
+        default=0.05,
+        ge=0.0,
+        le=1.0,
+        description="largest share of a trial that may be left out of a valid result",
+    )
     progress_period: float = Field(
         default=0.2, ge=0.05, le=10.0, description="time between progress messages (s)"
     )
+
+    def gaps(self) -> GapConfig:
+        """What to do with trials that have gaps."""
+        return GapConfig(allow=self.allow_gaps, most_excluded=self.most_excluded)
 
     def bag_metadata(self) -> dict[str, str]:
         """The metadata as a dictionary.

@@ -10,13 +10,16 @@ from armimp_common.contract import NS_PER_S, PERIOD_NS, TRIAL
 from armimp_common.errors import ArmimpError, DataError
 from armimp_common.trial_status import TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
-from armimp_estimation.bags import BagWriter
+from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
+from armimp_estimation.bags.reserve import DiskReserve, reserve_bytes
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.progress import RunningCoherence
 
 BAGS = "bags"
+LEDGER = "ledger"
+"""Metadata of a bag: the account of its samples, as JSON."""
 
 
 class Recording:
@@ -52,6 +55,9 @@ class Recording:
         self._began = 0.0
         self._last_ns = 0
         self._statuses_written = 0
+        self._reserve: DiskReserve | None = None
+        self._seen = 0
+        self._latest_ns: dict[str, int] = {}
         self.add = self._collector.add
 
     @property
@@ -109,18 +115,45 @@ class Recording:
         self.close()
 
     def close(self) -> None:
-        """Close the bag of the present trial, complete or not."""
+        """Close the bag of the present trial, complete or not.
+
+        Raises
+        ------
+        BagError
+            If the bag can't be finished; it stays readable.
+        """
+        if self._reserve is not None:
+            # What ends a bag, and a result, still has to be written when the disk is full.
+            self._reserve.release()
+            self._reserve = None
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.close()
+
+    def flush_if_idle(self) -> None:
+        """Hand what was recorded to the operating system if nothing has come since the last call.
+
+        Raises
+        ------
+        BagError
+            If that fails.
+        """
+        if self._writer is not None and self.samples == self._seen:
+            self._writer.flush()
+        self._seen = self.samples
 
     def _open(self, status: TrialStatus) -> None:
         self.close()
         self._running = None
         self._began = 0.0
         self._statuses_written = 0
+        self._latest_ns.clear()
         if self._directory is not None:
             self._bag = self._directory / BAGS / f"trial_{status.trial}_joint_{status.joint + 1}"
+            room = expected_bytes(status.ticks, len(self._joint_names))
+            reserve = reserve_bytes(status.ticks)
+            require_free_space(self._bag, room + reserve)
+            self._reserve = DiskReserve(self._directory, reserve)
             self._writer = BagWriter(self._bag, metadata=self._metadata)
 
     def _write(self, topic: str, message: bytes, time_ns: int) -> None:
@@ -128,7 +161,10 @@ class Recording:
             self._began = time.monotonic()
             self._write_statuses(self._collector.statuses, time_ns)
         if self._writer is not None:
-            self._writer.write(topic, message, time_ns)
+            # Readers sort by this time, and shall find every stream in the order of its arrival.
+            log_time_ns = max(time_ns, self._latest_ns.get(topic, 0))
+            self._latest_ns[topic] = log_time_ns
+            self._writer.write(topic, message, log_time_ns)
         self._last_ns = time_ns
 
     def _write_statuses(self, statuses: Sequence[TrialStatus], time_ns: int) -> None:
@@ -142,10 +178,14 @@ class Recording:
     def _on_complete(self, collected: CollectedTrial) -> None:
         elapsed = time.monotonic() - self._began
         try:
-            if self._statuses_written:
-                self._write_statuses(collected.statuses, self._last_ns)
-            self.close()
-            assembled = self._assemble(collected)
+            try:
+                if self._statuses_written:
+                    self._write_statuses(collected.statuses, self._last_ns)
+                assembled = self._assemble(collected)
+                if self._writer is not None:
+                    self._writer.add_metadata({LEDGER: assembled.ledger.to_json()})
+            finally:
+                self.close()
         except ArmimpError as error:
             self._on_finished(None, str(error))
             return

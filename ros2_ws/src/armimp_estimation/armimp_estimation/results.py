@@ -16,6 +16,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.mbk import MBK
+from armimp_estimation.sample_ledger import SampleLedger
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -37,6 +38,17 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
+class StreamSummary(_Model):
+    """The messages of one stream within a trial, see `armimp_estimation.sample_ledger`."""
+
+    expected: int
+    received: int
+    lost: int
+    duplicated: int
+    reordered: int
+    late: int
+
+
 class TrialSummary(_Model):
     """One trial: ``k`` is the perturbed joint, 1-based; ``lost`` the samples that are missing."""
 
@@ -48,6 +60,43 @@ class TrialSummary(_Model):
     bias_bound: Vector
     rtf: Number = math.nan
     """Times real time at which the trial ran; null if it was not run live."""
+    duplicated: int = 0
+    reordered: int = 0
+    late: int = 0
+    clipped: int = 0
+    excluded: Number = 0.0
+    """Share of the samples that the estimates leave out, from 0 to 1."""
+    stretches: int = 1
+    """Runs of samples between those."""
+    streams: dict[str, StreamSummary] = Field(default_factory=dict)
+    """By topic of the contract; empty if there are no messages behind the trial."""
+
+    @classmethod
+    def of(
+        cls, ledger: "TrialLedger", joint: int, *, lock_ratio: Vector, bias_bound: Vector
+    ) -> "TrialSummary":
+        """Summary of the trial that perturbed a joint, 0-based."""
+        about = {}
+        if (samples := ledger.samples) is not None:
+            about = {
+                **{kind: samples.total(kind) for kind in ("duplicated", "reordered", "late")},
+                "clipped": samples.clipped,
+                "excluded": samples.excluded_share,
+                "stretches": samples.stretches,
+                "streams": samples.to_dict(),
+            }
+        return cls.model_validate(
+            {
+                "k": joint + 1,
+                "bag": ledger.bag,
+                "ticks": ledger.ticks,
+                "lost": ledger.lost,
+                "lock_ratio": lock_ratio,
+                "bias_bound": bias_bound,
+                "rtf": ledger.rtf,
+                **about,
+            }
+        )
 
 
 class EstimatorSummary(_Model):
@@ -129,12 +178,15 @@ class TrialLedger:
         Samples found missing.
     rtf : float
         Times real time at which it ran; NaN if it was not run live.
+    samples : SampleLedger or None
+        The account of its messages, if it was made from messages.
     """
 
     bag: str | None
     ticks: int
     lost: int = 0
     rtf: float = math.nan
+    samples: SampleLedger | None = None
 
 
 def summarise(
@@ -169,16 +221,12 @@ def summarise(
     for trial in identification.trials:
         if trial.joint not in ledgers:
             raise DataError(f"nothing known about the trial of joint {trial.joint + 1}")
-        ledger = ledgers[trial.joint]
         trials.append(
-            TrialSummary(
-                k=trial.joint + 1,
-                bag=ledger.bag,
-                ticks=ledger.ticks,
-                lost=ledger.lost,
+            TrialSummary.of(
+                ledgers[trial.joint],
+                trial.joint,
                 lock_ratio=trial.lock_ratio.tolist(),
                 bias_bound=trial.bias_bound.tolist(),
-                rtf=ledger.rtf,
             )
         )
     everything = [*problems, *identification.problems]

@@ -5,6 +5,7 @@ The convention is that of :func:`scipy.signal.csd`: ``G_xy = E[conj(X) Y]``, one
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,8 +62,18 @@ class WelchConfig:
         The default from four segments' length on; a shorter record takes the largest power of two
         that fits four times, so that there is something to average, down to 1024 samples.
         """
+        return cls.for_stretches([samples])
+
+    @classmethod
+    def for_stretches(cls, lengths: Sequence[int]) -> "WelchConfig":
+        """Segments that suit a record in several stretches of these lengths.
+
+        As `for_samples`, but counting only stretches that hold a whole segment.
+        """
         segment = cls.segment
-        while 4 * segment > samples and segment > _SHORTEST_SEGMENT:
+        while segment > _SHORTEST_SEGMENT:
+            if 4 * segment <= sum(length for length in lengths if length >= segment):
+                break
             segment //= 2
         return cls(segment=segment, overlap=segment * 3 // 4)
 
@@ -126,29 +137,35 @@ def _ambiguity(segment: int, step: int) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(value / whole for value in row) for row in rows)
 
 
-def _overlap_sums(config: WelchConfig, segments: int) -> FloatArray:
-    """Mean of ``|A(p - q, l)|²`` over all pairs (p, q) of segments, for each lag l of bins."""
+def _overlap_sums(config: WelchConfig, *runs: int) -> FloatArray:
+    """Mean of ``|A(p - q, l)|²`` over all pairs (p, q) of segments, for each lag l of bins.
+
+    Segments of different runs have no sample in common.
+    """
     total = np.zeros(_MAX_LAG + 1)
     for shift, row in enumerate(_ambiguity(config.segment, config.step)):
-        pairs = (segments - shift) * (1 if shift == 0 else 2)
-        if pairs > 0:
-            total += pairs * np.array(row)
-    return total / segments**2
+        for segments in runs:
+            pairs = (segments - shift) * (1 if shift == 0 else 2)
+            if pairs > 0:
+                total += pairs * np.array(row)
+    return total / sum(runs) ** 2
 
 
-def effective_averages(config: WelchConfig, segments: int) -> float:
+def effective_averages(config: WelchConfig, *runs: int) -> float:
     """Number of independent averages that so many overlapping segments are worth.
+
+    Of a record with gaps, the number of segments in each run without one.
 
     Welch (1967): ``K / (1 + 2 Σ_j (1 - j/K) ρ_j)`` with
     ``ρ_j = (Σ w(n) w(n + jD))² / (Σ w²)²``. A 50 s record at 1 kHz has 21 segments in the default
     configuration, worth 11.2 averages.
     """
-    if segments < 1:
+    if sum(runs) < 1:
         return 0.0
-    return float(1.0 / _overlap_sums(config, segments)[0])
+    return float(1.0 / _overlap_sums(config, *runs)[0])
 
 
-def bin_correlation(config: WelchConfig, segments: int) -> FloatArray:
+def bin_correlation(config: WelchConfig, *runs: int) -> FloatArray:
     """Correlation between averaged products (such as ``conj(X)·N``) of neighbouring bins.
 
     For one segment it is ``|Σ w² exp(-2πi·l·n/N)|² / (Σ w²)²``, that is 1, 4/9, 1/36 at lags of
@@ -160,7 +177,7 @@ def bin_correlation(config: WelchConfig, segments: int) -> FloatArray:
     ndarray, shape (4,)
         Correlation at lags of 0, 1, 2 and 3 bins; it is negligible beyond.
     """
-    sums = _overlap_sums(config, max(segments, 1))
+    sums = _overlap_sums(config, *(runs if sum(runs) else (1,)))
     return sums / float(sums[0])
 
 
@@ -218,6 +235,7 @@ class SpectralAccumulator:
         self._filled = 0
         self._samples = 0
         self._segments = 0
+        self._earlier_runs: tuple[int, ...] = ()
         self._sum = np.zeros(
             (channels, channels, self._bins.stop - self._bins.start), dtype=np.complex128
         )
@@ -261,6 +279,12 @@ class SpectralAccumulator:
                 self._filled = kept
         self._samples += block.shape[1]
 
+    def interrupt(self) -> None:
+        """Begin anew after a gap: no segment shall hold samples of both sides."""
+        run = self._segments - sum(self._earlier_runs)
+        self._earlier_runs += (run,) if run else ()
+        self._filled = 0
+
     def _add_segment(self) -> None:
         tapered = self._buffer - self._buffer.mean(axis=1, keepdims=True)
         tapered *= self._window
@@ -281,6 +305,7 @@ class SpectralAccumulator:
                 f"record of {self._samples} samples is shorter than one segment of "
                 f"{self._config.segment}"
             )
+        runs = (*self._earlier_runs, self._segments - sum(self._earlier_runs))
         density = 1.0 / (self._rate * float(np.sum(self._window**2)))
         one_sided = np.full(self._sum.shape[-1], 2.0 * density / self._segments)
         if self._config.segment % 2 == 0 and self._bins.stop == self._config.segment // 2 + 1:
@@ -289,6 +314,6 @@ class SpectralAccumulator:
             f=self._config.frequencies(self._rate),
             matrix=self._sum * one_sided,
             segments=self._segments,
-            effective_averages=effective_averages(self._config, self._segments),
-            bin_correlation=bin_correlation(self._config, self._segments),
+            effective_averages=effective_averages(self._config, *runs),
+            bin_correlation=bin_correlation(self._config, *runs),
         )

@@ -1,5 +1,6 @@
 """Spectra of one trial, and the trial as estimators take it: record plus spectra."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -99,6 +100,10 @@ class TrialAccumulator:
         k = self._joint
         self._accumulator.push(np.concatenate((perturbation[k : k + 1], position, torque)))
 
+    def interrupt(self) -> None:
+        """Begin anew after a gap."""
+        self._accumulator.interrupt()
+
     def result(self) -> TrialSpectra:
         """Spectra of the samples so far.
 
@@ -112,7 +117,15 @@ class TrialAccumulator:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialData:
-    """A finished trial: its record and its spectra, which belong together."""
+    """A finished trial: its record and its spectra, which belong together.
+
+    Attributes
+    ----------
+    record : TrialRecord
+        Samples without a gap; of a trial with gaps the longest stretch.
+    spectra : TrialSpectra
+        Spectra of all stretches.
+    """
 
     record: TrialRecord
     spectra: TrialSpectra
@@ -137,12 +150,29 @@ class TrialData:
         DataError
             If the record is shorter than one segment.
         """
+        return cls.from_stretches([record], config)
+
+    @classmethod
+    def from_stretches(
+        cls, stretches: Sequence[TrialRecord], config: WelchConfig | None = None
+    ) -> "TrialData":
+        """Compute the spectra of the intact stretches of a trial; no segment spans a gap.
+
+        Raises
+        ------
+        DataError
+            If none of them is as long as one segment.
+        """
+        record = max(stretches, key=lambda stretch: stretch.samples)
         accumulator = TrialAccumulator(record.joints, record.perturbed_joint, record.rate, config)
-        accumulator.push(record.perturbation, record.position, record.torque)
+        for stretch in stretches:
+            accumulator.interrupt()
+            accumulator.push(stretch.perturbation, stretch.position, stretch.torque)
         try:
             return cls(record=record, spectra=accumulator.result())
         except DataError as error:
-            raise DataError(f"trial {record.trial}: {error}") from error
+            gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"
+            raise DataError(f"trial {record.trial}: {error}{gaps}") from error
 
     @property
     def joint(self) -> int:

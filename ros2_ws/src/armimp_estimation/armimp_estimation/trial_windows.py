@@ -1,5 +1,6 @@
 """When each trial of a recording took place, and which joint was perturbed in it."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -19,6 +20,9 @@ MOST_TICKS: Final = 10_000_000
 """Samples of the longest trial that is believed: almost three hours."""
 
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
+
+# What the controller says of a trial in which it only missed samples, which the ledger shows too.
+_MISSED: Final = re.compile(r"[0-9]+ samples? did not arrive")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +48,12 @@ class TrialWindow:
         there; else it may end within the trial.
     fault : str
         What spoiled the trial, according to the controller; empty if nothing did.
+    missed : bool
+        Whether the fault is no more than samples that did not reach the controller.
+    clipped : int
+        Joint commands that the controller had to limit.
+    clipped_intervals : tuple of (int, int)
+        First and last tick of the trial, from 0, of each run of such commands.
 
     Raises
     ------
@@ -59,6 +69,9 @@ class TrialWindow:
     seed: int | None
     ended: bool
     fault: str = ""
+    missed: bool = False
+    clipped: int = 0
+    clipped_intervals: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         if not 0 <= self.ticks <= MOST_TICKS:
@@ -107,13 +120,34 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
             continue
         if status.phase is Phase.ABORTED:
             current = replace(current, fault=f"aborted: {status.reason or 'no reason given'}")
-        elif not status.valid and not current.fault:
+            current = replace(current, missed=False)
+        elif not status.valid and (current.missed or not current.fault):
             current = replace(current, fault=f"not valid: {status.reason or 'no reason given'}")
+            current = replace(current, missed=only_missed_samples(status))
+        current = _with_clipping(current, status)
         if status.phase is not Phase.PERTURB:
             current = replace(current, ended=True)
     if current is not None:
         windows.append(current)
     return tuple(windows)
+
+
+def only_missed_samples(status: TrialStatus) -> bool:
+    """Tell whether a trial is not valid only because samples did not reach the controller."""
+    return (
+        status.phase is not Phase.ABORTED
+        and not status.valid
+        and _MISSED.fullmatch(status.reason) is not None
+    )
+
+
+def _with_clipping(window: TrialWindow, status: TrialStatus) -> TrialWindow:
+    """Take over how many commands were clipped, and when."""
+    if not status.clipped and not status.clipped_intervals:
+        return window
+    limits = [part.split("-") for part in status.clipped_intervals.split()]
+    intervals = tuple((int(first), int(last)) for first, last in limits)
+    return replace(window, clipped=status.clipped, clipped_intervals=intervals)
 
 
 def infer_windows(

@@ -1,19 +1,22 @@
-"""How far the torques on the arm jump when the command is updated, from the records themselves.
+"""What updates of the command do to the torques on the arm, from the records themselves.
 
 Between two updates the joints accelerate with ``θ̈ = (M_r + M_h)⁻¹ (u - ...)``, where the command u
-is held and all the rest, friction included, changes steadily. So with each update the torque on
-the arm jumps by ``D Δu`` with ``D = M_h (M_r + M_h)⁻¹``, and a reading just before the update is
-late by just that. The steady course of the torque passes midway between before and after:
+is held and all the rest, friction included, changes steadily. So with each update by Δu the torque
+on the arm jumps by ``D Δu`` with ``D = M_h (M_r + M_h)⁻¹``; its slope jumps as well, by ``S Δu/L``,
+since damping and the friction of the robot act on the velocity that the jump builds up. A reading
+just before the update is late by just that. What the torque is between the updates follows from
+readings and jumps by the Euler-Maclaurin formula (coefficients 1/2 and 1/12):
 
-    τ_mid = τ_before + ½ D (u_k - u_{k-1})
+    τ(ω) = τ_before(ω) + [D (1/2 - jωL/12) + S/12] Δu(ω)
 
-is free of skew up to second order in ωL. A delay of half a sample, ``T exp(jωL/2)``, puts the
-inertial torque right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and
-``B L/2`` to M, and does not know of the part of u that overcomes friction. D need not be precise:
-an error of 10 % leaves 10 % of the skew.
+up to fourth order in ωL. A delay of half a sample, ``T exp(jωL/2)``, puts the inertial torque
+right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and ``B L/2`` to M, and
+does not know of the part of u that overcomes friction. D need not be precise: an error of 10 %
+leaves 10 % of the skew.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +24,49 @@ from numpy.typing import NDArray
 from armimp_estimation.record import TrialRecord
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
+# Periods after a jump by which the torque is followed.
+_PERIODS = 3
 _DIFFERENCES = 4
 _CHATTER_EXPLAINS = 0.9
 _MOTION_EXPLAINS = 0.99
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class UpdateJump:
+    """How the torques on the arm answer a step of the commands at once.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (n, n)
+        D: torques jump by ``D Δu``, N·m per N·m.
+    slope : ndarray, shape (n, n)
+        S: their slopes jump by ``S Δu / L``, N·m per N·m.
+    """
+
+    torque: FloatArray
+    slope: FloatArray
+
+    def missing(self, f: FloatArray, rate: float) -> ComplexArray:
+        """What readings just before the updates lack, per step of the commands.
+
+        Parameters
+        ----------
+        f : ndarray, shape (n_freq,)
+            Frequencies, Hz.
+        rate : float
+            Updates per second, Hz.
+
+        Returns
+        -------
+        ndarray, shape (n, n, n_freq)
+            ``D (1/2 - jωL/12) + S/12``, N·m per N·m.
+        """
+        radians = 2.0 * np.pi * f / rate
+        jump = self.torque[:, :, None] * (0.5 - 1j * radians / 12.0)
+        lacking = jump + self.slope[:, :, None] / 12.0
+        return np.asarray(lacking, dtype=np.complex128)
 
 
 def command_steps(record: TrialRecord, samples: int) -> FloatArray:
@@ -40,17 +82,22 @@ def command_steps(record: TrialRecord, samples: int) -> FloatArray:
     return steps
 
 
-def jump_transmission(records: Sequence[TrialRecord]) -> FloatArray | None:
-    """Matrix D of the jumps ``D Δu`` of the torques with steps Δu of the commands.
+def update_jump(records: Sequence[TrialRecord]) -> UpdateJump | None:
+    """Jumps of the torques and their slopes with steps Δu of the commands.
 
     On a rig with encoders of finite resolution the command chatters, and fourth differences of the
-    torque consist of little but the jumps that this causes: D is their regression on fourth
-    differences of the steps. Without chatter, angles are so fine that the motion itself tells:
+    torque consist of little but what this causes. Their regression on fourth differences of the
+    steps of the last three updates tells by how much the torque has changed 1, 2 and 3 periods
+    after a step, and a parabola through these goes back to the moment after the step itself.
+    (The friction of a robot can take 3 % off the jump within the first period.)
+
+    Without chatter, angles are so fine that the motion itself tells:
 
         τ_before = -½ D Δu + M (θ_{k+1} - 2θ_k + θ_{k-1})/L² + B (θ_{k+1} - θ_{k-1})/2L + K θ
 
-    is fitted by least squares. Errors of the angles would bias that; so would a voluntary torque,
-    and whichever way is taken has to explain nearly all of what it is fitted to.
+    is fitted by least squares, and the slope, which hardly matters then, is taken as 0. Errors of
+    the angles would bias that; so would a voluntary torque, and whichever way is taken has to
+    explain nearly all of what it is fitted to.
 
     Parameters
     ----------
@@ -59,14 +106,14 @@ def jump_transmission(records: Sequence[TrialRecord]) -> FloatArray | None:
 
     Returns
     -------
-    ndarray, shape (n, n), or None
+    UpdateJump or None
         None if neither way explains the torques, or if the eigenvalues of D do not lie between 0
         and 1, as they do for any two inertias: torques then do not follow the commands like that.
     """
     for fit, enough in ((_from_chatter, _CHATTER_EXPLAINS), (_from_motion, _MOTION_EXPLAINS)):
-        transmission, explained = fit(records)
-        if (explained > enough).all() and _is_share_of_inertia(transmission):
-            return transmission
+        jump, explained = fit(records)
+        if (explained > enough).all() and _is_share_of_inertia(jump.torque):
+            return jump
     return None
 
 
@@ -75,18 +122,26 @@ def _is_share_of_inertia(transmission: FloatArray) -> bool:
     return bool((eigenvalues.real > 0.0).all() and (np.abs(eigenvalues) < 1.0).all())
 
 
-def _from_chatter(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
+def _from_chatter(records: Sequence[TrialRecord]) -> tuple[UpdateJump, FloatArray]:
     inputs, outputs = [], []
     for record in records:
-        # A jump after reading k is seen for the first time in reading k + 1.
-        steps = command_steps(record, record.samples)[:, 1:-1]
-        changes = np.diff(record.torque[:, 1:], axis=1)
-        inputs.append(np.diff(steps, n=_DIFFERENCES, axis=1))
-        outputs.append(np.diff(changes, n=_DIFFERENCES, axis=1))
-    return _regress(inputs, outputs)
+        steps, changes = command_steps(record, record.samples), np.diff(record.torque, axis=1)
+        # The step after reading k is seen for the first time in the change to reading k + 1.
+        last = changes.shape[1]
+        lagged = [steps[:, _PERIODS - 1 - lag : last - lag] for lag in range(_PERIODS)]
+        inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
+        outputs.append(np.diff(changes[:, _PERIODS - 1 :], n=_DIFFERENCES, axis=1))
+    coefficients, _ = _regress(inputs, outputs)
+    n = records[0].joints
+    # Nearly all has to come from the last step; else commands are not those of these samples.
+    _, explained = _regress([rows[:n] for rows in inputs], outputs)
+    first, second, third = (coefficients[:, n * lag : n * (lag + 1)] for lag in range(_PERIODS))
+    # Value and slope at 0 of the parabola through the sums of the changes at 1, 2 and 3.
+    jump = UpdateJump(torque=first - 2.0 * second + third, slope=0.5 * (5.0 * second - 3.0 * third))
+    return jump, explained
 
 
-def _from_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]:
+def _from_motion(records: Sequence[TrialRecord]) -> tuple[UpdateJump, FloatArray]:
     inputs, outputs = [], []
     for record in records:
         angle = record.position - record.position.mean(axis=1, keepdims=True)
@@ -98,7 +153,8 @@ def _from_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray
         inputs.append(np.concatenate((-0.5 * steps, acceleration, velocity, now)))
         outputs.append(torque[:, 1:-1])
     coefficients, explained = _regress(inputs, outputs)
-    return coefficients[:, : records[0].joints], explained
+    transmission = coefficients[:, : records[0].joints]
+    return UpdateJump(torque=transmission, slope=np.zeros_like(transmission)), explained
 
 
 def _regress(

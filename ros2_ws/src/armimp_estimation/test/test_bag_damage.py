@@ -197,6 +197,61 @@ class TestTruncation:
         assert samples_or_refusal(bag) == TICKS
 
 
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag of so few samples that every byte of it can be tried."""
+    path = tmp_path_factory.mktemp("small") / "bag"
+    messages = [m for m in MESSAGES if m[1] < MESSAGES[0][1] + 60_000_000]
+    with BagWriter(path, metadata={"joint_names": '["shoulder", "elbow"]'}) as writer:
+        for topic, log_time_ns, raw in messages:
+            writer.write(topic, raw, log_time_ns)
+    return path
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+class TestEveryByte:
+    def test_cut_at_every_byte_it_is_read_up_to_there(self, small: Path, tmp_path: Path) -> None:
+        whole = storage_file(small).read_bytes()
+        file = tmp_path / "bag.mcap"
+        samples: list[int] = []
+        for size in range(len(whole) + 1):
+            file.write_bytes(whole[:size])
+            samples.append(samples_or_refusal(file))
+        assert samples == sorted(samples)
+        assert sorted(set(samples)) == [0, 50, 60]
+
+    def test_metadata_cut_at_every_byte_is_used_or_refused(
+        self, small: Path, tmp_path: Path
+    ) -> None:
+        bag = tmp_path / "bag"
+        shutil.copytree(small, bag)
+        whole = (bag / "metadata.yaml").read_bytes()
+        for size in range(len(whole)):
+            (bag / "metadata.yaml").write_bytes(whole[:size])
+            assert samples_or_refusal(bag) in (0, 60)
+
+    def test_every_byte_with_one_bit_flipped_is_read_or_refused(
+        self, small: Path, tmp_path: Path
+    ) -> None:
+        whole = storage_file(small).read_bytes()
+        file = tmp_path / "bag.mcap"
+        for where in range(len(whole)):
+            changed = bytearray(whole)
+            changed[where] ^= 1 << (where % 8)
+            file.write_bytes(changed)
+            assert samples_or_refusal(file) in (0, 50, 60)
+
+    def test_tail_of_zeros_as_after_a_loss_of_power_is_read_or_refused(
+        self, small: Path, tmp_path: Path
+    ) -> None:
+        whole = storage_file(small).read_bytes()
+        file = tmp_path / "bag.mcap"
+        for size in range(0, len(whole), 7):
+            file.write_bytes(whole[:size] + bytes(len(whole) - size))
+            assert samples_or_refusal(file) in (0, 50, 60)
+
+
 class TestChangedBytes:
     @settings(max_examples=300, deadline=None)
     @given(data=st.data())

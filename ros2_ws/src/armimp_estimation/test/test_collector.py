@@ -319,3 +319,36 @@ def test_without_statuses_there_is_no_trial() -> None:
 def test_message_without_a_stamp_is_refused() -> None:
     with pytest.raises(MalformedMessageError):
         TrialCollector(print, print).add(contract.JOINT_STATES, b"\0\1\0\0")
+
+
+def fed_in_turn(spoil: Mapping[str, list[bytes]]) -> list[CollectedTrial]:
+    """Trials of a graph that sends one message of each stream after the other."""
+    messages = {**RECORDING.by_topic(), **spoil}
+    statuses = statuses_of(RECORDING)
+    desk = Desk()
+    desk.collector.add_status(statuses[0])
+    desk.collector.add_status(statuses[1])
+    desk.feed(messages, statuses[2:], [(topic, 1) for _ in range(3 * LENGTH) for topic in TOPICS])
+    return desk.trials
+
+
+@pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+@pytest.mark.parametrize("tick", [0, 5, TICKS - 2])
+def test_samples_out_of_order_are_kept_in_the_order_of_their_arrival(topic: str, tick: int) -> None:
+    stream = list(RECORDING.by_topic()[topic])
+    i = SETTLE + tick
+    stream[i], stream[i + 1] = stream[i + 1], stream[i]
+
+    first = fed_in_turn({topic: stream})[0].messages[topic]
+
+    assert first == stream[SETTLE : SETTLE + TICKS]
+
+
+def test_a_stamp_far_in_the_future_holds_nothing_up() -> None:
+    stream = list(RECORDING.by_topic()[contract.JOINT_STATES])
+    wrong = JointStateEncoder(("shoulder", "elbow"), "position").encode(10**15, (0.0, 0.0))
+    stream.insert(SETTLE + 5, wrong)
+
+    first = fed_in_turn({contract.JOINT_STATES: stream})[0].messages[contract.JOINT_STATES]
+
+    assert first == RECORDING.by_topic()[contract.JOINT_STATES][SETTLE : SETTLE + TICKS]

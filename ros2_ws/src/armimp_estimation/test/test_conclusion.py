@@ -14,7 +14,8 @@ from armimp_common.errors import DataError
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.synthetic import Message
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, truth_of
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, timing_of, truth_of
+from armimp_estimation.lpm import TorqueTiming
 from armimp_estimation.recording import Recording
 from armimp_estimation.results import Summary, read_frf, read_summary
 from armimp_estimation.synthetic import TWO_JOINT_ARM
@@ -168,7 +169,10 @@ def test_when_samples_are_lost_expect_a_refusal_with_the_account() -> None:
 
     assert conclusion.identification is None
     assert [trial.lost for trial in conclusion.summary.trials] == [4, 0]
-    assert conclusion.summary.problems[0].startswith("trial 1: samples lost: torque_sensors 4")
+    assert conclusion.summary.problems[0] == (
+        "trial 1: 4 samples of torque_sensors are missing between 2.940 s and 2.944 s; "
+        "--allow-gaps uses the intact parts"
+    )
     assert all(math.isnan(value) for value in conclusion.summary.trials[0].lock_ratio)
 
 
@@ -223,3 +227,14 @@ def test_bag_and_speed_of_each_trial_are_passed_on() -> None:
     ).summary.trials
 
     assert [(trial.bag, trial.rtf) for trial in trials] == [("somewhere", 2.5)] * 2
+
+
+def test_torques_are_taken_as_read_before_the_update_unless_the_metadata_say_otherwise() -> None:
+    assert timing_of({}) is TorqueTiming.BEFORE_UPDATE
+    assert timing_of({"torque_timing": '"interval_mean"'}) is TorqueTiming.INTERVAL_MEAN
+
+
+@pytest.mark.parametrize("told", ['"later"', "7", "null", "[1]"])
+def test_when_the_timing_makes_no_sense_expect_an_error_that_names_what_there_is(told: str) -> None:
+    with pytest.raises(DataError, match=r"torque_timing is .*known are before_update"):
+        timing_of({"torque_timing": told})

@@ -293,7 +293,10 @@ class TestFaults:
         script.play(spinner, messages)
         eventually(spinner, script.concluded, "the conclusion")
 
-        problem = f"trial 1: samples lost: joint_states 1 of {TICKS} (first gap at 0.040 s)"
+        problem = (
+            "trial 1: 1 sample of joint_states is missing at 0.040 s; "
+            "--allow-gaps uses the intact parts"
+        )
         assert stored(tmp_path).problems == [problem]
         assert stored(tmp_path).trials[0].lost == 1
         assert script.conclusions[0].level == bytes([Level.ERROR])
@@ -321,7 +324,7 @@ class TestFaults:
         summary = stored(tmp_path)
         assert not summary.valid
         assert summary.problems[0].startswith(f"{topic}: ")
-        assert f"samples lost: {topic} 1" in summary.problems[1]
+        assert f"1 sample of {topic} is missing" in summary.problems[1]
         assert len(bags_of(tmp_path)) == 2
 
     def test_when_a_status_makes_no_sense_expect_the_end_with_a_closed_bag(

@@ -192,7 +192,7 @@ def test_lost_samples_are_in_the_ledger_of_the_trial_and_of_its_bag(tmp_path: Pa
 
     first, second = desk.finished
     assert first.assembled.ledger.lost == 3
-    assert first.assembled.problem.startswith("samples lost: torque_sensors 3 of 100")
+    assert first.assembled.problem.startswith("3 samples of torque_sensors are missing")
     assert second.assembled.problem == ""
     assert read_bag(desk.bags[0]).trials[0].ledger == first.assembled.ledger
 
@@ -249,3 +249,16 @@ def test_coherence_begins_anew_with_each_trial() -> None:
     for coherence in (*told[2:4], *told[7:9]):
         assert coherence is not None
         assert min(coherence) > 0.9
+
+
+def test_when_nothing_comes_any_more_expect_all_of_it_in_the_file(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 7)])
+    with pytest.raises(BagError, match="no messages"):
+        read_bag(desk.bags[0])
+
+    desk.recording.flush_if_idle()  # Something has come since it was made.
+    desk.recording.flush_if_idle()
+
+    assert_equal(read_bag(desk.bags[0]).records()[0], MADE_UP.records[0], 7)
+    desk.recording.stop()

@@ -1,20 +1,25 @@
 """Problems get the advice that fits, as the sentences are now."""
 
+import errno
 import json
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from armimp_common import contract
-from armimp_common.errors import DataError
+from armimp_common.errors import BagError, DataError
 from armimp_estimation import verdict
 from armimp_estimation.assemble import assemble_trials
+from armimp_estimation.bags import require_free_space
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.synthetic import Message, synthetic_recording
+from armimp_estimation.bags.writer import why_not_written
 from armimp_estimation.frf import order_trials
+from armimp_estimation.gaps import GapConfig, judge_gaps
 from armimp_estimation.report.advice import ADVICE, OTHER, advise
 from armimp_estimation.report.formats import difference, number, percent, uncertain
 from armimp_estimation.report.provenance import ASSUMPTION, CHOSEN, assumptions, origin
@@ -72,6 +77,23 @@ def test_problems_with_samples() -> None:
     twice = messages[: torques[50]] + messages[torques[50] :][:1] + messages[torques[50] :]
     for spoiled in (lost, twice):
         assert kind(assembled_problem(spoiled)) == "Samples are missing or in disorder"
+
+
+def test_problems_with_the_disk_and_with_what_is_left_out() -> None:
+    full = BagError(f"bag: cannot be written: {why_not_written(OSError(errno.ENOSPC, ''))}")
+    assert kind(str(full)) == "There is no room on the disk"
+    with pytest.raises(BagError) as caught:
+        require_free_space(Path(), 10**18)
+    assert kind(str(caught.value)) == "There is no room on the disk"
+    topics: dict[str, list[bytes]] = {}
+    for topic, _, raw in synthetic_recording(ticks=100).messages:
+        topics.setdefault(topic, []).append(raw)
+    statuses = [decode_trial_status(raw) for raw in topics.pop(contract.TRIAL)]
+    for intervals in ("", "10-40"):
+        statuses[-1] = replace(statuses[-1], clipped=31, clipped_intervals=intervals)
+        (trial,) = assemble_trials(NAMES, topics, statuses)
+        (problem,) = judge_gaps(trial, GapConfig())
+        assert kind(problem) == "Much of a trial is left out"
 
 
 def test_problems_with_the_set_of_trials() -> None:

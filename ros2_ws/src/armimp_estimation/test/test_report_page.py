@@ -252,7 +252,7 @@ def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None
     assert "Nothing could be estimated" in page.words
     assert "Samples are missing or in disorder" in page.words
     assert re.search(r"torques on the arm torque_sensors \d+ \d+ 1000 0 0", page.words)
-    assert "Not usable: samples lost: torque_sensors 1000" in page.words
+    assert "Not usable: 1000 samples of torque_sensors are missing" in page.words
     figures = [a["id"] for tag, a in page.elements if tag == "figure"]
     # The first trial is whole: its coherences can be shown all the same.
     assert figures == ["coherence-1-1", "coherence-2-1", "trace-1", "trace-2"]

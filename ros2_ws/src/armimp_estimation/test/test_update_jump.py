@@ -18,7 +18,7 @@ from armimp_estimation.lpm import LpmConfig, LpmFull, TorqueTiming
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.synthetic import TWO_JOINT_ARM
 from armimp_estimation.trial import TrialData
-from armimp_estimation.update_jump import command_steps, jump_transmission
+from armimp_estimation.update_jump import command_steps, update_jump
 
 FloatArray = NDArray[np.float64]
 
@@ -86,15 +86,15 @@ def viscosity(records: list[TrialRecord], config: LpmConfig | None = None) -> Fl
 
 
 def test_chatter_of_the_command_tells_how_far_torques_jump(chattering: list[TrialRecord]) -> None:
-    found = jump_transmission(chattering)
+    found = update_jump(chattering)
     assert found is not None
-    np.testing.assert_allclose(found, TRANSMISSION, atol=0.02 * np.max(TRANSMISSION))
+    np.testing.assert_allclose(found.torque, TRANSMISSION, atol=0.02 * np.max(TRANSMISSION))
 
 
 def test_without_chatter_the_motion_tells(smooth: list[TrialRecord]) -> None:
-    found = jump_transmission(smooth)
+    found = update_jump(smooth)
     assert found is not None
-    np.testing.assert_allclose(found, TRANSMISSION, atol=0.08 * np.max(TRANSMISSION))
+    np.testing.assert_allclose(found.torque, TRANSMISSION, atol=0.08 * np.max(TRANSMISSION))
 
 
 def test_midway_between_before_and_after_the_jump_there_is_no_skew(
@@ -138,7 +138,7 @@ def test_commands_are_not_used_for_readings_that_are_means(smooth: list[TrialRec
 def test_when_commands_do_not_drive_the_torques_expect_none(chattering: list[TrialRecord]) -> None:
     noise = np.random.default_rng(1).standard_normal((2, SAMPLES))
     foreign = [dataclasses.replace(record, command=noise) for record in chattering]
-    assert jump_transmission(foreign) is None
+    assert update_jump(foreign) is None
 
 
 def test_when_commands_are_of_other_joints_or_samples_expect_none(
@@ -152,12 +152,12 @@ def test_when_commands_are_of_other_joints_or_samples_expect_none(
         for record in chattering:
             assert record.command is not None
             shifted.append(changed(np.roll(record.command, shift, axis=1)))
-        assert jump_transmission(shifted) is None
+        assert update_jump(shifted) is None
     swapped = []
     for record in chattering:
         assert record.command is not None
         swapped.append(changed(record.command[::-1]))
-    assert jump_transmission(swapped) is None
+    assert update_jump(swapped) is None
 
 
 def test_when_nothing_moves_expect_none(smooth: list[TrialRecord]) -> None:
@@ -166,7 +166,7 @@ def test_when_nothing_moves_expect_none(smooth: list[TrialRecord]) -> None:
         dataclasses.replace(record, position=still, torque=still, command=still)
         for record in smooth
     ]
-    assert jump_transmission(dead) is None
+    assert update_jump(dead) is None
 
 
 def test_steps_are_differences_of_commands_and_begin_with_zero(smooth: list[TrialRecord]) -> None:

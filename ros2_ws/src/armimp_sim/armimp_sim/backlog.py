@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from armimp_common.contract import RECORDER_GONE
 
-LIMIT = 100
+LIMIT = 45
 """Samples that may be under way to the recorder.
 
-Their 400 messages fit the 512 places of a shared-memory port of Fast DDS. What does not fit is lost
-by the transport, and a writer that waits repairs that only with its next heartbeat, seconds later.
+They are lost if it is killed, and so is what it has not yet written, at most 50 ms of samples:
+together less than 100 ms. Their messages also fit the 512 places of a shared-memory port of Fast
+DDS. What does not fit is lost by the transport, and a writer that waits repairs that only with its
+next heartbeat.
 """
 
 
@@ -21,11 +23,16 @@ class Backlog:
 
     A recorder tells how many samples it has received since it began; 0 announces it, and
     :data:`armimp_common.contract.RECORDER_GONE` takes leave. Without a recorder nothing waits.
+
+    Attributes
+    ----------
+    silent : whether the recorder gives no sign of life, so that the next sample waits in any case
     """
 
     def __init__(self) -> None:
         self._sent = self._base = self._received = 0
         self._recorder = False
+        self.silent = False
 
     def count_sent(self) -> None:
         """One more sample is under way."""
@@ -39,6 +46,12 @@ class Backlog:
         self._received = received
 
     @property
+    def recorded(self) -> bool:
+        """Whether there is a recorder that has not taken leave."""
+        return self._recorder
+
+    @property
     def full(self) -> bool:
         """Whether the next sample has to wait."""
-        return self._recorder and self._sent - self._base - self._received >= LIMIT
+        under_way = self._sent - self._base - self._received
+        return self._recorder and (self.silent or under_way >= LIMIT)

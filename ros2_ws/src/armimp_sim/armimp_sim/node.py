@@ -9,6 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import UInt64
+from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
@@ -19,6 +20,7 @@ from armimp_common.channels import (
 from armimp_common.diagnostics import Level, make_array, make_status
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.lifecycle import reported
+from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.stamps import to_time
@@ -29,6 +31,9 @@ from armimp_sim.rig import SimulatedRig
 _MATCH_TIMEOUT = 10.0
 _CLOCK_TICKS = 100
 _DIAGNOSTICS_TICKS = 1000
+_FAULT_PERIOD = 1.0
+"""Wall time between reports of a latched fault (s), since simulated time may stand still."""
+_STOPPED = "emergency stop"
 
 
 class ArmSimNode(LifecycleNode):
@@ -39,6 +44,13 @@ class ArmSimNode(LifecycleNode):
         self.transition_error = ""
         self._active = False
         self._rig: SimulatedRig | None = None
+        self._stopped = self._holding = False
+        self._backlog = Backlog()
+        self._sign = SignOfLife(self, contract.SIM_NODE)
+        self._controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
+        self._recorder = Watch(self, contract.ESTIMATOR_NODE, self._on_recorder)
+        self.create_service(Trigger, contract.SIM_STOP_SERVICE, self._on_emergency_stop)
+        self.create_service(Trigger, contract.SIM_RESET_SERVICE, self._on_reset)
         declare(self, SimulatorParameters, SimulatorParameters.preset())
         guard(self, lambda: "the simulation is running" if self._active else None)
 
@@ -48,6 +60,8 @@ class ArmSimNode(LifecycleNode):
         parameters = load(self, SimulatorParameters)
         names = parameters.joints
         self._rig = SimulatedRig(parameters)
+        if self._stopped:
+            self._rig.latch(_STOPPED)
         self._joint_states = JointStatePublisher(self, contract.JOINT_STATES, names, "position")
         self._torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "effort")
         self._clock_publisher = self.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
@@ -58,10 +72,12 @@ class ArmSimNode(LifecycleNode):
             self, contract.COMMANDS, len(names), self._on_command, on_malformed=self._on_malformed
         )
         self._backlog = Backlog()
+        self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
         self._received = self.create_subscription(
             UInt64, contract.RECEIVED, self._on_received, qos.LATCHED
         )
+        self._fault_timer = self.create_timer(_FAULT_PERIOD, self._on_fault_timer)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -75,20 +91,26 @@ class ArmSimNode(LifecycleNode):
         )
         if lonely:
             raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
+        if self._controller.ghost:
+            raise GraphError(self._controller.sentence)
         self._active = True
         self._holding = False
+        assert self._rig is not None
+        if self._rig.fault:
+            self._report(self._rig)
         self._publish()
         return super().on_activate(state)
 
     @reported
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop: further commands are ignored."""
-        self._active = False
+        """Stop: no torque acts, and further commands are ignored."""
+        self._rest()
         return super().on_deactivate(state)
 
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the rig, so that new parameters can be used."""
+        """Forget the rig, so that new parameters can be used; only an emergency stop remains."""
+        self.destroy_timer(self._fault_timer)
         for publisher in (
             self._joint_states.publisher,
             self._torque_sensors.publisher,
@@ -104,8 +126,14 @@ class ArmSimNode(LifecycleNode):
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop for good."""
-        self._active = False
+        self._rest()
         return TransitionCallbackReturn.SUCCESS
+
+    def _rest(self) -> None:
+        active, self._active = self._active, False
+        if active and self._rig is not None:
+            self._rig.rest()
+            self._report(self._rig)
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         rig = self._rig
@@ -121,13 +149,65 @@ class ArmSimNode(LifecycleNode):
         rig = self._rig
         if not self._active or rig is None:
             return
-        rig.latch(f"malformed command: {error}")
-        self._report(rig)
+        self._fault(f"malformed command: {error}")
         rig.step((0.0,) * rig.position.size)
         self._publish_or_hold()
 
+    def _on_controller(self, controller: Watch) -> None:
+        # In lockstep time stands still without commands, and goes on with a controller that is
+        # only stalled. The torque of one that died must not outlast it.
+        if controller.presence.lost:
+            self._fault(controller.sentence)
+
+    def _on_recorder(self, recorder: Watch) -> None:
+        """Wait for a recorder that is silent: it may only be stopped. There is no trial without."""
+        self._backlog.silent = recorder.presence in (Presence.STALLED, Presence.SILENT)
+        if recorder.presence in (Presence.GONE, Presence.LEFT) and self._backlog.recorded:
+            self._fault(f"{recorder.sentence}, and a trial without recorder is of no use")
+            self._backlog.acknowledge(contract.RECORDER_GONE)
+        self._go_on()
+
+    def _on_emergency_stop(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        self._stopped = True
+        self._fault(_STOPPED)
+        response.success = True
+        response.message = f"no torque until {contract.SIM_RESET_SERVICE} is called"
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            if self._rig is not None:
+                self._rig.reset()
+        except GraphError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self._stopped = False
+        if self._rig is not None:
+            self._report(self._rig)
+        response.success, response.message = True, "commands are obeyed"
+        return response
+
+    def _on_fault_timer(self) -> None:
+        if self._rig is not None and self._rig.fault:
+            self._report(self._rig)
+
+    def _fault(self, reason: str) -> None:
+        """Take torque away and say why; an inactive rig is under no torque and needs no fault."""
+        rig = self._rig
+        if rig is None or not (self._active or self._stopped):
+            return
+        sound = not rig.fault
+        rig.latch(reason)
+        if sound:
+            self._report(rig)
+
     def _on_received(self, message: UInt64) -> None:
         self._backlog.acknowledge(message.data)
+        self._go_on()
+
+    def _go_on(self) -> None:
         if self._holding and self._active and not self._backlog.full:
             self._holding = False
             self._publish()
@@ -154,8 +234,8 @@ class ArmSimNode(LifecycleNode):
         status = make_status(
             f"{contract.SIM_NODE}: rig",
             Level.ERROR if rig.fault else Level.OK,
-            rig.fault or "running",
-            {"tick": rig.tick},
+            rig.fault or ("running" if self._active else "stopped"),
+            {"tick": rig.tick, "applied": rig.applied},
         )
         self._diagnostics.publish(make_array(rig.stamp_ns, [status]))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import GraphError
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import VoluntaryTorque
@@ -43,6 +44,7 @@ class SimulatedRig:
             seed=parameters.seed,
         )
         self._command = np.zeros((1, config.joints))
+        self._resting = True
         self.tick = 0
         self.fault = ""
         self._compile(config.joints)
@@ -64,6 +66,11 @@ class SimulatedRig:
         reading: NDArray[np.float64] = self._plant.torque[0]
         return reading
 
+    @property
+    def applied(self) -> tuple[float, ...]:
+        """Torque that the drives apply now (n,), N·m; zero after a fault, whatever is commanded."""
+        return tuple(self._command[0].tolist())
+
     def step(self, command: Sequence[float]) -> None:
         """Hold ``command`` (n,), N·m, for one period and sample again.
 
@@ -75,6 +82,7 @@ class SimulatedRig:
         IntegrationError
             If the simulation itself broke down.
         """
+        self._resting = not any(command)
         for joint, value in enumerate(command):
             if not math.isfinite(value):
                 self.latch(f"command of joint {joint + 1} is not finite: {value}")
@@ -86,8 +94,26 @@ class SimulatedRig:
         self.tick += 1
 
     def latch(self, reason: str) -> None:
-        """Take torque away until the rig is made anew; the first reason stays."""
+        """Take torque away at once and until :meth:`reset`; the first reason stays."""
         self.fault = self.fault or reason
+        self._command[:] = 0.0
+
+    def reset(self) -> None:
+        """Obey commands again after a fault.
+
+        Raises
+        ------
+        GraphError
+            If the last command was not zero: torque would come back with a jerk.
+        """
+        if not self._resting:
+            raise GraphError("the last command is not zero torque: stop the controller first")
+        self.fault = ""
+
+    def rest(self) -> None:
+        """Forget the last command: whoever gave it is not obeyed any more."""
+        self._command[:] = 0.0
+        self._resting = True
 
     def _compile(self, joints: int) -> None:
         """Have the plant compiled before time matters, and leave it as it was."""

@@ -9,13 +9,20 @@ from collections.abc import Sequence
 from typing import Final
 
 from armimp_bringup.study.entry import StudyEntry
-from armimp_bringup.study.verdict import StudyVerdict, WorstValue, relative_error
+from armimp_bringup.study.verdict import (
+    StudyVerdict,
+    WorstValue,
+    relative_error,
+    scaled_error,
+)
 
 _CSV_COLUMNS: Final = (
     "friction", "resolution", "perturbation", "seed", "valid", "estimator", "row", "column",
     "vaf_percent", "r2", "coherence_derived", "coherence_torque", "coherence_motion",
     "lock_ratio", "bias_bound",
-    "M", "M_se", "M_error_percent", "B", "B_se", "B_error_percent", "K", "K_se", "K_error_percent",
+    "M", "M_se", "M_error_percent", "M_scaled_error_percent",
+    "B", "B_se", "B_error_percent", "B_scaled_error_percent",
+    "K", "K_se", "K_error_percent", "K_scaled_error_percent",
 )  # fmt: skip
 
 
@@ -69,6 +76,7 @@ def _row(entry: StudyEntry, name: str, i: int, k: int) -> dict[str, object]:
         row[letter] = getattr(result, letter)[i][k]
         row[f"{letter}_se"] = getattr(result, f"{letter}_se")[i][k]
         row[f"{letter}_error_percent"] = relative_error(entry, name, letter, i, k)
+        row[f"{letter}_scaled_error_percent"] = scaled_error(entry, name, letter, i, k)
     return {
         key: None if isinstance(value, float) and math.isnan(value) else value
         for key, value in row.items()

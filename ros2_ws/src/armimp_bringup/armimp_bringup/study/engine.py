@@ -27,7 +27,6 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_sim.kernel import WIDTH
 from armimp_sim.plant import IntegrationError
-from armimp_sim.sensors import Sampling
 
 RATE = NS_PER_S / PERIOD_NS
 
@@ -222,8 +221,7 @@ def _record(trial: OfflineTrial, joint_names: tuple[str, ...], seed: int) -> Tri
 
 
 def _identify_config(parameters: NodeParameters, samples: int) -> IdentifyConfig:
-    mean = parameters.simulator.plant_config().sensors.sampling is Sampling.INTERVAL_MEAN
-    timing = TorqueTiming.INTERVAL_MEAN if mean else TorqueTiming.BEFORE_UPDATE
+    timing = TorqueTiming(parameters.simulator.sensors.sampling.value)
     return IdentifyConfig(welch=WelchConfig.for_samples(samples), lpm=LpmConfig(timing=timing))
 
 

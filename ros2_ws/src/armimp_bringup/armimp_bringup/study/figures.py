@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 
 from armimp_bringup.study.conditions import LEVELS, Condition
 from armimp_bringup.study.entry import StudyEntry
+from armimp_bringup.study.levels import (
+    LevelScore,
+    Subject,
+    coherence_scores,
+    fit_scores,
+    statistics,
+)
 from armimp_bringup.study.store import replace_file
-from armimp_bringup.study.verdict import targets
+from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.results import ImpedanceCurve
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
@@ -24,6 +31,7 @@ _COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4
 _STYLES: Final = ("-", "--", "-.", ":")
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _WIDTH: Final = 7.16  # inches, two columns of a journal
+_LEAST_PANEL: Final = 2.3  # inches; with many joints Figure 2 is a poster
 _DPI: Final = 200
 _LEGEND_COLUMNS: Final = 8
 _STYLE: Final[Any] = {
@@ -80,6 +88,18 @@ def write_figures(directory: Path, entries: Sequence[StudyEntry], curves: Curves
     return written
 
 
+def figure_title(name: str) -> str:
+    """What the file of a figure shows."""
+    number, estimator, *level = name.partition(".")[0].split("-")
+    shown = {
+        "fig2": "impedance in all conditions over the truth",
+        "fig3": "VAF and R² by level",
+        "fig4": "coherences by level",
+    }[number]
+    at = f", perturbation level {level[0].removeprefix('perturbation')}" if level else ""
+    return f"{shown}, {estimator}{at}"
+
+
 def impedance_figure(entries: Sequence[StudyEntry], curves: Curves, estimator: str) -> Any:
     """Fig. 2: true and estimated transfer-function matrix at one perturbation level.
 
@@ -101,7 +121,8 @@ def impedance_figure(entries: Sequence[StudyEntry], curves: Curves, estimator: s
     from matplotlib.figure import Figure
 
     n = entries[0].joints
-    figure = Figure(figsize=(_WIDTH, 3.3 * n), layout="constrained")
+    width = max(_WIDTH, _LEAST_PANEL * n)
+    figure = Figure(figsize=(width, min(3.3, width / n) * n), layout="constrained")
     parts = figure.subfigures(n, n, squeeze=False)
     axes = [
         [part.subplots(3, 1, sharex=True, height_ratios=(3, 2, 2)) for part in row] for row in parts
@@ -146,12 +167,7 @@ def scores_figure(entries: Sequence[StudyEntry], estimator: str) -> Any:
     -------
     matplotlib.figure.Figure
     """
-    limits = targets(entries[0].joints).get(estimator, {})
-    rows = (
-        ("VAF (%)", _elements(entries, estimator, "vaf"), limits.get("VAF")),
-        ("R²", _elements(entries, estimator, "r2"), limits.get("R²")),
-    )
-    return _grouped(entries, rows)
+    return _grouped(entries, fit_scores(entries, estimator))
 
 
 def coherence_figure(entries: Sequence[StudyEntry], estimator: str) -> Any:
@@ -170,28 +186,7 @@ def coherence_figure(entries: Sequence[StudyEntry], estimator: str) -> Any:
     -------
     matplotlib.figure.Figure
     """
-    limits = targets(entries[0].joints).get(estimator, {})
-    n = entries[0].joints
-    motion = {
-        f"$\\theta_{k + 1}$": np.array(
-            [e.estimators[estimator].coherence_motion[k] for e in entries]
-        )
-        for k in range(n)
-    }
-    rows = (
-        (
-            "derived coherence",
-            _elements(entries, estimator, "coherence_derived"),
-            limits.get("derived coherence"),
-        ),
-        (
-            r"coherence $\tau_\Delta \to \tau$",
-            _elements(entries, estimator, "coherence_torque"),
-            None,
-        ),
-        (r"coherence $\tau_\Delta \to \theta$", motion, None),
-    )
-    return _grouped(entries, rows)
+    return _grouped(entries, coherence_scores(entries, estimator))
 
 
 def _figures(entries: Sequence[StudyEntry], curves: Curves) -> Iterator[tuple[str, Any]]:
@@ -220,10 +215,8 @@ def _bode(
 ) -> None:
     magnitude, phase, error = axes
     magnitude.loglog(f, np.abs(z), **look)
-    # Counted from the truth on, so that noise cannot make it jump by a turn.
-    angle = np.unwrap(np.angle(truth)) + np.angle(z / truth)
-    phase.semilogx(f, np.degrees(angle), **look)
-    error.loglog(f, 100.0 * np.abs(z / truth - 1.0), **{**look, "linewidth": 0.5})
+    phase.semilogx(f, phase_about(truth, z), **look)
+    error.loglog(f, deviation_percent(truth, z), **{**look, "linewidth": 0.5})
 
 
 def _finish_bode(axes: Any, title: str) -> None:
@@ -270,76 +263,70 @@ def _impedance_legend(figure: Any, entries: Sequence[StudyEntry]) -> None:
     )
 
 
-def _elements(
-    entries: Sequence[StudyEntry], estimator: str, score: str
-) -> dict[str, NDArray[np.float64]]:
-    """Values over the entries by label of the element."""
-    n = entries[0].joints
-    matrices = np.array([getattr(entry.estimators[estimator], score) for entry in entries])
-    return {
-        f"$Z_{{{i + 1}{k + 1}}}$": matrices[:, i, k].astype(np.float64)
-        for i in range(n)
-        for k in range(n)
-    }
-
-
-def _grouped(
-    entries: Sequence[StudyEntry],
-    rows: Sequence[tuple[str, Mapping[str, NDArray[np.float64]], float | None]],
-) -> Any:
+def _grouped(entries: Sequence[StudyEntry], scores: Sequence[LevelScore]) -> Any:
     """Rows of scores, columns of factors; in each panel means and ranges by level."""
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_WIDTH, 0.55 + 1.55 * len(rows)), layout="constrained")
-    axes = figure.subplots(len(rows), len(LEVELS), sharey="row", squeeze=False)
-    looks = list(dict.fromkeys(label for _, lines, _ in rows for label in lines))
-    for row, (label, lines, limit) in enumerate(rows):
+    figure = Figure(figsize=(_WIDTH, 0.55 + 1.55 * len(scores)), layout="constrained")
+    axes = figure.subplots(len(scores), len(LEVELS), sharey="row", squeeze=False)
+    looks = list(dict.fromkeys(subject for score in scores for subject in score.values))
+    for row, score in enumerate(scores):
         for column, factor in enumerate(LEVELS):
             panel = axes[row, column]
-            levels = np.array([getattr(entry, factor) for entry in entries])
-            _draw_levels(panel, levels, lines, looks)
-            if limit is not None:
-                panel.axhline(limit, color="0.45", linewidth=0.8, linestyle=(0, (5, 3)))
-            panel.set_xticks(sorted(set(levels.tolist())))
-            panel.set_xlim(np.min(levels) - 0.5, np.max(levels) + 0.5)
+            present = _draw_levels(panel, entries, factor, score, looks)
+            if score.limit is not None:
+                panel.axhline(score.limit, color="0.45", linewidth=0.8, linestyle=(0, (5, 3)))
+            panel.set_xticks(present)
+            panel.set_xlim(min(present) - 0.5, max(present) + 0.5)
             panel.grid(visible=True, axis="y", alpha=0.3, linewidth=0.4)
             panel.ticklabel_format(axis="y", useOffset=False)
             if column == 0:
-                panel.set_ylabel(label)
-            if row == len(rows) - 1:
+                panel.set_ylabel(_score_label(score))
+            if row == len(scores) - 1:
                 panel.set_xlabel(f"{factor} level")
-    _grouped_legend(figure, axes, any(limit is not None for _, _, limit in rows))
+    _grouped_legend(figure, axes, any(score.limit is not None for score in scores))
     return figure
+
+
+def _score_label(score: LevelScore) -> str:
+    named = score.name.replace("τΔ → τ", r"$\tau_\Delta \to \tau$")
+    named = named.replace("τΔ → θ", r"$\tau_\Delta \to \theta$")
+    return f"{named} ({score.unit})" if score.unit else named
+
+
+def _subject_label(subject: Subject) -> str:
+    symbol = subject.symbol.replace("θ", r"\theta").replace("·", r"\cdot")
+    return f"${symbol}_{{{subject.indices}}}$"
 
 
 def _draw_levels(
     panel: Any,
-    levels: NDArray[np.int64],
-    lines: Mapping[str, NDArray[np.float64]],
-    looks: Sequence[str],
-) -> None:
-    """Means and ranges by level; what looks alike in other panels has the same label there."""
-    present = np.unique(levels)
-    spread = 0.5 if len(lines) <= 4 else 0.8
-    for number, (label, values) in enumerate(lines.items()):
-        look = looks.index(label)
-        groups = [values[levels == level] for level in present]
-        means = np.array([np.mean(group) for group in groups])
-        reach = np.array(
-            [(m - np.min(g), np.max(g) - m) for m, g in zip(means, groups, strict=True)]
-        )
-        shift = spread * ((number + 0.5) / len(lines) - 0.5)
+    entries: Sequence[StudyEntry],
+    factor: str,
+    score: LevelScore,
+    looks: Sequence[Subject],
+) -> list[int]:
+    """Draw means and ranges, alike for a subject in all panels; returns the levels."""
+    spread = 0.5 if len(score.values) <= 4 else 0.8
+    present: list[int] = []
+    for number, (subject, values) in enumerate(score.values.items()):
+        look = looks.index(subject)
+        found = statistics(entries, factor, values)
+        present = found.levels.tolist()
+        shift = spread * ((number + 0.5) / len(score.values) - 0.5)
+        reach = np.array([found.mean - found.low, found.high - found.mean])
         panel.errorbar(
-            present + shift,
-            means,
+            found.levels + shift,
+            found.mean,
             # Rounding may leave the mean of equal values beside them.
-            yerr=np.maximum(reach.T, 0.0),
+            yerr=np.maximum(reach, 0.0),
             color=_COLOURS[look % len(_COLOURS)],
             marker=_MARKERS[look % len(_MARKERS)],
             linestyle="none",
             elinewidth=0.9,
-            label=label,
+            label=_subject_label(subject),
         )
+    return present
 
 
 def _grouped_legend(figure: Any, axes: Any, limits: bool) -> None:

@@ -23,7 +23,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation.results import ImpedanceCurve, read_frf, write_frf
 
 CONFIG_FILE = "config.json"
-_RESULTS = "conditions"
+RESULTS_DIRECTORY = "conditions"
 _LOCK = ".lock"
 # What differs between the conditions of a study, and is not part of its configuration.
 _VARIED = {"friction", "resolution", "perturbation", "seed", "mode", "processes"}
@@ -134,7 +134,7 @@ class StudyStore:
         path = self.directory / CONFIG_FILE
         if not path.exists():
             write_file(path, json.dumps(described, indent=1) + "\n")
-        results = self.directory / _RESULTS
+        results = self.directory / RESULTS_DIRECTORY
         try:
             results.mkdir(exist_ok=True)
             for left_over in results.glob(".*"):
@@ -164,7 +164,7 @@ class StudyStore:
             )
 
     def _path(self, condition: Condition, suffix: str) -> Path:
-        return self.directory / _RESULTS / f"{condition.name}.{suffix}"
+        return self.directory / RESULTS_DIRECTORY / f"{condition.name}.{suffix}"
 
 
 def write_file(path: Path, content: str) -> None:

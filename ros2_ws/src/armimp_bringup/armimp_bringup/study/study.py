@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study.backends import Backend
@@ -12,12 +13,26 @@ from armimp_bringup.study.conditions import Condition
 from armimp_bringup.study.csv_tables import results_csv, verdict_csv
 from armimp_bringup.study.engine import Batch, Provenance, condition_parameters, split_evenly
 from armimp_bringup.study.entry import StudyEntry, study_text
-from armimp_bringup.study.figures import write_figures
-from armimp_bringup.study.store import StudyStore, write_file
+from armimp_bringup.study.figures import figure_title, write_figures
+from armimp_bringup.study.report import StudyReport
+from armimp_bringup.study.store import (
+    CONFIG_FILE,
+    RESULTS_DIRECTORY,
+    StudyStore,
+    write_file,
+)
 from armimp_bringup.study.verdict import StudyVerdict, judge
 
 STUDY_FILE = "study.json"
 VERDICT_FILE = "verdict.json"
+TABLES: Final = {
+    STUDY_FILE: "all results",
+    "results.csv": "one row for each condition, element and estimator",
+    VERDICT_FILE: "worst values and targets",
+    "verdict.csv": "the same as a table",
+    CONFIG_FILE: "what the results were made with",
+    RESULTS_DIRECTORY + "/": "result and curves of each condition",
+}
 
 
 def _ignore_progress(done: int, total: int, stored: int) -> None:
@@ -66,7 +81,7 @@ def run_study(
     backend : Backend
         Runs what is missing.
     figures : bool
-        Whether to draw them.
+        Whether to draw those for print; the report is written in any case.
     watcher : Watcher, optional
         Told of the progress.
 
@@ -105,9 +120,17 @@ def run_study(
         entries = store.entries(conditions)
         verdict = judge(entries)
         _write_tables(directory, entries, verdict)
+        drawn: list[Path] = []
         if figures:
             watch.on_stage("drawing the figures")
-            write_figures(directory, entries, store.curves)
+            drawn = write_figures(directory, entries, store.curves)
+        watch.on_stage("writing the report")
+        StudyReport(
+            entries=entries,
+            verdict=verdict,
+            curves=store.curves,
+            files={**TABLES, **{path.name: figure_title(path.name) for path in drawn}},
+        ).write(directory)
     return verdict
 
 

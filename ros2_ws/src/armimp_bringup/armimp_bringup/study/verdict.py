@@ -12,17 +12,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from armimp_bringup.study.entry import StudyEntry
 from armimp_estimation.results import Number
 
-Quantity = Literal["VAF", "R²", "derived coherence", "M, K error", "B error"]
+Quantity = Literal[
+    "VAF", "R²", "derived coherence", "M, K error", "B error", "M, K scaled", "B scaled"
+]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Column:
-    """A column of the table of targets.
+class Scale:
+    """How values of one kind are written, and which of them are bad.
 
     Parameters
     ----------
-    quantity : str
-        Name.
     unit : str
         Of the values and of the limits, with a space before it; may be empty.
     floor : bool
@@ -31,7 +31,6 @@ class Column:
         After the point, where people read it.
     """
 
-    quantity: Quantity
     unit: str
     floor: bool
     digits: int
@@ -51,13 +50,23 @@ class Column:
         return -value if self.floor else value
 
 
+@dataclass(frozen=True, kw_only=True)
+class Column(Scale):
+    """A column of the table of targets: a quantity and its scale."""
+
+    quantity: Quantity
+
+
 COLUMNS: Final = (
     Column(quantity="VAF", unit=" %", floor=True, digits=3),
     Column(quantity="R²", unit="", floor=True, digits=5),
     Column(quantity="derived coherence", unit="", floor=True, digits=4),
     Column(quantity="M, K error", unit=" %", floor=False, digits=2),
     Column(quantity="B error", unit=" %", floor=False, digits=2),
+    Column(quantity="M, K scaled", unit=" %", floor=False, digits=2),
+    Column(quantity="B scaled", unit=" %", floor=False, digits=2),
 )
+"""What is looked at. Scaled errors have no targets: see :func:`scaled_error`."""
 
 _TWO_JOINTS: Final[dict[str, dict[Quantity, float]]] = {
     "welch_siso": {
@@ -164,12 +173,14 @@ def values(
 ) -> Iterator[tuple[str, int, int, float]]:
     """Values of a quantity in one condition: name of the element, its row and column, value."""
     result = entry.estimators[estimator]
-    if quantity in {"M, K error", "B error"}:
-        for letter in quantity.removesuffix(" error").split(", "):
+    letters, _, kind = quantity.rpartition(" ")
+    if kind in {"error", "scaled"}:
+        error = relative_error if kind == "error" else scaled_error
+        for letter in letters.split(", "):
             for i in range(entry.joints):
                 for k in range(entry.joints):
-                    error = relative_error(entry, estimator, letter, i, k)
-                    yield f"{letter}{i + 1}{k + 1}", i, k, abs(error)
+                    found = error(entry, estimator, letter, i, k)
+                    yield f"{letter}{i + 1}{k + 1}", i, k, abs(found)
         return
     matrix = {
         "VAF": result.vaf,
@@ -188,6 +199,21 @@ def relative_error(entry: StudyEntry, estimator: str, letter: str, i: int, k: in
     true = getattr(entry.truth, letter)[i][k]
     found = getattr(entry.estimators[estimator], letter)[i][k]
     return float(100.0 * (found - true) / abs(true)) if true else math.nan
+
+
+def scaled_error(entry: StudyEntry, estimator: str, letter: str, i: int, k: int) -> float:
+    """Error of an element ``X_ik`` relative to ``sqrt(|X_ii X_kk|)`` of the truth, %.
+
+    On the diagonal it is the relative error. Elsewhere it says what an error does to the arm as a
+    whole: an element that is tiny beside its diagonal may be wrong by far more than its own size,
+    and still not matter. NaN without a truth.
+    """
+    if entry.truth is None:
+        return math.nan
+    true = getattr(entry.truth, letter)
+    scale = math.sqrt(abs(true[i][i] * true[k][k]))
+    found = getattr(entry.estimators[estimator], letter)[i][k]
+    return float(100.0 * (found - true[i][k]) / scale) if scale else math.nan
 
 
 def _worst(

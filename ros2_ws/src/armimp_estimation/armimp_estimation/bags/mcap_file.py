@@ -5,9 +5,11 @@ they are full. Here messages are packed directly, and chunks are closed by count
 well, so that a killed process loses little. All other records are those of the mcap package.
 """
 
+import fcntl
 import struct
 import zlib
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -29,6 +31,9 @@ from mcap.records import (
 )
 
 MAGIC: Final = b"\x89MCAP0\r\n"
+
+LIBRARY: Final = "armimp"
+"""Name of the writing software in the header of bags that are recorded here."""
 
 FLUSH_INTERVAL_NS: Final = 50_000_000
 """A chunk is closed when it spans this much log time (ns)."""
@@ -53,6 +58,10 @@ class _Record(Protocol):
 class McapFile:
     """An MCAP file open for writing.
 
+    The file is locked as long as it is open, by which others can tell that it is being written
+    from one whose writer was killed. What cannot be written leaves no trace in the file, so that
+    it always ends with a whole record, unless the process dies within a system call.
+
     Parameters
     ----------
     path : Path
@@ -68,6 +77,8 @@ class McapFile:
 
     def __init__(self, path: Path, *, library: str) -> None:
         self._file = path.open("xb", buffering=0)
+        with suppress(OSError):  # Not every file system has locks.
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._position = 0
         self._compress: Callable[[bytes], bytes] = zstandard.ZstdCompressor(level=_LEVEL).compress
         self._pack = MESSAGE_HEAD.pack
@@ -83,7 +94,11 @@ class McapFile:
         self._deadline_ns = 0
         # Log time and offset of each message of the chunk in turn, by channel.
         self._index: dict[int, list[int]] = {}
-        self._write(MAGIC + _encoded(Header(profile="ros2", library=library)))
+        try:
+            self._write(MAGIC + _encoded(Header(profile="ros2", library=library)))
+        except OSError:
+            self._file.close()
+            raise
 
     @property
     def counts(self) -> Mapping[int, int]:
@@ -100,8 +115,8 @@ class McapFile:
         schema = Schema(
             id=len(self._schemas) + 1, name=name, encoding="ros2msg", data=definition.encode()
         )
-        self._schemas.append(schema)
         self._write(_encoded(schema))
+        self._schemas.append(schema)
         return schema.id
 
     def add_channel(self, topic: str, schema: int, metadata: Mapping[str, str]) -> int:
@@ -113,17 +128,18 @@ class McapFile:
             schema_id=schema,
             metadata=dict(metadata),
         )
+        self._write(_encoded(channel))
         self._channels.append(channel)
         self._counts[channel.id] = 0
         self._index[channel.id] = []
-        self._write(_encoded(channel))
         return channel.id
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Write a metadata record."""
         record = _encoded(Metadata(name=name, metadata=dict(values)))
-        self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
+        entry = MetadataIndex(offset=self._position, length=len(record), name=name)
         self._write(record)
+        self._metadata.append(entry)
 
     def add_message(self, channel: int, log_time_ns: int, data: bytes) -> None:
         """Append a message to the current chunk, and flush the chunk when it is due.
@@ -150,7 +166,10 @@ class McapFile:
             self.flush()
 
     def flush(self) -> None:
-        """Hand everything added so far to the operating system, where a kill cannot reach it."""
+        """Hand everything added so far to the operating system, where a kill cannot reach it.
+
+        What cannot be written is kept for another attempt.
+        """
         if not self._pending:
             return
         messages = bytes(self._chunk)
@@ -173,33 +192,38 @@ class McapFile:
             if entries:
                 offsets[channel] = self._position + len(output)
                 output += _message_index(channel, entries)
-                self._counts[channel] += len(entries) // 2
-                entries.clear()
-        self._chunks.append(
-            ChunkIndex(
-                chunk_start_offset=self._position,
-                chunk_length=len(record),
-                compression="zstd",
-                compressed_size=len(compressed),
-                uncompressed_size=len(messages),
-                message_start_time=start_ns,
-                message_end_time=end_ns,
-                message_index_offsets=offsets,
-                message_index_length=len(output) - len(record),
-            )
+        entry = ChunkIndex(
+            chunk_start_offset=self._position,
+            chunk_length=len(record),
+            compression="zstd",
+            compressed_size=len(compressed),
+            uncompressed_size=len(messages),
+            message_start_time=start_ns,
+            message_end_time=end_ns,
+            message_index_offsets=offsets,
+            message_index_length=len(output) - len(record),
         )
+        self._write(output)
+        self._chunks.append(entry)
+        for channel, entries in self._index.items():
+            self._counts[channel] += len(entries) // 2
         self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
         self._last_ns = max(self._last_ns, end_ns)
+        self.discard()
+
+    def discard(self) -> None:
+        """Forget the messages that were not flushed yet, for want of room."""
         self._chunk.clear()
         self._pending = 0
-        self._write(output)
+        for entries in self._index.values():
+            entries.clear()
 
     def finish(self) -> None:
         """Write the summary and close the file."""
         try:
             self.flush()
-            self._write(_encoded(DataEnd(data_section_crc=0)))
-            self._write(self._summary())
+            end = _encoded(DataEnd(data_section_crc=0))
+            self._write(end + self._summary(self._position + len(end)))
         finally:
             self.abandon()
 
@@ -207,7 +231,7 @@ class McapFile:
         """Close the file as it is, without a summary."""
         self._file.close()
 
-    def _summary(self) -> bytes:
+    def _summary(self, start: int) -> bytes:
         first_ns, last_ns = self.time_range
         statistics = Statistics(
             attachment_count=0,
@@ -227,7 +251,6 @@ class McapFile:
             (Opcode.CHUNK_INDEX, list(self._chunks)),
             (Opcode.METADATA_INDEX, list(self._metadata)),
         ]
-        start = self._position
         summary = bytearray()
         offsets = bytearray()
         for opcode, records in groups:
@@ -253,6 +276,7 @@ class McapFile:
 
     def _write(self, data: bytes | bytearray) -> None:
         view = memoryview(data)
+        start = self._position
         try:
             while view:
                 written = self._file.write(view)
@@ -260,7 +284,12 @@ class McapFile:
                 view = view[written:]
         except OSError:
             # Nothing may follow a record that is not whole.
-            self._file.close()
+            try:
+                self._file.truncate(start)
+                self._file.seek(start)
+            except OSError:
+                self._file.close()
+            self._position = start
             raise
 
 

@@ -181,6 +181,23 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
     return [file.parent / Path(path).name for path in paths], _custom(information)
 
 
+def is_provisional(file: Path) -> bool:
+    """Tell whether a ``metadata.yaml`` is the one that `BagWriter` replaces when it closes a bag.
+
+    It counts no messages. A bag that really has none cannot be told from that, and need not be.
+    """
+    try:
+        document = _parse(file.read_text(encoding="utf-8"))
+    except (OSError, *_BROKEN):
+        return False
+    information = document.get(_ROOT) if isinstance(document, dict) else None
+    return (
+        isinstance(information, dict)
+        and information.get("storage_identifier") == "mcap"
+        and information.get("message_count") == "0"
+    )
+
+
 def parse_custom_data(text: str) -> dict[str, str]:
     """Extract ``custom_data`` from the metadata that rosbag2 stores inside the storage file.
 

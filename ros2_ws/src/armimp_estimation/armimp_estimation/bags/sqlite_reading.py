@@ -42,6 +42,13 @@ def read_sqlite(path: Path, *, name: str, wanted: TopicFilter, into: RawMessages
     """
     logs = [log for log in (Path(f"{path}{end}") for end in _SIDECARS) if log.exists()]
     if not any(log.stat().st_size for log in logs):
+        if rest := _part_of_a_page(path):
+            # SQLite would fill the rest of the page with zeros, and messages with it.
+            with tempfile.TemporaryDirectory() as directory:
+                copy = Path(directory) / path.name
+                copy.write_bytes(path.read_bytes()[:-rest])
+                read_sqlite(copy, name=name, wanted=wanted, into=into)
+            return
         uri = f"file:{quote(str(path.absolute()))}?mode=ro&immutable=1"
         _read(uri, name=name, wanted=wanted, into=into)
         return
@@ -50,6 +57,16 @@ def read_sqlite(path: Path, *, name: str, wanted: TopicFilter, into: RawMessages
             shutil.copy(file, directory)
         copy = Path(directory) / path.name
         _read(f"file:{quote(str(copy))}?mode=rw", name=name, wanted=wanted, into=into)
+
+
+def _part_of_a_page(path: Path) -> int:
+    """Bytes after the last whole page; 0 for a file that is whole, or too short to be one."""
+    with path.open("rb") as file:
+        head = file.read(18)
+    page = int.from_bytes(head[16:18], "big")
+    page = 65_536 if page == 1 else page
+    size = path.stat().st_size
+    return size % page if 512 <= page <= size else 0
 
 
 def _read(uri: str, *, name: str, wanted: TopicFilter, into: RawMessages) -> None:

@@ -15,7 +15,15 @@ _NEEDED: Final[dict[str, str]] = {
 
 def is_contract_topic(name: str) -> bool:
     """Tell whether a topic name could be that of a topic of the contract."""
-    return any(_prefix(name, topic) is not None for topic in contract.MESSAGE_TYPES)
+    return contract_topic(name) is not None
+
+
+def contract_topic(name: str) -> str | None:
+    """Topic of the contract of which this may be the name in a bag; None if there is none."""
+    for topic in contract.MESSAGE_TYPES:
+        if _prefix(name, topic) is not None:
+            return topic
+    return None
 
 
 def resolve_topics(

@@ -1,5 +1,6 @@
 """Recording of raw messages into a rosbag2 directory with one MCAP file."""
 
+import errno
 import shutil
 import struct
 from collections.abc import Mapping
@@ -10,7 +11,7 @@ from typing import Final
 from armimp_common import contract
 from armimp_common.errors import BagError, ConfigurationError
 from armimp_estimation.bags.definitions import message_definition
-from armimp_estimation.bags.mcap_file import McapFile
+from armimp_estimation.bags.mcap_file import LIBRARY, McapFile
 from armimp_estimation.bags.metadata import (
     BagSummary,
     bag_information,
@@ -32,7 +33,8 @@ class BagWriter:
     """Writes the messages of the contract into a new bag.
 
     A process that is killed loses at most the messages since the last chunk: 50 ms of log time
-    or 256 messages, whichever is less. What it leaves behind is opened by `read_bag` as it is.
+    or 256 messages, whichever is less. What it leaves behind is opened by `read_bag` as it is, and
+    made a finished bag by `armimp_estimation.bags.finishing.finish_bag`.
 
     Parameters
     ----------
@@ -65,7 +67,7 @@ class BagWriter:
         self._file_name = f"{path.name}_0.mcap"
         _make_directory(path)
         try:
-            self._file = McapFile(path / self._file_name, library="armimp")
+            self._file = McapFile(path / self._file_name, library=LIBRARY)
         except OSError as error:
             raise self._error(error) from None
         try:
@@ -114,6 +116,20 @@ class BagWriter:
                 f"{self._path}: log time of {topic} is out of range: {log_time_ns}"
             ) from None
 
+    def add_metadata(self, values: Mapping[str, str]) -> None:
+        """Add to the metadata what is known only after recording.
+
+        Raises
+        ------
+        BagError
+            If it cannot be written.
+        """
+        self._custom.update(values)
+        try:
+            self._file.add_metadata(METADATA_RECORD, values)
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
+
     def flush(self) -> None:
         """Hand everything written so far to the operating system.
 
@@ -132,29 +148,34 @@ class BagWriter:
     def close(self) -> None:
         """Finish the file and replace the provisional ``metadata.yaml``; harmless if repeated.
 
-        Where writing failed before, the file is only released, as it is.
+        Where there is no room for that, the bag stays unfinished, but readable.
 
         Raises
         ------
         BagError
-            If something could not be written; the bag stays readable up to there.
+            If something could not be written, unless `write` or `flush` has said so before.
         """
         if self._closed:
             return
         self._closed = True
-        if self._failed:
-            self._file.abandon()
-            return
+        told = self._failed
+        problem: BagError | None = None
         try:
             self._file.flush()
+        except (OSError, ValueError) as error:
+            problem = self._error(error)
+            self._file.discard()
+        try:
             information = bag_information(self._summary(provisional=False))
             self._file.add_metadata("rosbag2", {"serialized_metadata": dump(information)})
             self._file.finish()
             write_metadata(self._path, information)
         except (OSError, ValueError) as error:
-            raise self._error(error) from None
+            problem = problem or self._error(error)
         finally:
             self._file.abandon()
+        if problem is not None and not told:
+            raise problem
 
     def __enter__(self) -> "BagWriter":
         return self
@@ -205,7 +226,7 @@ class BagWriter:
 
     def _error(self, error: Exception) -> BagError:
         self._failed = True
-        reason = error.strerror if isinstance(error, OSError) else "the bag is closed"
+        reason = why_not_written(error) if isinstance(error, OSError) else "the bag is closed"
         return BagError(f"{self._path}: cannot be written: {reason}")
 
 
@@ -222,6 +243,13 @@ def expected_bytes(ticks: int, joints: int) -> int:
     return _HEAD_BYTES + ticks * len(contract.DATA_STREAMS) * (
         _MESSAGE_BYTES + _JOINT_BYTES * joints
     )
+
+
+def why_not_written(error: OSError) -> str:
+    """Say in a few words why something could not be written."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return "disk full"
+    return error.strerror or "unknown reason"
 
 
 def require_free_space(path: Path, bytes_needed: int) -> None:

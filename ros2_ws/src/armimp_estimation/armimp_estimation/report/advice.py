@@ -73,15 +73,30 @@ ADVICE = (
     Advice(
         title="Samples are missing or in disorder",
         pattern=(
-            r"samples (lost|duplicated|reordered)|stamps do not agree|did not arrive|"
-            r"no sensor sample|must move forward|ms apart|malformed"
+            r"(is|are) missing (at|in|between) |came (more than once|out of order)|"
+            r"stamps do not agree|did not arrive|no sensor sample|must move forward|ms apart|"
+            r"malformed"
         ),
         text=(
             "Gaps are never filled, as that would bend the spectra. The ledger below shows which "
             "stream is affected. Look for an overloaded computer or network, for a recorder that "
             "could not write fast enough, and for a second publisher of the same topic; then "
-            "repeat the trial."
+            "repeat the trial, or use its intact parts (--allow-gaps)."
         ),
+    ),
+    Advice(
+        title="Much of a trial is left out",
+        pattern=r"of its samples are excluded|commands were clipped",
+        text=(
+            "Samples that are missing, and those under commands that were clipped, are in no "
+            "estimate; the ledger below says how many. Raise the limits or perturb less if "
+            "commands were clipped; else repeat the trial."
+        ),
+    ),
+    Advice(
+        title="There is no room on the disk",
+        pattern=r"disk full|of disk space needed",
+        text="The bag holds what fitted. Make room, or take another directory (--out).",
     ),
     Advice(
         title="A signal held numbers that are not finite",

@@ -71,6 +71,28 @@ def true_curve(truth: MBK, f: FloatArray, i: int, k: int) -> BodeCurve:
     return _bode(f, truth.impedance(f)[i, k], np.zeros(f.size))
 
 
+def phase_about(truth: ComplexArray, z: ComplexArray) -> FloatArray:
+    """Phase of an estimate in degrees, counted from the truth on: noise can't make it jump a turn.
+
+    Parameters
+    ----------
+    truth, z : ndarray, shape (n_freq,)
+        True and estimated curve at the same frequencies, N·m/rad.
+    """
+    return np.degrees(np.unwrap(np.angle(truth)) + np.angle(z / truth))
+
+
+def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
+    """Distance of an estimate from the truth in the complex plane, % of the truth.
+
+    Parameters
+    ----------
+    truth, z : ndarray, shape (n_freq,)
+        True and estimated curve at the same frequencies, N·m/rad.
+    """
+    return 100.0 * np.abs(z / truth - 1.0)
+
+
 def _bode(f: FloatArray, z: ComplexArray, radius: FloatArray) -> BodeCurve:
     phase = np.degrees(np.unwrap(np.angle(z)))
     # The turn in which the unwrapped phase begins is chance, most of all where noise begins it.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from armimp_estimation.report.controls import key, switch
 from armimp_estimation.report.curves import coherence_curves, coherence_floor
 from armimp_estimation.report.frequency_plots import (
     BANDS,
@@ -59,9 +60,9 @@ def coherence_section(result: Result) -> Html | None:
         "Coherence over frequency",
         element(
             "p",
-            _key(MOTION_COLOUR, "solid", "perturbation → angle of the perturbed joint"),
-            _key(TORQUE_COLOUR, "solid", "perturbation → torque"),
-            _key(TRUTH_COLOUR, "dotted", f"unrelated signals stay below {level:.2f} (95 %)"),
+            key(MOTION_COLOUR, "solid", "perturbation → angle of the perturbed joint"),
+            key(TORQUE_COLOUR, "solid", "perturbation → torque"),
+            key(TRUTH_COLOUR, "dotted", f"unrelated signals stay below {level:.2f} (95 %)"),
             class_="key",
         ),
         switches(result.summary, truth=False) if result.curves else None,
@@ -97,25 +98,11 @@ def switches(summary: Summary, *, truth: bool = True) -> Html:
     """
     styles = {"solid": "solid", "dot": "dotted"}
     boxes = [
-        _switch(estimator_tag(look.name), look.label, look.colour, styles.get(look.dash, "dashed"))
+        switch(estimator_tag(look.name), look.label, look.colour, styles.get(look.dash, "dashed"))
         for look in looks(summary.estimators).values()
     ]
     if truth:
-        boxes.append(_switch(BANDS, "95 % confidence bands", "#c3c9cf", "solid", wide=True))
+        boxes.append(switch(BANDS, "95 % confidence bands", "#c3c9cf", "solid", wide=True))
         if summary.truth is not None:
-            boxes.append(_switch(TRUTH, "truth (simulation)", TRUTH_COLOUR, "dotted"))
+            boxes.append(switch(TRUTH, "truth (simulation)", TRUTH_COLOUR, "dotted"))
     return element("fieldset", element("legend", "Show"), *boxes, class_="switches")
-
-
-def _switch(tag: str, label: str, colour: str, style: str, *, wide: bool = False) -> Html:
-    box = element("input", type="checkbox", checked=True, autocomplete="off", data_switch=tag)
-    return element("label", box, _swatch(colour, style, wide=wide), label)
-
-
-def _key(colour: str, style: str, label: str) -> Html:
-    return element("span", _swatch(colour, style), label)
-
-
-def _swatch(colour: str, style: str, *, wide: bool = False) -> Html:
-    width = 9 if wide else 3
-    return element("i", style=f"border-top:{width}px {style} {colour}")

@@ -11,7 +11,7 @@ from typing import TypeAlias
 from armimp_estimation.report.html import Html, element
 
 _STYLE = "style.css"
-_SCRIPT = "plots.js"
+_SCRIPTS = ("plots.js", "tables.js")
 
 
 Chapter: TypeAlias = "tuple[str, str, Html | None]"
@@ -32,7 +32,7 @@ def page(title: str, header: object, chapters: Sequence[Chapter], *, plots: bool
     plots : bool
         Whether there are plots, which take the 5 MB of plotly.js.
     """
-    scripts = [_plotly(), _resource(_SCRIPT)] if plots else []
+    scripts = [_plotly(), *map(_resource, _SCRIPTS)] if plots else []
     # Only these scripts run, and nothing is fetched, whatever strings of strangers may contain.
     policy = "; ".join(
         [

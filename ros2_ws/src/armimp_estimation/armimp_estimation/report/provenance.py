@@ -57,15 +57,23 @@ def origin(config: Mapping[str, Any], node: str, name: str) -> str:
     return ""
 
 
-def assumptions(config: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """What the simulation assumes, as title and explanation; empty for anything else."""
+def assumptions(config: Mapping[str, Any], *, friction: str | None = None) -> list[tuple[str, str]]:
+    """What the simulation assumes, as title and explanation; empty for anything else.
+
+    Parameters
+    ----------
+    config : mapping
+        Configuration of a result, of any form.
+    friction : str, optional
+        Levels of friction in words, if it is not that of the configuration alone.
+    """
     if setting(config, "experiment") is None or setting(config, "arm_sim") is None:
         return []
-    level = setting(config, "experiment", "friction")
+    levels = friction or f"level {setting(config, 'experiment', 'friction')}"
     found = [
         (
             "Friction",
-            f"LuGre friction of level {level}. The paper cites a source for its values but does "
+            f"LuGre friction of {levels}. The paper cites a source for its values but does "
             "not state them.",
         ),
         (

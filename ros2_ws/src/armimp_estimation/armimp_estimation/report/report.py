@@ -9,10 +9,11 @@ from armimp_common.errors import DataError
 from armimp_estimation.report.curves_part import coherence_section, impedance_section
 from armimp_estimation.report.estimates import parameters_section, scores_section
 from armimp_estimation.report.html import Html, element, join
+from armimp_estimation.report.ledger_part import ledger_section
 from armimp_estimation.report.page import Chapter, page
 from armimp_estimation.report.result import Result, setting
 from armimp_estimation.report.settings_part import assumptions_section, settings_section
-from armimp_estimation.report.trials_part import ledger_section, locking_section, traces_section
+from armimp_estimation.report.trials_part import locking_section, traces_section
 from armimp_estimation.report.verdict_part import verdict_section
 
 REPORT_FILE = "report.html"
@@ -32,7 +33,7 @@ def report_page(result: Result) -> str:
         ("ledger", "Samples", ledger_section(result)),
         ("traces", "Signals", traces_section(result)),
         ("settings", "Settings", settings_section(result)),
-        ("assumptions", "Assumptions", assumptions_section(result)),
+        ("assumptions", "Assumptions", assumptions_section(summary.config)),
     ]
     state = "valid" if summary.valid else "not valid"
     return page(f"{result.name}: arm impedance, {state}", _header(result), chapters)

@@ -11,9 +11,9 @@ from armimp_common.errors import ArmimpError, DataError
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
+from armimp_estimation.gaps import segments_for
 from armimp_estimation.results import ImpedanceCurve, Summary, read_frf, read_summary
 from armimp_estimation.scores import coherence_significance
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData, TrialSpectra
 from armimp_estimation.verdict import Limits
 
@@ -122,7 +122,7 @@ def load_result(
         except (ArmimpError, OSError) as error:
             notes.append(f"no time traces: {error}")
     notes += (note for content in contents for note in content.notes)
-    trials = _evidence(contents, summary.joints, notes)
+    trials = _evidence(contents, summary, notes)
     return Result(
         name=directory.absolute().name,
         summary=summary,
@@ -160,23 +160,28 @@ def _bags_of(directory: Path, summary: Summary) -> list[Path]:
 
 
 def _evidence(
-    contents: Sequence[BagContent], joints: int, notes: list[str]
+    contents: Sequence[BagContent], summary: Summary, notes: list[str]
 ) -> tuple[TrialEvidence, ...]:
     trials: list[AssembledTrial] = []
     for content in contents:
-        if len(content.joint_names) == joints:
+        if len(content.joint_names) == summary.joints:
             trials += content.trials
         else:
-            notes.append(f"{content.path}: has {len(content.joint_names)} joints, not {joints}")
-    # The same segments as the estimate had.
-    lengths = [trial.record.samples for trial in trials if trial.record is not None]
-    welch = WelchConfig.for_samples(min(lengths, default=0))
+            count = len(content.joint_names)
+            notes.append(f"{content.path}: has {count} joints, not {summary.joints}")
+    # The same segments as the estimate had, which may have used the intact parts only.
+    used = [
+        trial
+        for trial in trials
+        if trial.record is not None or (summary.estimators and trial.segments)
+    ]
+    welch = segments_for([trial.segments for trial in used])
     found = []
     for trial in sorted(trials, key=lambda trial: (trial.window.joint, trial.trial)):
         spectra = None
-        if trial.record is not None:
+        if trial in used:
             try:
-                spectra = TrialData.from_record(trial.record, welch).spectra
+                spectra = TrialData.from_stretches(trial.segments, welch).spectra
             except DataError as error:
                 notes.append(str(error))
         found.append(TrialEvidence(assembled=trial, spectra=spectra))

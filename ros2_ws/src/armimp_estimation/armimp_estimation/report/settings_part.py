@@ -18,52 +18,57 @@ def settings_section(result: Result) -> Html:
     if not config:
         text = "The recordings carry no configuration: they were made elsewhere."
         return section("settings", "How it was made", element("p", text))
-    folded = [
+    return section(
+        "settings",
+        "How it was made",
+        identity(config, written(result.summary.seed)),
+        *configuration(config),
+    )
+
+
+def identity(config: Mapping[str, Any], seed: object) -> Html:
+    """Versions, seed, and whatever else the configuration has beside its groups of values."""
+    rows: list[tuple[str, object]] = [("seed", seed)]
+    plain = {name: value for name, value in config.items() if not isinstance(value, dict)}
+    rows += [(name.replace("_", " "), written(value)) for name, value in plain.items()]
+    armimp = setting(config, "versions", "armimp")
+    if armimp is not None:
+        rows.insert(0, ("armimp", written(armimp)))
+    pairs = (join([element("dt", name), element("dd", value)]) for name, value in rows)
+    return element("dl", *pairs, class_="facts")
+
+
+def configuration(config: Mapping[str, Any]) -> list[Html]:
+    """Every group of values in a table that unfolds, with where each value comes from."""
+    return [
         details(join([code(name), f" ({len(values)} values)"]), _table(config, name, values))
         for name, values in config.items()
         if isinstance(values, dict) and values
     ]
-    return section(
-        "settings",
-        "How it was made",
-        _identity(result),
-        *folded,
-    )
-
-
-def _identity(result: Result) -> Html:
-    config = result.summary.config
-    rows: list[tuple[str, object]] = [("seed", _value(result.summary.seed))]
-    plain = {name: value for name, value in config.items() if not isinstance(value, dict)}
-    rows += [(name.replace("_", " "), _value(value)) for name, value in plain.items()]
-    armimp = setting(config, "versions", "armimp")
-    if armimp is not None:
-        rows.insert(0, ("armimp", _value(armimp)))
-    pairs = (join([element("dt", name), element("dd", value)]) for name, value in rows)
-    return element("dl", *pairs, class_="facts")
 
 
 def _table(config: Mapping[str, Any], node: str, values: Mapping[str, Any]) -> Html:
     origins = {name: origin(config, node, name) for name in values}
     if any(origins.values()):
-        rows = [[code(n), _value(v), _marked(origins[n])] for n, v in values.items()]
+        rows = [[code(n), written(v), marked(origins[n])] for n, v in values.items()]
         columns = ["parameter", "value", "where from"]
     else:
-        rows = [[code(name), _value(value)] for name, value in values.items()]
+        rows = [[code(name), written(value)] for name, value in values.items()]
         columns = ["name", "value"]
     return table("Values as they were recorded", columns, [Group(rows=rows)], words=(1, 2))
 
 
-def _marked(where: str) -> object:
+def marked(where: str) -> object:
+    """Set off where a value comes from, if it is assumed."""
     return element("em", where) if ASSUMPTION in where else where
 
 
-def _value(value: object) -> str:
+def written(value: object) -> str:
     """Write a value; long numbers are cut to seven digits, as nobody reads the rest."""
     if isinstance(value, float):
         return f"{value:.7g}"
     if isinstance(value, list):
-        return ", ".join(_value(item) for item in value) or "none"
+        return ", ".join(written(item) for item in value) or "none"
     if value is None:
         return NONE
     if value == {}:
@@ -71,9 +76,17 @@ def _value(value: object) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def assumptions_section(result: Result) -> Html | None:
-    """What the simulation assumes; None where nothing is known to be simulated."""
-    found = assumptions(result.summary.config)
+def assumptions_section(config: Mapping[str, Any], *, friction: str | None = None) -> Html | None:
+    """What the simulation assumes; None where nothing is known to be simulated.
+
+    Parameters
+    ----------
+    config : mapping
+        Configuration of a result, of any form.
+    friction : str, optional
+        Levels of friction in words, where there is more than one.
+    """
+    found = assumptions(config, friction=friction)
     if not found:
         return None
     pairs = (join([element("dt", title), element("dd", text)]) for title, text in found)

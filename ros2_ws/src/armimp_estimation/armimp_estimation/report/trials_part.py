@@ -1,4 +1,4 @@
-"""The trials: how still the held joints were, what became of every sample, and time traces."""
+"""The trials: how still the held joints were, and time traces."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from armimp_common import contract
-from armimp_estimation.report.formats import NONE, STREAMS, alarming, code, number, percent, symbol
-from armimp_estimation.report.html import Group, Html, element, join, section, table
+from armimp_estimation.report.formats import NONE, number, percent, symbol
+from armimp_estimation.report.html import Group, Html, element, section, table
 from armimp_estimation.report.look import joint_colour
 from armimp_estimation.report.plots import frame
 from armimp_estimation.report.result import Result, TrialEvidence
@@ -25,7 +25,7 @@ def locking_section(result: Result) -> Html | None:
         return None
     groups = [
         Group(
-            title=f"{_name(result, trial.k)} perturbed",
+            title=f"{joint_label(result, trial.k)} perturbed",
             rows=list(_locking_rows(result, trial)),
         )
         for trial in scored
@@ -53,7 +53,7 @@ def _locking_rows(result: Result, trial: TrialSummary) -> Iterator[list[object]]
     for i, (ratio, bound) in enumerate(zip(trial.lock_ratio, trial.bias_bound, strict=False)):
         perturbed = i == trial.k - 1
         yield [
-            _name(result, i + 1),
+            joint_label(result, i + 1),
             _motion(evidence, i),
             "perturbed" if perturbed else percent(ratio, ".3f"),
             "" if perturbed else mark(ratio <= limits.lock_ratio),
@@ -70,48 +70,6 @@ def _motion(evidence: TrialEvidence | None, joint: int) -> str:
     return number(float(np.degrees(motion)), ".3g", "°")
 
 
-def ledger_section(result: Result) -> Html:
-    """What became of every sample."""
-    if result.trials:
-        ledger = table(
-            "Messages of each stream",
-            ["stream", "expected", "received", "lost", "duplicated", "reordered"],
-            [
-                Group(title=_title(result, one), rows=list(_ledger_rows(one)))
-                for one in result.trials
-            ],
-        )
-        note = (
-            "Commands carry no time stamp: they are counted, but neither repetitions nor order "
-            "show."
-        )
-    else:
-        rows = [
-            [f"trial of {_name(result, trial.k)}", trial.ticks, trial.lost]
-            for trial in result.summary.trials
-        ]
-        ledger = table("Samples", ["trial", "samples", "lost"], [Group(rows=rows)])
-        note = "The bags were not at hand; this is what the summary says."
-    return section("ledger", "Sample ledger", ledger, element("p", note, class_="note"))
-
-
-def _ledger_rows(one: TrialEvidence) -> Iterator[list[object]]:
-    for topic, count in one.assembled.ledger.streams.items():
-        stamped = topic != contract.COMMANDS
-        yield [
-            join([STREAMS.get(topic, topic), element("span", " ", code(topic), class_="aside")]),
-            count.expected,
-            count.received,
-            _noted(count.lost),
-            _noted(count.duplicated) if stamped else NONE,
-            _noted(count.reordered) if stamped else NONE,
-        ]
-
-
-def _noted(count: int) -> object:
-    return alarming(count) if count else 0
-
-
 def traces_section(result: Result) -> Html:
     """Time traces of every trial."""
     shown = [one for one in result.trials if one.assembled.segments]
@@ -124,7 +82,7 @@ def traces_section(result: Result) -> Html:
     )
     parts = []
     for position, one in enumerate(shown, 1):
-        parts += [element("h3", _title(result, one)), element("p", _facts(result, one))]
+        parts += [element("h3", trial_title(result, one)), element("p", _facts(result, one))]
         if one.assembled.problem:
             parts.append(element("p", f"Not usable: {one.assembled.problem}", class_="beyond"))
         parts.append(frame(trace_plot(one.assembled, f"trace-{position}")))
@@ -142,8 +100,9 @@ def traces_section(result: Result) -> Html:
     )
 
 
-def _title(result: Result, one: TrialEvidence) -> str:
-    return f"Trial {one.assembled.trial}: {_name(result, one.joint + 1)} perturbed"
+def trial_title(result: Result, one: TrialEvidence) -> str:
+    """Heading of a trial."""
+    return f"Trial {one.assembled.trial}: {joint_label(result, one.joint + 1)} perturbed"
 
 
 def _facts(result: Result, one: TrialEvidence) -> str:
@@ -161,7 +120,7 @@ def _facts(result: Result, one: TrialEvidence) -> str:
     return "; ".join(facts) + "."
 
 
-def _name(result: Result, joint: int) -> str:
+def joint_label(result: Result, joint: int) -> str:
     """Name of a joint (1-based), for which bags and summary may not agree."""
     names = result.joint_names
     return names[joint - 1] if 0 < joint <= len(names) else f"joint {joint}"

@@ -1,0 +1,1 @@
+"""Monte Carlo studies that answer one question each: ``armimp investigate``."""

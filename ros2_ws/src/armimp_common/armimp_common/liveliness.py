@@ -1,0 +1,146 @@
+"""Signs of life: how a process hears within 120 ms that another one died.
+
+Each node offers a latched topic of its own, with the identity of its process. The middleware keeps
+its publisher alive from a thread of its own as long as the process runs, so neither a busy callback
+nor a held interpreter lock looks like a death. Data topics are left as they are, since a reader
+that asks for a lease refuses every publisher which does not offer one, and few drivers do.
+
+A silent process of the same machine is looked up, since a busy machine may hold one up for long.
+
+A process does not watch itself: between nodes of one process nothing is reported.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from armimp_common import contract, qos
+from armimp_common.processes import identity, lives
+
+_LOOK_PERIOD = 0.02
+
+
+class Presence(Enum):
+    """What is known of a watched node; the value completes a sentence that begins with its name."""
+
+    UNKNOWN = "has never been heard of"
+    ALIVE = "is alive"
+    STALLED = f"gave no sign of life for {qos.WATCHED_LEASE_MS} ms, but its process is there"
+    SILENT = f"gave no sign of life for {qos.WATCHED_LEASE_MS} ms: it is dead or stopped"
+    GONE = "is dead"
+    LEFT = "has left"
+
+    @property
+    def lost(self) -> bool:
+        """Whether the node was there and, as far as one can know, is not any more."""
+        return self in (Presence.SILENT, Presence.GONE, Presence.LEFT)
+
+    @property
+    def mute(self) -> bool:
+        """Whether the node was there and gives no sign of life now, for whatever reason."""
+        return self.lost or self is Presence.STALLED
+
+    def after(self, alive: int, silent: int, process_lives: bool | None = None) -> "Presence":
+        """Return what follows from the latest news.
+
+        Parameters
+        ----------
+        alive, silent
+            Numbers of publishers that give a sign of life and that do not any more.
+        process_lives
+            Whether the process is there; None if that is not known.
+        """
+        if alive:
+            return Presence.ALIVE
+        if silent:
+            if process_lives is None:
+                return Presence.SILENT
+            return Presence.STALLED if process_lives else Presence.GONE
+        if self in (Presence.UNKNOWN, Presence.GONE, Presence.LEFT):
+            return self
+        # The middleware forgets a silent publisher when the lease of its process is over.
+        return Presence.LEFT if self is Presence.ALIVE else Presence.GONE
+
+
+class SignOfLife:
+    """Offers the sign of life of the process that `node` is in, for as long as the node exists.
+
+    Parameters
+    ----------
+    node
+        Its namespace counts.
+    name
+        Name in the contract, which remapping of the node's own name leaves as it is.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self.publisher = node.create_publisher(String, contract.alive(name), qos.ALIVE)
+        self.publisher.publish(String(data=identity()))
+
+
+class Watch:
+    """Watches the sign of life of another node, for as long as `node` exists.
+
+    Parameters
+    ----------
+    node
+        Who watches; callbacks run in its executor.
+    name
+        Whom, as for `SignOfLife`.
+    on_change
+        Called with the watch when `presence` has changed.
+
+    Attributes
+    ----------
+    presence : Presence
+        As last heard. It stays unknown for a node that offers no sign of life.
+    """
+
+    def __init__(self, node: Node, name: str, on_change: "Callable[[Watch], None]") -> None:
+        self.name = name
+        self.presence = Presence.UNKNOWN
+        self._on_change = on_change
+        self._alive = self._silent = 0
+        self._process = ""
+        self.subscription = node.create_subscription(
+            String,
+            contract.alive(name),
+            self._on_identity,
+            qos.ALIVE_WATCHED,
+            event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_event),
+        )
+        # The middleware tells only once that a process is silent; a stalled one may die later.
+        self._timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
+
+    @property
+    def sentence(self) -> str:
+        """What is known of the node, in words."""
+        return f"{self.name} {self.presence.value}"
+
+    @property
+    def ghost(self) -> bool:
+        """Whether the node is lost but still listed, so that its topics seem to be there."""
+        return self.presence.lost and self._silent > 0
+
+    def _on_identity(self, message: String) -> None:
+        self._process = message.data
+
+    def _on_event(self, event: QoSLivelinessChangedInfo) -> None:
+        self._alive, self._silent = event.alive_count, event.not_alive_count
+        self._look()
+
+    def _look(self) -> None:
+        mute = not self._alive and self._silent > 0
+        presence = self.presence.after(
+            self._alive, self._silent, lives(self._process) if mute else None
+        )
+        if presence is Presence.STALLED:
+            self._timer.reset()
+        else:
+            self._timer.cancel()
+        if presence is not self.presence:
+            self.presence = presence
+            self._on_change(self)

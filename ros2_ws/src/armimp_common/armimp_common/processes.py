@@ -1,0 +1,46 @@
+"""Identity of a process, by which others on the same machine can tell whether it still lives."""
+
+import os
+from pathlib import Path
+
+
+def identity() -> str:
+    """Return machine, process namespace, number and start time of this process.
+
+    Empty where there is no ``/proc``, that is, elsewhere than on Linux.
+    """
+    try:
+        return f"{_place()} {os.getpid()} {_state('self')[1]}"
+    except OSError:
+        return ""
+
+
+def lives(process: str) -> bool | None:
+    """Tell whether the process with this `identity` lives; None if it can't be told from here.
+
+    A stopped process lives. One that has ended and was not yet waited for does not.
+    """
+    place, _, rest = process.rpartition("] ")
+    number, _, start = rest.partition(" ")
+    try:
+        if not number.isdecimal() or f"{place}]" != _place():
+            return None
+    except OSError:
+        return None
+    try:
+        state, started = _state(number)
+    except OSError:
+        return False
+    return started == start and state not in ("Z", "X")
+
+
+def _place() -> str:
+    boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+    # Ends with "]", like "pid:[4026531836]".
+    return f"{boot} {Path('/proc/self/ns/pid').readlink()}"
+
+
+def _state(process: str) -> tuple[str, str]:
+    """State and start time; see proc_pid_stat(5). The name before them may contain anything."""
+    fields = Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()
+    return fields[0], fields[19]

@@ -1,0 +1,195 @@
+"""Signs of life: what is known of a watched node, and how soon the death of a process is heard."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from armimp_common import contract
+from armimp_common.channels import wait_until_matched
+from armimp_common.liveliness import Presence, SignOfLife, Watch
+from armimp_common.spin import Spinner
+from armimp_common.testing import PATIENCE, a_moment, eventually
+
+OTHER = """
+import ctypes, sys
+from armimp_common.liveliness import SignOfLife
+from armimp_common.spin import run_node
+from rclpy.node import Node
+
+def make(*, context):
+    node = Node("other", context=context)
+    node.sign = SignOfLife(node, "other")
+    if "busy" in sys.argv:
+        # PyDLL keeps the interpreter lock, unlike CDLL: no Python code of this process runs.
+        node.create_timer(0.1, lambda: ctypes.PyDLL(None).usleep(900_000))
+    return node
+
+raise SystemExit(run_node(make, ["other"]))
+"""
+
+
+@contextmanager
+def other_process(*arguments: str) -> "Iterator[subprocess.Popen[bytes]]":
+    process = subprocess.Popen([sys.executable, "-c", OTHER, *arguments])
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def introduced(watch: Watch, changes: list[Presence]) -> bool:
+    """Whether the other node is known to live, and its process by name."""
+    assert not any(presence.lost for presence in changes)
+    return watch.presence is Presence.ALIVE and watch._process != ""
+
+
+@pytest.fixture
+def changes() -> list[Presence]:
+    return []
+
+
+@pytest.fixture
+def watch(node: Node, changes: list[Presence]) -> Watch:
+    return Watch(node, "other", lambda watch: changes.append(watch.presence))
+
+
+@pytest.fixture
+def spinner(node: Node) -> Iterator[Spinner]:
+    with Spinner([node]) as spinner:
+        yield spinner
+
+
+@pytest.mark.parametrize(
+    ("before", "alive", "silent", "after"),
+    [
+        (Presence.UNKNOWN, 0, 0, Presence.UNKNOWN),
+        (Presence.UNKNOWN, 1, 0, Presence.ALIVE),
+        (Presence.ALIVE, 0, 1, Presence.SILENT),
+        (Presence.ALIVE, 0, 0, Presence.LEFT),
+        (Presence.ALIVE, 1, 1, Presence.ALIVE),
+        (Presence.SILENT, 1, 0, Presence.ALIVE),
+        (Presence.SILENT, 0, 0, Presence.GONE),
+        (Presence.GONE, 0, 0, Presence.GONE),
+        (Presence.GONE, 1, 0, Presence.ALIVE),
+        (Presence.LEFT, 1, 0, Presence.ALIVE),
+        (Presence.LEFT, 0, 0, Presence.LEFT),
+    ],
+)
+def test_what_is_known_follows_from_the_numbers_of_publishers(
+    before: Presence, alive: int, silent: int, after: Presence
+) -> None:
+    assert before.after(alive, silent) is after
+
+
+@pytest.mark.parametrize(
+    ("lives", "after"),
+    [(True, Presence.STALLED), (False, Presence.GONE), (None, Presence.SILENT)],
+)
+def test_a_silent_process_counts_as_what_a_look_at_it_tells(
+    lives: bool | None, after: Presence
+) -> None:
+    assert Presence.ALIVE.after(0, 1, lives) is after
+    assert Presence.STALLED.after(0, 1, lives) is after
+    assert Presence.ALIVE.after(1, 1, lives) is Presence.ALIVE
+
+
+def test_only_a_node_that_was_there_can_be_lost() -> None:
+    lost = {presence for presence in Presence if presence.lost}
+
+    assert lost == {Presence.SILENT, Presence.GONE, Presence.LEFT}
+
+
+def test_when_a_process_is_killed_expect_its_death_to_be_heard(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    assert watch.sentence == "other has never been heard of"
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.kill()
+        eventually(spinner, lambda: len(changes) == 2, "silence", patience=5.0)
+
+    assert changes[1] is Presence.GONE
+    assert watch.sentence == "other is dead"
+    assert watch.ghost
+
+
+def test_when_a_stopped_process_is_killed_expect_its_death_to_be_heard(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence", patience=5.0)
+        process.kill()
+        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death", patience=1.0)
+
+    assert watch.presence.lost
+
+
+def test_when_the_process_cannot_be_looked_up_expect_silence(
+    watch: Watch, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armimp_common.liveliness.lives", lambda _: None)
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: len(changes) == 2, "silence", patience=5.0)
+
+    assert changes[1] is Presence.SILENT
+    assert watch.sentence == "other gave no sign of life for 120 ms: it is dead or stopped"
+
+
+def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence", patience=5.0)
+        process.send_signal(signal.SIGCONT)
+        eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
+
+    assert watch.presence is Presence.ALIVE
+
+
+def test_when_a_process_ends_in_order_expect_that_it_left(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGINT)
+        eventually(spinner, lambda: len(changes) == 2, "the end")
+
+    assert changes[1] is Presence.LEFT
+    assert watch.sentence == "other has left"
+
+
+def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    with other_process("busy"):
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        before = list(changes)
+        a_moment(spinner, 2.0)
+        assert changes == before
+
+
+def test_ordinary_subscriptions_hear_a_sign_of_life_too(context: Context, node: Node) -> None:
+    # Like `ros2 topic info` or a recorder of all topics, which ask for no lease.
+    sign = SignOfLife(node, "other")
+    plain = node.create_subscription(
+        String, contract.alive("other"), lambda _: None, QoSProfile(depth=1)
+    )
+
+    assert not wait_until_matched(
+        node, publishers=[sign.publisher], subscriptions=[plain], timeout_s=PATIENCE
+    )

@@ -1,0 +1,46 @@
+"""Whether a process of this machine lives is told from its identity."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from armimp_common.processes import identity, lives
+
+TELL = "import time; from armimp_common.processes import identity; print(identity(), flush=True)"
+
+
+def test_this_process_lives() -> None:
+    assert lives(identity())
+
+
+def test_a_process_lives_until_it_ends_even_if_it_is_stopped_or_not_waited_for() -> None:
+    program = f"{TELL}; time.sleep(1000)"
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    told = process.stdout.readline().strip()
+    assert told != identity()
+    assert lives(told)
+    process.send_signal(signal.SIGSTOP)
+    assert lives(told)
+
+    process.kill()
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # It ended, and is still listed.
+
+    assert lives(told) is False
+    process.wait()
+    assert lives(told) is False
+    process.stdout.close()
+
+
+def test_another_process_with_the_same_number_is_not_taken_for_it() -> None:
+    *place, number, start = identity().split()
+
+    assert lives(" ".join([*place, number, str(int(start) + 1)])) is False
+
+
+@pytest.mark.parametrize("process", ["", "rubbish", "boot pid:[1] 1 1", "] x y", "boot pid:[1]"])
+def test_of_a_process_elsewhere_nothing_is_known(process: str) -> None:
+    assert lives(process) is None

@@ -1,0 +1,177 @@
+"""The controller and its surroundings: it ends the experiment when one of them is lost."""
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from rclpy.context import Context
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from std_msgs.msg import UInt64
+
+from armimp_common import contract, qos
+from armimp_common.contract import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
+from armimp_common.spin import Spinner
+from armimp_common.testing import ScriptedDriver, a_moment, eventually, overrides
+from armimp_common.trial_status import Phase
+from armimp_control.node import ImbicControllerNode
+from armimp_control.parameters import ControllerParameters
+
+NAMES = ("shoulder", "elbow")
+POSTURE = (1.09446, 1.34844)
+OFF = (POSTURE[0] + 1e-4, POSTURE[1])
+SUCCESS = TransitionCallbackReturn.SUCCESS
+LOCKSTEP, RIG = 10.0, 0.05
+"""Values of slowest_tick (s); that of the rig is long, so that no test sees the watchdog."""
+PARAMETERS = ControllerParameters.preset(
+    joints=NAMES,
+    posture=np.array(POSTURE),
+    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
+    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+)
+
+
+class Surroundings:
+    """Stands for rig and recorder, with a controller under torque between them."""
+
+    def __init__(self, context: Context, node: Node, spinner: Spinner, tick: float) -> None:
+        self.spinner = spinner
+        self.driver = ScriptedDriver(node, NAMES)
+        self.received: Publisher = node.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        changes = {"safety.slowest_tick": tick, "safety.watchdog_ticks": 100}
+        self.controller = ImbicControllerNode(
+            context=context, parameter_overrides=overrides(PARAMETERS, changes)
+        )
+        spinner.add_node(self.controller)
+        assert self.controller.trigger_configure() is SUCCESS, self.controller.transition_error
+
+    def activate(self) -> None:
+        assert self.controller.trigger_activate() is SUCCESS, self.controller.transition_error
+        self.driver.wait_for_controller()
+        for _ in range(3):
+            self.driver.feed(OFF, (0.0, 0.0))
+            eventually(self.spinner, lambda: self.driver.answered, "an answer")
+        assert any(self.driver.commands[-1])
+
+    def heard(self, name: str, *, alive: int, silent: int) -> None:
+        """Have the controller hear from another process what the middleware would report."""
+        (watch,) = (watch for watch in self.controller._watches if watch.name == name)
+        watch._on_event(SimpleNamespace(alive_count=alive, not_alive_count=silent))
+
+    def aborted(self) -> bool:
+        return self.driver.has_said(Phase.ABORTED)
+
+    def assert_aborted(self, reason: str) -> None:
+        eventually(self.spinner, self.aborted, "the abortion")
+        assert self.driver.statuses[-1].reason == reason
+        eventually(self.spinner, lambda: not any(self.driver.commands[-1]), "zero torque")
+        self.driver.feed(OFF, (0.0, 0.0))
+        eventually(self.spinner, lambda: self.driver.answered, "an answer")
+        assert not any(self.driver.commands[-1])
+
+
+@pytest.fixture
+def tick() -> float:
+    return LOCKSTEP
+
+
+@pytest.fixture
+def around(context: Context, node: Node, tick: float) -> Iterator[Surroundings]:
+    with Spinner([node]) as spinner:
+        surroundings = Surroundings(context, node, spinner, tick)
+        yield surroundings
+        spinner.remove_node(surroundings.controller)
+        surroundings.controller.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("alive", "silent", "how"),
+    [(0, 1, "gave no sign of life for 120 ms: it is dead or stopped"), (0, 0, "has left")],
+    ids=["silent", "left"],
+)
+def test_when_the_rig_is_lost_expect_zero_torque(
+    around: Surroundings, alive: int, silent: int, how: str
+) -> None:
+    around.activate()
+    around.heard(SIM_NODE, alive=1, silent=0)
+    a_moment(around.spinner)
+    assert not around.aborted()
+
+    around.heard(SIM_NODE, alive=alive, silent=silent)
+
+    around.assert_aborted(f"{SIM_NODE} {how}")
+
+
+def test_when_the_orchestrator_is_dead_and_not_only_silent_expect_zero_torque(
+    around: Surroundings,
+) -> None:
+    around.activate()
+    around.heard(SUPERVISOR_NODE, alive=1, silent=0)
+    around.heard(SUPERVISOR_NODE, alive=0, silent=1)
+    a_moment(around.spinner)
+    assert not around.aborted()
+
+    around.heard(SUPERVISOR_NODE, alive=0, silent=0)
+
+    around.assert_aborted("armimp is dead")
+
+
+def test_when_the_recorder_falls_silent_in_lockstep_expect_patience_until_it_is_dead(
+    around: Surroundings,
+) -> None:
+    around.activate()
+    around.heard(ESTIMATOR_NODE, alive=1, silent=0)
+    around.heard(ESTIMATOR_NODE, alive=0, silent=1)
+    a_moment(around.spinner)
+    assert not around.aborted()
+
+    around.heard(ESTIMATOR_NODE, alive=0, silent=0)
+
+    around.assert_aborted("impedance_estimator is dead")
+
+
+@pytest.mark.parametrize("tick", [RIG])
+def test_when_the_recorder_falls_silent_on_a_rig_expect_zero_torque(around: Surroundings) -> None:
+    around.activate()
+    around.heard(ESTIMATOR_NODE, alive=1, silent=0)
+
+    around.heard(ESTIMATOR_NODE, alive=0, silent=1)
+
+    around.assert_aborted(
+        "impedance_estimator gave no sign of life for 120 ms: it is dead or stopped"
+    )
+
+
+def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) -> None:
+    around.activate()
+    around.received.publish(UInt64(data=0))
+    a_moment(around.spinner)
+    assert not around.aborted()
+
+    around.received.publish(UInt64(data=contract.RECORDER_GONE))
+
+    around.assert_aborted("nothing is recorded any more")
+
+
+def test_when_a_recorder_took_leave_before_the_experiment_expect_it_to_run(
+    around: Surroundings,
+) -> None:
+    for data in (0, contract.RECORDER_GONE):
+        around.received.publish(UInt64(data=data))
+    a_moment(around.spinner)
+
+    around.activate()
+    a_moment(around.spinner)
+
+    assert not around.aborted()
+
+
+def test_when_the_rig_is_silent_expect_activation_to_fail(around: Surroundings) -> None:
+    around.heard(SIM_NODE, alive=1, silent=0)
+    around.heard(SIM_NODE, alive=0, silent=1)
+
+    assert around.controller.trigger_activate() is TransitionCallbackReturn.FAILURE
+
+    assert around.controller.transition_error.startswith("arm_sim gave no sign of life")

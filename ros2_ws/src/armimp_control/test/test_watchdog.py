@@ -1,0 +1,100 @@
+"""The watchdog over samples."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armimp_control.safety import SafetyConfig
+from armimp_control.watchdog import Watchdog
+
+PERIOD = 1e-3
+
+
+def _watchdog(*, ticks: int = 5, ramp: float = 0.05, slowest: float = PERIOD) -> Watchdog:
+    config = SafetyConfig(watchdog_ticks=ticks, ramp_time=ramp)
+    return Watchdog(config, slowest_tick=slowest, period=PERIOD)
+
+
+def test_before_the_first_sample_nothing_has_expired() -> None:
+    watchdog = _watchdog()
+    assert not watchdog.expired(1e9)
+    assert watchdog.ticks_due(1e9) == 0
+
+
+def test_while_samples_come_nothing_is_due() -> None:
+    watchdog = _watchdog()
+    for tick in range(1000):
+        watchdog.feed(100.0 + tick * PERIOD)
+        assert not watchdog.expired(100.0 + (tick + 4.9) * PERIOD)
+        assert watchdog.ticks_due(100.0 + (tick + 4.9) * PERIOD) == 0
+
+
+def test_after_the_patience_the_ramp_keeps_pace_with_the_clock() -> None:
+    watchdog = _watchdog()
+    watchdog.feed(10.0)
+    assert not watchdog.expired(10.0049)
+    assert watchdog.expired(10.0051)
+    assert [watchdog.ticks_due(now) for now in (10.0051, 10.0052, 10.0071, 10.0301)] == [
+        *(1, 0, 2, 23)
+    ]
+    assert watchdog.ticks_due(1e6) == 24
+    assert watchdog.ticks_due(1e6 + 1.0) == 0
+
+
+def test_patience_counts_in_slowest_ticks_and_the_ramp_in_periods() -> None:
+    watchdog = _watchdog(slowest=1.0, ramp=0.01)
+    watchdog.feed(0.0)
+    assert not watchdog.expired(4.999)
+    assert watchdog.expired(5.001)
+    assert watchdog.ticks_due(5.0101) == 10
+
+
+def test_sample_that_comes_back_ends_the_waiting() -> None:
+    watchdog = _watchdog()
+    watchdog.feed(0.0)
+    assert watchdog.ticks_due(0.0201) == 16
+    watchdog.feed(0.020)
+    assert not watchdog.expired(0.0249)
+    assert watchdog.ticks_due(0.0261) == 2
+
+
+@settings(deadline=None)
+@given(
+    st.integers(1, 100),
+    st.floats(0.0, 0.05),
+    st.lists(st.floats(0.0, 0.3), min_size=2, max_size=20),
+)
+def test_all_ticks_of_the_ramp_are_due_after_patience_and_ramp(
+    ticks: int, ramp: float, times: list[float]
+) -> None:
+    watchdog = _watchdog(ticks=ticks, ramp=ramp)
+    longest = SafetyConfig(ramp_time=ramp).ramp_ticks(PERIOD)
+    watchdog.feed(0.0)
+    due = [watchdog.ticks_due(now) for now in sorted(times)]
+    assert all(new >= 0 for new in due)
+    end = ticks * PERIOD + ramp + 1e-9
+    assert sum(due) + watchdog.ticks_due(max(*times, end)) == longest
+    assert watchdog.expired(ticks * PERIOD + 1e-9)
+
+
+@pytest.mark.parametrize("nonsense", [float("nan"), float("inf")])
+def test_clock_that_tells_nonsense_makes_the_whole_ramp_due(nonsense: float) -> None:
+    watchdog = _watchdog()
+    watchdog.feed(0.0)
+    assert watchdog.expired(nonsense)
+    assert watchdog.ticks_due(nonsense) == 50
+
+
+def test_time_of_a_sample_that_is_nonsense_makes_the_whole_ramp_due() -> None:
+    watchdog = _watchdog()
+    watchdog.feed(float("nan"))
+    assert watchdog.expired(1.0)
+    assert watchdog.ticks_due(1.0) == 50
+
+
+def test_longest_allowed_setting_is_over_within_two_hundred_milliseconds() -> None:
+    watchdog = _watchdog(ticks=100, ramp=0.05)
+    watchdog.feed(0.0)
+    assert watchdog.ticks_due(0.2) == 50

@@ -1,0 +1,100 @@
+"""The messages of one stream that belong to a trial, in order and without repetitions."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.contract import PERIOD_NS
+from armimp_estimation.sample_ledger import StreamCount
+from armimp_estimation.trial_streams import Stream
+
+_LATE_NS = PERIOD_NS // 4
+
+
+class KeptStream:
+    """The messages of one stream from the start of the trial on, without repetitions.
+
+    Attributes
+    ----------
+    stream : Stream
+        All messages.
+    start_ns : int
+        Stamp of the first sample of the trial.
+    order : ndarray
+        Index into them of each kept one, in the order of the stamps.
+    stamps, numbers : ndarray
+        Stamp and number of the control period of each kept one.
+    """
+
+    def __init__(self, stream: Stream, start_ns: int) -> None:
+        self.stream = stream
+        self.start_ns = start_ns
+        if (np.diff(stream.stamps) > 0).all():
+            self.stamps: NDArray[np.int64] = stream.stamps
+            self.order: NDArray[np.intp] = np.arange(stream.stamps.size)
+            self._orderly = True
+        else:
+            self.stamps, self.order = np.unique(stream.stamps, return_index=True)
+            self._orderly = False
+        first = int(np.searchsorted(self.stamps, start_ns))
+        self.stamps = self.stamps[first:]
+        self.order = self.order[first:]
+        self.numbers: NDArray[np.int64] = np.empty(0, np.int64)
+
+    def number(self, stamps: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+        """Take the period numbers from those of all stamps, and keep one message for each."""
+        self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
+        single = np.diff(self.numbers, prepend=-1) > 0
+        if not single.all():
+            self.stamps, self.order = self.stamps[single], self.order[single]
+            self.numbers = self.numbers[single]
+            self._orderly = False
+
+    def inside(self, span: int) -> int:
+        """How many of the kept messages are within the span."""
+        return int(np.searchsorted(self.numbers, span))
+
+    def count(self, span: int, last_ns: int) -> StreamCount:
+        """Make up the account of the periods before `span`, the last stamp of which is given."""
+        distinct = self.inside(span)
+        received, reordered = distinct, 0
+        if not self._orderly:
+            stamps = self.stream.stamps
+            received = int(((stamps >= self.start_ns) & (stamps <= last_ns)).sum())
+            arrived = stamps[np.sort(self.order[:distinct])]
+            reordered = int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum())
+        steps = np.diff(self.stamps[:distinct]) - PERIOD_NS * np.diff(self.numbers[:distinct])
+        return StreamCount(
+            expected=span,
+            received=received,
+            lost=span - distinct,
+            duplicated=received - distinct,
+            reordered=reordered,
+            late=int((steps > _LATE_NS).sum()),
+        )
+
+    def present(self, span: int) -> NDArray[np.bool_]:
+        """Whether each period of the span has a sample, finite or not."""
+        found = np.zeros(span, np.bool_)
+        found[self.numbers[: self.inside(span)]] = True
+        return found
+
+    def finite(self, span: int) -> NDArray[np.bool_]:
+        """Whether each period of the span has a sample, and one that is finite."""
+        inside = self.inside(span)
+        values = self.stream.values[:, self.order[:inside]]
+        finite = np.zeros(span, np.bool_)
+        finite[self.numbers[:inside]] = np.isfinite(values).all(axis=0)
+        return finite
+
+    def values(self, start: int, stop: int) -> NDArray[np.float64]:
+        """(n, stop - start) values of a run of periods, all of which are there."""
+        return np.ascontiguousarray(self.stream.values[:, self.chosen(start, stop)])
+
+    def chosen(self, start: int, stop: int) -> NDArray[np.intp]:
+        """Ordinal numbers, in the stream, of the messages of a run of periods."""
+        first = int(np.searchsorted(self.numbers, start))
+        return self.order[first : first + stop - start]
+
+    def stamp(self, number: int) -> int:
+        """Stamp (ns) of the sample of a period, which is there."""
+        return int(self.stamps[np.searchsorted(self.numbers, number)])

@@ -1,0 +1,223 @@
+"""Bags that their recorder left unfinished are finished by whoever finds them; others stay."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from rosbags.highlevel import AnyReader, AnyReaderError
+
+from armimp_common import contract
+from armimp_common.errors import BagError
+from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+from armimp_estimation.bags.finishing import finish_bag, finish_bags
+from armimp_estimation.bags.metadata import FILE_NAME
+from armimp_estimation.bags.reserve import RESERVE_FILE, DiskReserve
+from armimp_estimation.bags.synthetic import Message, synthetic_recording
+
+MESSAGES = synthetic_recording(ticks=160).messages
+METADATA = {"seed": "1", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
+LOST = 7
+"""Messages that a killed writer takes with it below."""
+
+
+def unfinished(path: Path, messages: Sequence[Message] = MESSAGES, namespace: str = "") -> Path:
+    """A bag as a killed writer leaves it, without its last messages."""
+    writer = BagWriter(path, metadata=METADATA, namespace=namespace)
+    for topic, log_time_ns, raw in messages[: len(messages) - LOST]:
+        writer.write(topic, raw, log_time_ns)
+    writer.flush()
+    for topic, log_time_ns, raw in messages[len(messages) - LOST :]:
+        writer.write(topic, raw, log_time_ns)
+    writer._file.abandon()
+    return path
+
+
+def finished(path: Path, namespace: str = "") -> Path:
+    """The bag of a writer that got the same messages and lived."""
+    with BagWriter(path, metadata=METADATA, namespace=namespace) as writer:
+        for topic, log_time_ns, raw in MESSAGES[: len(MESSAGES) - LOST]:
+            writer.write(topic, raw, log_time_ns)
+    return path
+
+
+def content_of(path: Path) -> dict[str, bytes]:
+    return {entry.name: entry.read_bytes() for entry in path.iterdir()}
+
+
+@pytest.mark.parametrize("namespace", ["", "/lab/rig"])
+def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path, namespace: str) -> None:
+    path = unfinished(tmp_path / "a" / "bag", namespace=namespace)
+    note = finish_bag(path)
+    count = len(MESSAGES) - LOST
+    assert note == f"{path}: its recorder did not finish it: finished now, with {count} messages"
+    assert content_of(path) == content_of(finished(tmp_path / "b" / "bag", namespace))
+
+
+def test_other_readers_open_it_only_then(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "bag")
+    with pytest.raises(AnyReaderError, match="end magic is invalid"), AnyReader([path]):
+        pass
+    finish_bag(path)
+    with AnyReader([path]) as reader:
+        assert [data for _, _, data in reader.messages()] == [m[2] for m in MESSAGES[:-LOST]]
+
+
+def test_finishing_twice_changes_nothing_more(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "bag")
+    assert finish_bag(path)
+    once = content_of(path)
+    assert finish_bag(path) == ""
+    assert content_of(path) == once
+
+
+def test_metadata_and_trials_are_kept(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "bag")
+    before = read_bag(path)
+    finish_bag(path)
+    after = read_bag(path)
+    assert after.metadata == before.metadata == METADATA
+    assert list(after.messages()) == list(before.messages())
+    assert after.trials[0].ledger == before.trials[0].ledger
+    assert any("cut within" in note or "without the end" in note for note in before.notes)
+    assert [note for note in before.notes if "cut short" in note] == list(after.notes)
+
+
+def test_killed_just_before_the_metadata_file_was_replaced(tmp_path: Path) -> None:
+    provisional = unfinished(tmp_path / "a" / "bag") / FILE_NAME
+    path = finished(tmp_path / "b" / "bag")
+    whole = content_of(path)
+    shutil.copy(provisional, path / FILE_NAME)
+    assert finish_bag(path)
+    assert content_of(path) == whole
+
+
+def test_bag_without_a_message_becomes_a_valid_one(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag", metadata=METADATA)
+    writer._file.abandon()
+    assert finish_bag(tmp_path / "bag").endswith("finished now, with 0 messages")
+    with AnyReader([tmp_path / "bag"]) as reader:
+        assert reader.message_count == 0
+
+
+def test_bag_that_is_being_recorded_is_left_alone(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "bag", metadata=METADATA)
+    for topic, log_time_ns, raw in MESSAGES:
+        writer.write(topic, raw, log_time_ns)
+    before = content_of(tmp_path / "bag")
+    assert finish_bag(tmp_path / "bag") == ""
+    assert content_of(tmp_path / "bag") == before
+    writer.close()
+    assert list(iterate_messages(tmp_path / "bag")) == list(MESSAGES)
+
+
+def test_whole_bags_and_whatever_is_none_are_left_alone(tmp_path: Path) -> None:
+    path = finished(tmp_path / "bag")
+    (tmp_path / "file").write_text("no bag")
+    (tmp_path / "empty").mkdir()
+    before = content_of(path)
+    for name in ("bag", "file", "empty", "missing", "bag/bag_0.mcap", "bag/metadata.yaml"):
+        assert finish_bag(tmp_path / name) == ""
+    assert content_of(path) == before
+
+
+def test_unfinished_file_of_another_recorder_is_left_alone(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "bag")
+    file = path / "bag_0.mcap"
+    file.write_bytes(file.read_bytes().replace(b"armimp", b"others", 1))
+    before = content_of(path)
+    assert finish_bag(path) == ""
+    assert content_of(path) == before
+
+
+def test_bag_that_cannot_be_written_is_named_and_still_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = unfinished(tmp_path / "bag")
+    before = content_of(path)
+
+    def refuse(self: Path, mode: int = 0o777, **_: object) -> None:
+        raise OSError(30, "Read-only file system", str(self))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    note = finish_bag(path)
+    assert note.startswith(f"{path}: its recorder did not finish it, and it cannot be finished now")
+    assert note.endswith("Read-only file system")
+    assert content_of(path) == before
+    assert read_bag(path).trials
+
+
+def test_all_bags_of_a_result_are_finished_and_its_reserve_given_back(tmp_path: Path) -> None:
+    bags = [unfinished(tmp_path / "bags" / name) for name in ("trial_1_joint_1", "trial_2_joint_2")]
+    DiskReserve(tmp_path, 1000)
+    assert (tmp_path / RESERVE_FILE).stat().st_size == 1000
+    notes = finish_bags(tmp_path)
+    assert [note.split(":")[0] for note in notes] == [str(bag) for bag in bags]
+    assert [path.name for path in tmp_path.iterdir()] == ["bags"]
+    assert finish_bags(tmp_path) == []
+    assert finish_bags(tmp_path / "missing") == []
+
+
+def cut_at(whole: bytes, size: int, path: Path) -> int:
+    """Messages in a bag whose file was cut, which must be the same however it is read; or -1."""
+    (path / "bag_0.mcap").write_bytes(whole[:size])
+    try:
+        before = list(iterate_messages(path))
+    except BagError:
+        before = []
+    metadata = (path / FILE_NAME).read_bytes()
+    note = finish_bag(path)
+    if not note:
+        assert before == []
+        return -1
+    with AnyReader([path]) as reader:
+        after = [data for _, _, data in reader.messages()]
+    assert after == [raw for _, _, raw in before]
+    (path / FILE_NAME).write_bytes(metadata)
+    return len(after)
+
+
+def sweep(tmp_path: Path, step: int) -> None:
+    path = unfinished(tmp_path / "bag", MESSAGES[:300])
+    whole = (path / "bag_0.mcap").read_bytes()
+    counts = [cut_at(whole, size, path) for size in [*range(0, len(whole), step), len(whole)]]
+    assert counts == sorted(counts)
+    assert counts[0] == -1
+    assert counts[-1] == 300 - LOST
+    assert len(set(counts)) == 4  # no header; no message; one chunk; both
+
+
+def test_file_cut_anywhere_is_finished_up_to_the_cut(tmp_path: Path) -> None:
+    sweep(tmp_path, 211)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+def test_file_cut_at_many_more_places_is_finished_up_to_the_cut(tmp_path: Path) -> None:
+    sweep(tmp_path, 13)
+
+
+def test_damaged_bag_is_left_for_the_reader_to_refuse(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "bag")
+    file = path / "bag_0.mcap"
+    whole = bytearray(file.read_bytes())
+    whole[len(whole) // 2] ^= 0xFF
+    file.write_bytes(whole)
+    before = content_of(path)
+    assert finish_bag(path) == ""
+    assert content_of(path) == before
+    with pytest.raises(BagError, match="damaged record"):
+        read_bag(path)
+
+
+def test_what_is_known_only_after_recording_is_added_to_the_metadata(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", metadata=METADATA) as writer:
+        for topic, log_time_ns, raw in MESSAGES:
+            writer.write(topic, raw, log_time_ns)
+        writer.add_metadata({"ledger": json.dumps({"lost": 0})})
+    expected = METADATA | {"ledger": '{"lost": 0}'}
+    assert read_bag(tmp_path / "bag").metadata == expected
+    # The storage file alone has it, too.
+    assert read_bag(tmp_path / "bag" / "bag_0.mcap").metadata == expected
+    assert contract.TRIAL in read_bag(tmp_path / "bag").topics

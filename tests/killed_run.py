@@ -1,0 +1,103 @@
+"""Program for test_graph_kills.py: ``armimp``, but a process of the graph is killed once.
+
+Arguments: file for events; phase; victim; delay (s) after the beginning of the phase; time (s) for
+which the orchestrator does not see that its child is dead, as on a rig where it has none; and then
+the arguments of ``armimp``. The phases are ``start``; the transitions ``configure``, ``activate``
+and ``shutdown``; and those of the trial status with the number of the trial, like ``perturb 1``.
+Events are lines: ``domain ID``, and ``killed T`` with the monotonic time of this machine, which all
+processes share.
+"""
+
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticStatus
+
+from armimp_bringup import orchestrator
+from armimp_bringup.cli import main
+from armimp_bringup.graph import GraphContext, SeparateNodes
+from armimp_common.contract import SUPERVISOR_NODE
+from armimp_common.diagnostics import values_of
+from armimp_common.lifecycle import LifecycleManager, TransitionName
+
+
+class Killer:
+    """Kills one process of the graph, once."""
+
+    def __init__(self, events: Path, phase: str, victim: str, delay: float, blind: float) -> None:
+        self._events, self._phase, self._victim, self._delay = events, phase, victim, delay
+        self._armed = True
+        self._blind = blind
+        self.blind_until = -math.inf
+        self.nodes: SeparateNodes | None = None
+
+    def note(self, line: str) -> None:
+        with self._events.open("a") as events:
+            events.write(line + "\n")
+
+    def reach(self, phase: str, *, node: str | None = None) -> None:
+        """A phase has come; a phase of nodes counts only for the victim, if it is a node."""
+        concerned = node is None or self._victim in (node, SUPERVISOR_NODE) or phase == "shutdown"
+        if self._armed and concerned and phase == self._phase:
+            self._armed = False
+            threading.Timer(self._delay, self._kill).start()
+
+    def _kill(self) -> None:
+        assert self.nodes is not None
+        if self._victim == SUPERVISOR_NODE:
+            process = os.getpid()
+        else:
+            process = self.nodes.processes[self._victim].pid
+        self.blind_until = time.monotonic() + self._blind
+        self.note(f"killed {time.monotonic()!r}")
+        os.kill(process, signal.SIGKILL)
+
+
+def install(killer: Killer) -> None:
+    """Have the orchestrator tell the killer where it is."""
+
+    class Told(GraphContext):
+        def __init__(self, domain_id: int | None = None) -> None:
+            super().__init__(domain_id)
+            killer.note(f"domain {self.claim.domain_id}")
+
+    class Kept(SeparateNodes):
+        def __init__(self, *args: Any, **kwargs: Any) -> None:
+            super().__init__(*args, **kwargs)
+            killer.nodes = self
+            killer.reach("start")
+
+        def dead(self) -> Mapping[str, str]:
+            return {} if time.monotonic() < killer.blind_until else super().dead()
+
+    class Manager(LifecycleManager):
+        def change(self, name: str, transition: TransitionName) -> None:
+            killer.reach(transition, node=name)
+            super().change(name, transition)
+
+    class Listener(orchestrator.Supervisor):
+        def _on_trial(self, message: DiagnosticStatus) -> None:
+            values = values_of(message)
+            killer.reach(f"{values['phase']} {values['trial']}")
+            super()._on_trial(message)
+
+    for name, kind in (
+        ("GraphContext", Told),
+        ("SeparateNodes", Kept),
+        ("LifecycleManager", Manager),
+        ("Supervisor", Listener),
+    ):
+        setattr(orchestrator, name, kind)
+
+
+if __name__ == "__main__":
+    file, phase, victim, delay, blind = sys.argv[1:6]
+    install(Killer(Path(file), phase, victim, float(delay), float(blind)))
+    sys.exit(main(sys.argv[6:]))

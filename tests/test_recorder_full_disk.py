@@ -1,0 +1,214 @@
+"""A disk that is full is found before a trial; one that fills up ends the trial in good order."""
+
+import errno
+import os
+import shutil
+import subprocess
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_common.contract import TRIAL
+from armimp_common.errors import BagError
+from armimp_estimation.bags import BagWriter, iterate_messages
+from armimp_estimation.bags.reserve import RESERVE_FILE, reserve_bytes
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.bags.synthetic import Message, synthetic_recording
+from armimp_estimation.recording import BAGS, Recording
+from armimp_estimation.results import read_summary
+
+NAMES = ("shoulder", "elbow")
+MESSAGES = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10).messages
+BAG_1 = "trial_1_joint_1"
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Callable[[int], Path]]:
+    """Make a file system of so many MB, where this process may."""
+    mounted: list[Path] = []
+
+    def make(megabytes: int) -> Path:
+        place = tmp_path / f"disk_{megabytes}"
+        place.mkdir()
+        command = ["mount", "-t", "tmpfs", "-o", f"size={megabytes}m", "tmpfs", str(place)]
+        if os.geteuid() != 0 or shutil.which("mount") is None:
+            pytest.skip("only root can make a file system")
+        if subprocess.run(command, check=False, capture_output=True).returncode != 0:
+            pytest.skip("file systems cannot be mounted here")
+        mounted.append(place)
+        return place
+
+    yield make
+    for place in mounted:
+        subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def fill(place: Path) -> None:
+    """Leave no room on a file system."""
+    with (place / "filler").open("wb", buffering=0) as file, suppress(OSError):
+        while True:
+            file.write(bytes(1 << 12))
+
+
+def recording_in(directory: Path) -> Recording:
+    return Recording(NAMES, directory, {"seed": "1"}, lambda *_: None)
+
+
+def feed(recording: Recording, messages: Iterable[Message]) -> int:
+    count = 0
+    for topic, _, raw in messages:
+        if topic == TRIAL:
+            recording.add_status(decode_trial_status(raw))
+        else:
+            recording.add(topic, raw)
+        count += 1
+    return count
+
+
+def assert_finished(bag: Path) -> int:
+    """The bag is whole and opens everywhere; its number of messages."""
+    assert {path.name for path in bag.iterdir()} == {f"{bag.name}_0.mcap", "metadata.yaml"}
+    with AnyReader([bag]) as reader:
+        read = [raw for _, _, raw in reader.messages()]
+        assert reader.message_count == len(read)
+    assert read == [raw for _, _, raw in iterate_messages(bag)]
+    return len(read)
+
+
+def test_when_the_disk_fills_up_expect_the_bag_finished_with_what_was_recorded(
+    small_disk: Callable[[int], Path],
+) -> None:
+    disk = small_disk(8)
+    recording = recording_in(disk)
+    fed = feed(recording, MESSAGES[:1000])
+    fill(disk)
+
+    def feed_the_rest() -> None:
+        nonlocal fed
+        for message in MESSAGES[1000:]:
+            fed += feed(recording, [message])
+
+    with pytest.raises(BagError) as error:
+        feed_the_rest()
+    recording.close()
+
+    bag = disk / BAGS / BAG_1
+    assert str(error.value) == f"{bag}: cannot be written: disk full"
+    # Statuses are recorded with the first sample; settling is not recorded.
+    assert assert_finished(bag) >= fed - 4 * 10 - 2
+    assert not (disk / RESERVE_FILE).exists()
+    # Room is left for the summary and the curves.
+    assert shutil.disk_usage(disk).free > reserve_bytes(2000) // 2
+
+
+def test_when_the_disk_is_nearly_full_expect_a_refusal_before_the_trial(
+    small_disk: Callable[[int], Path],
+) -> None:
+    disk = small_disk(2)
+    with pytest.raises(BagError, match=r"trial_1_joint_1: .* MB of disk space needed, 2.1 MB free"):
+        feed(recording_in(disk), MESSAGES[:1])
+    assert list(disk.iterdir()) == []
+
+
+def test_room_is_checked_for_every_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = recording_in(tmp_path)
+    rest = iter(MESSAGES)
+    feed(recording, (next(rest) for _ in range(len(MESSAGES) // 2)))
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=10_000))
+
+    with pytest.raises(BagError, match=r"trial_2_joint_2: .* MB of disk space needed, 0.0 MB free"):
+        feed(recording, rest)
+
+    assert [bag.name for bag in (tmp_path / BAGS).iterdir()] == [BAG_1]
+    assert_finished(tmp_path / BAGS / BAG_1)
+    recording.close()
+    assert not (tmp_path / RESERVE_FILE).exists()
+
+
+class LimitedFile:
+    """A file on a disk with little room, on which writes succeed in part, then not at all."""
+
+    def __init__(self, file: object, room: int) -> None:
+        self._file = file
+        self.room = room
+
+    def write(self, data: memoryview) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        count: int = self._file.write(data[: self.room])  # type: ignore[attr-defined]
+        self.room -= count
+        return count
+
+    def truncate(self, size: int) -> None:
+        self._file.truncate(size)  # type: ignore[attr-defined]
+
+    def seek(self, position: int) -> None:
+        self._file.seek(position)  # type: ignore[attr-defined]
+
+    def close(self) -> None:
+        self._file.close()  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("room", [0, 1, 3000, 5000])
+@pytest.mark.parametrize("room_at_the_end", [0, 500, 10**6])
+def test_wherever_writing_stops_the_file_holds_whole_records_only(
+    tmp_path: Path, room: int, room_at_the_end: int
+) -> None:
+    writer = BagWriter(tmp_path / "bag", metadata={})
+    for topic, time, raw in MESSAGES[:10]:
+        writer.write(topic, raw, time)
+    limited = LimitedFile(writer._file._file, room)
+    writer._file._file = limited  # type: ignore[assignment]
+    written = 10
+
+    def write_the_rest() -> None:
+        nonlocal written
+        for topic, time, raw in MESSAGES[10:]:
+            writer.write(topic, raw, time)
+            written += 1
+
+    with pytest.raises(BagError, match="bag: cannot be written: disk full"):
+        write_the_rest()
+    limited.room = room_at_the_end
+    writer.close()
+
+    if room_at_the_end == 10**6:
+        # Even what was waiting when the disk was full has found its place.
+        assert assert_finished(tmp_path / "bag") == written + 1
+    else:
+        try:
+            read = list(iterate_messages(tmp_path / "bag"))
+        except BagError:
+            read = []
+        assert read == list(MESSAGES[: len(read)])
+        assert len(read) > written - 256
+
+
+def test_when_the_disk_fills_up_in_a_trial_expect_the_run_to_end_and_to_say_so(
+    small_disk: Callable[[int], Path], environment: None
+) -> None:
+    disk = small_disk(80)
+    seen: list[int] = []
+
+    def on_progress(progress: Progress) -> None:
+        if not seen and progress.samples > 2000:
+            seen.append(progress.samples)
+            fill(disk)
+
+    config = ExperimentConfig.model_validate({"duration": 20.0})
+    summary = run_experiment(config, disk / "out", on_progress=on_progress)
+
+    assert seen
+    assert not summary.valid
+    bag = disk / "out" / BAGS / BAG_1
+    assert f"{bag}: cannot be written: disk full" in summary.problems
+    assert read_summary(disk / "out" / "summary.json") == summary
+    # The controller has stopped at once: no other trial has begun.
+    assert [one.name for one in (disk / "out" / BAGS).iterdir()] == [BAG_1]
+    assert assert_finished(bag) > 4 * seen[0]

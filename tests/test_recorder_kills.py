@@ -1,0 +1,185 @@
+"""A recorder killed at any moment loses little, and what it leaves opens everywhere by itself."""
+
+import os
+import random
+import signal
+import struct
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.highlevel import AnyReader
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.offline_estimate import estimate_bags
+from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_estimation.bags import iterate_messages, read_bag
+from armimp_estimation.bags.finishing import finish_bag, finish_bags
+from armimp_estimation.recording import BAGS
+from armimp_estimation.testing import recorded_arm
+
+SETTLE = 60
+SAMPLES = 6000
+MOST_LOST = 100
+"""Samples, one every millisecond."""
+
+# Records one trial at 1 kHz and tells after each sample that it has been accepted.
+RECORDER = """
+import os, struct, sys, time
+from pathlib import Path
+from armimp_common.contract import TRIAL
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.recording import Recording
+from armimp_estimation.testing import recorded_arm
+
+directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+arm = recorded_arm(samples)
+ticks = 60 + samples + 60
+begin = (trial - 1) * ticks * 1_000_000
+recording = Recording(arm.records[0].joint_names, directory, {}, lambda *_: None)
+messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]
+began = time.monotonic()
+present = begin
+for topic, stamp, raw in messages:
+    if stamp > present:
+        os.write(1, struct.pack("<q", (present - begin) // 1_000_000))
+        present = stamp
+        time.sleep(max(began + (stamp - begin) / 1e9 - time.monotonic(), 0.0))
+    if topic == TRIAL:
+        recording.add_status(decode_trial_status(raw))
+    else:
+        recording.add(topic, raw)
+"""
+
+
+@dataclass(frozen=True)
+class Killed:
+    """What a recorder left, and how many samples of its trial it had accepted."""
+
+    directory: Path
+    trial: int
+    received: int
+
+    @property
+    def bag(self) -> Path:
+        (bag,) = (self.directory / BAGS).iterdir()
+        return bag
+
+
+def kill_a_recorder(directory: Path, trial: int, after: float) -> Killed:
+    """Kill one this long (s) after its first sample."""
+    command = [sys.executable, "-c", RECORDER, str(directory), str(trial), str(SAMPLES)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        told = process.stdout.read(8)
+        time.sleep(after)
+        os.kill(process.pid, signal.SIGKILL)
+        told += process.stdout.read()
+    assert process.returncode == -signal.SIGKILL
+    whole = len(told) // 8 * 8
+    (tick,) = struct.unpack("<q", told[whole - 8 : whole])
+    return Killed(directory, trial, tick + 1 - SETTLE)
+
+
+def kill_recorders(directory: Path, moments: list[float]) -> list[Killed]:
+    """Kill one at each of these moments, in trial 1 and 2 in turn."""
+    with ThreadPoolExecutor(3) as pool:
+        jobs = [
+            pool.submit(kill_a_recorder, directory / str(i), 1 + i % 2, moment)
+            for i, moment in enumerate(moments)
+        ]
+        return [job.result() for job in jobs]
+
+
+def assert_little_is_lost(killed: Killed) -> int:
+    """The samples that are left, each as it was sent; their number."""
+    (trial,) = read_bag(killed.bag).trials
+    record = trial.require()
+    sent = recorded_arm(SAMPLES).records[killed.trial - 1]
+    np.testing.assert_array_equal(record.position, sent.position[:, : record.samples])
+    np.testing.assert_array_equal(record.torque, sent.torque[:, : record.samples])
+    assert killed.received - MOST_LOST <= record.samples <= killed.received + 1
+    return record.samples
+
+
+def assert_other_readers_open(bag: Path) -> None:
+    with AnyReader([bag]) as reader:
+        read = [(time, data) for _, time, data in reader.messages()]
+        assert reader.message_count == len(read)
+    assert read == [(time, data) for _, time, data in iterate_messages(bag)]
+
+
+def test_when_killed_at_random_moments_expect_little_lost_and_an_estimate(tmp_path: Path) -> None:
+    rng = random.Random(1)
+    killed = kill_recorders(tmp_path, [rng.uniform(1.7, 3.5) for _ in range(3)])
+
+    left = [assert_little_is_lost(one) for one in killed]
+    conclusion, notes = estimate_bags([killed[0].bag, killed[1].bag], ())
+
+    assert conclusion.identification is not None
+    assert [trial.ticks for trial in conclusion.summary.trials] == left[:2]
+    for one, samples in zip(killed[:2], left, strict=False):
+        assert any(note.startswith(f"{one.bag}: its recorder did not finish it") for note in notes)
+        assert f"{one.bag}: trial {one.trial} is cut short: {samples} of {SAMPLES} samples" in notes
+        assert_other_readers_open(one.bag)
+    assert finish_bags(killed[2].directory) != []
+    assert_other_readers_open(killed[2].bag)
+    assert sorted(path.name for path in killed[2].directory.iterdir()) == [BAGS]
+    assert [assert_little_is_lost(one) for one in killed] == left
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(tmp_path: Path) -> None:
+    rng = random.Random(2)
+    killed = kill_recorders(tmp_path, [rng.uniform(0.15, 4.0) for _ in range(20)])
+
+    for one in killed:
+        left = assert_little_is_lost(one)
+        assert finish_bag(one.bag)
+        assert_other_readers_open(one.bag)
+        assert assert_little_is_lost(one) == left
+        print(f"received {one.received}, left {left}, lost {one.received - left}")
+
+
+def estimator_of(directory: Path) -> int:
+    """Process id of the estimator node with the parameter file in a directory of results."""
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError):
+            arguments = (
+                (entry / "cmdline").read_bytes().split(b"\0") if entry.name.isdigit() else []
+            )
+            if b"armimp_estimation.node" in arguments and any(
+                argument.startswith(os.fsencode(directory)) for argument in arguments
+            ):
+                return int(entry.name)
+    raise AssertionError(f"no estimator runs with parameters in {directory}")
+
+
+def test_when_the_estimator_node_is_killed_expect_its_bag_finished_by_the_run(
+    tmp_path: Path, environment: None
+) -> None:
+    seen: list[Progress] = []
+
+    def on_progress(progress: Progress) -> None:
+        if not seen and progress.samples > 2000:
+            seen.append(progress)
+            os.kill(estimator_of(tmp_path), signal.SIGKILL)
+
+    config = ExperimentConfig.model_validate({"duration": 10.0, "processes": "separate"})
+    summary = run_experiment(config, tmp_path / "out", on_progress=on_progress)
+
+    assert seen
+    assert any("impedance_estimator was killed by SIGKILL" in one for one in summary.problems)
+    bags = sorted((tmp_path / "out" / BAGS).iterdir())
+    for bag in bags:
+        assert_other_readers_open(bag)
+    (trial,) = read_bag(bags[seen[0].trial - 1]).trials
+    assert trial.segments[0].samples >= seen[0].samples - MOST_LOST
+    assert not (tmp_path / "out" / ".reserve").exists()

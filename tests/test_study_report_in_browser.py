@@ -1,0 +1,108 @@
+"""The report of a study in a real browser: drawn, switched and sorted without the network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armimp_bringup.cli import main
+from armimp_estimation.report.browser import Browser
+
+CONDITIONS = "friction=0+3,resolution=0+3,perturbation=1+3"
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("study") / "out"
+    options = ["--duration", "10", "--no-figures", "--only", CONDITIONS, "--seeds", "0:2"]
+    main(["reproduce", "--out", str(directory), *options])
+    return directory
+
+
+@pytest.fixture
+def page(browser: Browser, study: Path) -> Browser:
+    browser.open(study / "report.html")
+    return browser
+
+
+def _visible(browser: Browser) -> Any:
+    return browser.value(
+        "document.querySelector('#overlay-1-2 .canvas').data"
+        ".filter((trace) => trace.visible).map((trace) => trace.name)"
+    )
+
+
+def test_study_report_is_drawn_without_complaint_and_without_the_network(
+    page: Browser, study: Path
+) -> None:
+    assert page.said() == []
+    assert page.requested() == [(study / "report.html").absolute().as_uri()]
+    figures = page.value("[...document.querySelectorAll('figure.plot')].map((f) => f.id)")
+    assert figures == [
+        "map-welch-siso", "map-lpm-full", "elements-welch-siso", "elements-lpm-full",
+        "overlay-1-1", "overlay-1-2", "overlay-2-1", "overlay-2-2",
+        "levels-scores", "levels-coherence", "map-locking",
+    ]  # fmt: skip
+    for figure in figures:
+        drawn = f"document.querySelectorAll('#{figure} .trace path, #{figure} .hm image').length"
+        assert page.value(drawn) > 0, figure
+
+
+def test_curves_are_chosen_by_estimator_perturbation_and_levels(page: Browser) -> None:
+    shown = ["F0 R0 P1", "F0 R3 P1", "F3 R0 P1", "F3 R3 P1"]
+    per_panel = [name for name in shown for _ in range(3)]
+    assert _visible(page) == [*per_panel, "truth", "truth"]
+    page.value("document.querySelector(\"input[data-switch='perturbation:3']\").click()")
+    page.value("document.querySelector(\"input[data-switch='friction:0']\").click()")
+    page.wait_for("document.querySelector('#overlay-1-2 .canvas').data[0].visible === false")
+    page.wait_for(
+        "document.querySelector('#overlay-1-2 .canvas').data"
+        ".filter((trace) => trace.visible).length === 8"
+    )
+    per_panel = [name for name in ("F3 R0 P3", "F3 R3 P3") for _ in range(3)]
+    assert _visible(page) == [*per_panel, "truth", "truth"]
+    assert page.said() == []
+
+
+def test_maps_show_another_quantity_when_it_is_chosen(page: Browser) -> None:
+    first = "document.querySelector('#map-lpm-full .canvas').data[0].text[0][0]"
+    before = float(page.value(first))
+    assert before > 90.0  # VAF, %
+    page.value("document.querySelectorAll('#map-lpm-full input')[4].click()")
+    page.wait_for(f"{first} !== '{before:.3f}'")
+    assert float(page.value(first)) < 50.0  # error of B, %
+    assert page.said() == []
+
+
+def test_rows_of_the_table_are_sorted_by_the_heading_that_is_pressed(page: Browser) -> None:
+    column = (
+        "[...document.querySelector('.sortable table').tBodies[0].rows]"
+        ".map((row) => Number(row.cells[5].textContent))"
+    )
+    button = "[...document.querySelectorAll('.sortable thead th button')][5]"
+    values = page.value(column)
+    assert len(values) == 8
+    page.value(f"{button}.click()")
+    assert page.value(column) == sorted(values)
+    page.value(f"{button}.click()")
+    assert page.value(column) == sorted(values, reverse=True)
+    state = f"{button}.closest('th').getAttribute('aria-sort')"
+    assert page.value(state) == "descending"
+
+
+@pytest.mark.parametrize("width", [360, 1280])
+def test_study_report_fits_any_screen(browser: Browser, study: Path, width: int) -> None:
+    browser.open(study / "report.html", width=width)
+    assert browser.value("document.documentElement.scrollWidth") <= width
+
+
+def test_every_link_of_the_report_leads_somewhere(page: Browser, study: Path) -> None:
+    links = page.value("[...document.querySelectorAll('a')].map((a) => a.getAttribute('href'))")
+    for link in links:
+        if link.startswith("#"):
+            assert page.value(f"document.querySelector('{link}') !== null"), link
+        else:
+            assert (study / link).exists(), link
+    assert "study.json" in links
