@@ -30,6 +30,7 @@ from armimp_common import contract, qos
 from armimp_common.channels import CommandSubscription, JointStateSubscription
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_common.diagnostics import values_of
+from armimp_common.fault_figures import Figures
 from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags import read_bag
@@ -43,6 +44,11 @@ NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 JOINTS = ("shoulder", "elbow")
 MOMENTS = int(os.environ.get("ARMIMP_KILL_MOMENTS", "3"))
 """Random moments in each phase for the long version."""
+REACH = {
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_file("fastdds.xml")),
+}
+"""Of the witness."""
 PROGRAM = Path(__file__).parent / "killed_run.py"
 CLOCK = """
 import time
@@ -197,8 +203,10 @@ def kill(
 
     For the time `blind` (s) the orchestrator does not see it: nodes must manage without.
     """
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(config_file("fastdds.xml")))
+    for name, value in REACH.items():
+        monkeypatch.setenv(name, value)
+    # The graph itself does as it does by default.
+    environment = {name: value for name, value in os.environ.items() if name not in REACH}
     events, out = directory / "events", directory / "out"
     program = [sys.executable, str(PROGRAM), str(events), phase, victim, str(delay), str(blind)]
     options = ["--processes", "separate", "--duration", "10", "--estimator", "welch_siso"]
@@ -210,6 +218,7 @@ def kill(
             stdout=subprocess.DEVNULL,
             stderr=errors,
             text=True,
+            env=environment,
         )
         try:
             while (domain := event(events, "domain")) is None:
@@ -258,15 +267,16 @@ def assert_named(done: Kill) -> None:
     assert "Traceback" not in done.errors
 
 
-def assert_safe(done: Kill) -> None:
-    """No command other than zero acted for longer than the limit."""
+def assert_safe(done: Kill) -> float:
+    """No command other than zero acted for longer than the limit: until when one did (s)."""
     assert done.seen.torques, "the witness came too late"
-    assert done.after(done.seen.torques[-1]) < done.limit
-    print(f"last torque after {1e3 * done.after(done.seen.torques[-1]):.0f} ms", end="; ")
+    last = done.after(done.seen.torques[-1])
+    assert last < done.limit
+    return last
 
 
-def assert_told(done: Kill) -> None:
-    """Who remains says within the limit what happened; in the midst of a trial."""
+def assert_told(done: Kill) -> float:
+    """Who remains says within the limit what happened, in the midst of a trial: when (s)."""
     if done.victim == CONTROLLER_NODE:
         moment, message, applied = next(fault for fault in done.seen.faults if fault[0] > done.time)
         told = done.after(moment)
@@ -276,7 +286,18 @@ def assert_told(done: Kill) -> None:
         told, reason = done.aborted
         assert reason
     assert told < done.limit
-    print(f"told after {1e3 * told:.0f} ms of {1e3 * done.limit:.0f} ms")
+    return told
+
+
+def assert_safe_and_told(done: Kill, figures: Figures) -> None:
+    """As both say; and how long it took, to be printed with the limit that was in force."""
+    last, told = assert_safe(done), assert_told(done)
+    figures.add(
+        f"{done.victim} killed in a trial",
+        last_torque_after=(1e3 * last, "ms"),
+        told_after=(1e3 * told, "ms"),
+        limit_with_stalls_of_the_machine=(1e3 * done.limit, "ms"),
+    )
 
 
 def assert_recorded(done: Kill) -> None:
@@ -297,12 +318,11 @@ def assert_recorded(done: Kill) -> None:
 
 @pytest.mark.parametrize("victim", NODES)
 def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_orchestrator(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, victim: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Figures, victim: str
 ) -> None:
     done = kill(tmp_path, monkeypatch, "perturb 1", victim, delay=1.0, blind=1.0)
 
-    assert_safe(done)
-    assert_told(done)
+    assert_safe_and_told(done, figures)
     reason = done.seen.faults[0][1] if victim == CONTROLLER_NODE else done.aborted[1]
     assert reason.startswith(f"{victim} ")
     assert_named(done)
@@ -310,12 +330,11 @@ def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_or
 
 
 def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Figures
 ) -> None:
     done = kill(tmp_path, monkeypatch, "perturb 1", SUPERVISOR_NODE, delay=1.0)
 
-    assert_safe(done)
-    assert_told(done)
+    assert_safe_and_told(done, figures)
     assert done.status == -signal.SIGKILL
     assert_recorded(done)
 
@@ -348,7 +367,12 @@ LENGTH_OF_OTHERS = 0.1
     "phase", ["start", "configure", "activate", *TRIAL_PHASES, "done 2", "shutdown"]
 )
 def test_when_any_process_is_killed_at_any_moment_expect_the_others_safe(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phase: str, victim: str, moment: int
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    figures: Figures,
+    phase: str,
+    victim: str,
+    moment: int,
 ) -> None:
     delay = random.Random(f"{phase} {victim} {moment}").uniform(
         0.0, LENGTH.get(phase, LENGTH_OF_OTHERS)
@@ -361,7 +385,11 @@ def test_when_any_process_is_killed_at_any_moment_expect_the_others_safe(
     else:
         assert_named(done)
     if phase in TRIAL_PHASES:
-        assert_safe(done)
-        assert_told(done)
-    elif done.seen.torques:
-        assert done.after(done.seen.torques[-1]) < done.limit
+        assert_safe_and_told(done, figures)
+    else:
+        if done.seen.torques:
+            assert done.after(done.seen.torques[-1]) < done.limit
+        figures.add(
+            f"{victim} killed before the first trial or after the last",
+            until_the_end=(done.after(done.ended), "s"),
+        )

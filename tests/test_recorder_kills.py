@@ -19,6 +19,7 @@ from rosbags.highlevel import AnyReader
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_common.fault_figures import Figures
 from armimp_estimation.bags import iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.recording import BAGS
@@ -136,7 +137,9 @@ def test_when_killed_at_random_moments_expect_little_lost_and_an_estimate(tmp_pa
 
 @pytest.mark.faults
 @pytest.mark.timeout(1200)
-def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(tmp_path: Path) -> None:
+def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(
+    tmp_path: Path, figures: Figures
+) -> None:
     rng = random.Random(2)
     killed = kill_recorders(tmp_path, [rng.uniform(0.15, 4.0) for _ in range(20)])
 
@@ -145,7 +148,7 @@ def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(tmp_p
         assert finish_bag(one.bag)
         assert_other_readers_open(one.bag)
         assert assert_little_is_lost(one) == left
-        print(f"received {one.received}, left {left}, lost {one.received - left}")
+        figures.add("recorder killed", loss=(one.received - left, "ms"))
 
 
 def estimator_of(directory: Path) -> int:

@@ -68,6 +68,21 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
+def check_names(names: Sequence[str]) -> None:
+    """Check that there are benchmarks of these names.
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the first that there is not.
+    """
+    for name in names:
+        if name not in _BENCHMARKS:
+            raise ConfigurationError(
+                f"there is no benchmark {name!r}, only {', '.join(_BENCHMARKS)}"
+            )
+
+
 def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> dict[str, list[Measured]]:
     """Run benchmarks by name; none means all.
 
@@ -76,11 +91,7 @@ def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> dict[st
     ConfigurationError
         If there is no such benchmark.
     """
-    for name in names:
-        if name not in _BENCHMARKS:
-            raise ConfigurationError(
-                f"there is no benchmark {name!r}, only {', '.join(_BENCHMARKS)}"
-            )
+    check_names(names)
     return {name: _BENCHMARKS[name](tell) for name in dict.fromkeys(names or _BENCHMARKS)}
 
 
@@ -138,8 +149,8 @@ def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
     from rich.console import Console
 
     errors = Console(stderr=True, soft_wrap=True)
-    if (directory / BENCH_FILE).exists():
-        raise DataError(f"{directory / BENCH_FILE}: exists already")
+    check_names(names)
+    _require_place(directory)
     results = run_benchmarks(names, lambda text: errors.print(text, highlight=False))
     record = bench_record(results)
     path = write_bench(directory, record)
@@ -154,6 +165,19 @@ def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
             highlight=False,
         )
     return 1 if missed else 0
+
+
+def _require_place(directory: Path) -> None:
+    """Find out before anything is measured whether the figures can be stored."""
+    path = directory / BENCH_FILE
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        if path.exists():
+            raise DataError(f"{path}: exists already")
+        if not os.access(directory, os.W_OK):
+            raise DataError(f"{path}: cannot be written: no permission")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _print(results: dict[str, list[Measured]], path: Path) -> None:

@@ -1,9 +1,12 @@
-"""The command ``armimp``. Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage."""
+"""The command ``armimp``.
+
+Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupted by the user.
+"""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,10 +15,13 @@ import typer
 from typer.exceptions import TyperException
 
 from armimp_bringup.investigations.registry import find_investigation, investigations
-from armimp_common.errors import ArmimpError, ConfigurationError, DataError
+from armimp_common.errors import ArmimpError, ConfigurationError, DataError, InterruptionError
 
 if TYPE_CHECKING:
     from armimp_estimation.results import Summary
+
+_INTERRUPTED = 130
+"""What shells make of a program that SIGINT has ended; typer's own status for it, too."""
 
 app = typer.Typer(
     add_completion=False,
@@ -87,7 +93,8 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             on_progress=display.show,
             interrupted=stopped,
         )
-    return _present(summary, directory, json)
+        status = _present(summary, directory, json)
+    return _unless_stopped(status, stopped, directory)
 
 
 @app.command()
@@ -141,7 +148,8 @@ def replay(
             on_progress=display.show,
             interrupted=stopped,
         )
-    return _present(summary, out, json, bags)
+        status = _present(summary, out, json, bags)
+    return _unless_stopped(status, stopped, out)
 
 
 @app.command()
@@ -222,10 +230,9 @@ def investigate(
 
     run_investigation = find_investigation(name)
     directory = out if out is not None else _new_directory(name)
+    options = InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
     prepare_directory(directory)
-    return run_investigation(
-        InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
-    )
+    return run_investigation(options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -233,23 +240,35 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         status = app(args=arguments, prog_name="armimp", standalone_mode=False)
     except TyperException as error:
-        # Asking for nothing shows the help, which has many lines.
         message = error.format_message()
-        _say(message if "\n" in message else f"armimp: {message}")
+        if message.startswith("Usage: "):
+            # Asking for nothing shows the help, which has many lines.
+            print(message, file=sys.stderr)
+        else:
+            _say(f"armimp: {message}")
         return 2
     except ConfigurationError as error:
         _say(f"armimp: {error}")
         return 2
+    except InterruptionError as error:
+        _say(f"armimp: {error}")
+        return _INTERRUPTED
     except ArmimpError as error:
         _say(f"armimp: {error}")
         return 1
     except (KeyboardInterrupt, typer.Abort):
-        _say("armimp: interrupted")
-        return 1
+        status = _INTERRUPTED
+    except ImportError as error:
+        # So compiled modules put it when SIGINT comes while they are imported.
+        if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
+            raise
+        status = _INTERRUPTED
     except BrokenPipeError:
         # Whoever read the output has left, as `head` does.
         sys.stderr.close()
         return 1
+    if status == _INTERRUPTED:
+        _say("armimp: interrupted")
     return status if isinstance(status, int) else 0
 
 
@@ -285,12 +304,25 @@ def _present(
     return 0 if summary.valid and complete else 1
 
 
+def _unless_stopped(status: int, stopped: Callable[[], bool], directory: Path | None) -> int:
+    """Return the exit status of a graph that ran to its end."""
+    if stopped():
+        kept = "nothing is kept" if directory is None else f"what there is of it is in {directory}"
+        raise InterruptionError(f"interrupted; {kept}")
+    return status
+
+
 def _new_directory(what: str) -> Path:
     return Path("results") / f"{what}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
 def _say(line: str) -> None:
-    print(line, file=sys.stderr)
+    """Print a line, which stays one whatever is in the names and values that it quotes."""
+    shown = "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+        for letter in line
+    )
+    print(shown, file=sys.stderr)
 
 
 if __name__ == "__main__":

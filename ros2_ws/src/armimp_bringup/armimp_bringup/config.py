@@ -49,6 +49,19 @@ class ExperimentConfig(BaseModel):
     impedance_estimator: Overrides = Field(default={}, description="likewise")
 
 
+class _Loader(yaml.SafeLoader):
+    """The safe one, which lets errors of Python through where a text is not what it looks like."""
+
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        try:
+            return super().construct_object(node, deep=deep)
+        except (ValueError, LookupError, AttributeError):
+            kind = str(node.tag).rpartition(":")[2]
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{node.value!r:.60} is no {kind}", node.start_mark
+            ) from None
+
+
 def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConfig:
     """Read a YAML file, and let the given options prevail.
 
@@ -67,7 +80,7 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
     values: dict[str, Any] = {}
     if path is not None:
         try:
-            loaded = yaml.safe_load(path.read_text(encoding="utf-8"))
+            loaded = yaml.load(path.read_text(encoding="utf-8"), _Loader)
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror}") from None
         except UnicodeDecodeError:
@@ -75,6 +88,8 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
         except yaml.YAMLError as error:
             reason = " ".join(str(error).split())
             raise ConfigurationError(f"{path}: is not YAML: {reason}") from None
+        except RecursionError:
+            raise ConfigurationError(f"{path}: is nested too deeply") from None
         if loaded is not None and not isinstance(loaded, dict):
             raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
         values.update(loaded or {})

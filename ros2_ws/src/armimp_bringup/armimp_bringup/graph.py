@@ -22,6 +22,7 @@ from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
 from armimp_common.lifeline import Lifeline
+from armimp_common.sockets import reachable_from_outside
 from armimp_common.spin import Spinner
 
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
@@ -30,7 +31,8 @@ _MODULES = {
     CONTROLLER_NODE: "armimp_control.node",
     ESTIMATOR_NODE: "armimp_estimation.node",
 }
-_VARIABLES = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_DOMAIN_ID")
+_RANGE, _PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
+_OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
 _PATIENCE = 5.0
 
 
@@ -47,9 +49,12 @@ class NodeGroup(Protocol):
 class GraphContext:
     """A ROS context of its own, out of reach and hearing of everything else.
 
-    Discovery stays on the local host, in a domain that no other experiment has, unless the
-    environment or the caller chooses otherwise. Child processes inherit all that by environment
+    It lives in a domain that no other experiment has, and other machines cannot reach it, unless
+    the environment or the caller chooses otherwise. Child processes inherit all that by environment
     variables, which are as they were after `close`.
+
+    The range of discovery that ROS calls ``LOCALHOST`` is not enough: it finds nobody on other
+    machines, but its sockets are open to them.
 
     Parameters
     ----------
@@ -60,35 +65,46 @@ class GraphContext:
     def __init__(self, domain_id: int | None = None) -> None:
         self.claim = DomainClaim(domain_id)
         # Read by the middleware when the context is made; child processes inherit them.
-        variables = {
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_file("fastdds.xml")),
-            **os.environ,
-            "ROS_DOMAIN_ID": str(self.claim.domain_id),
-        }
-        self._before = {name: os.environ.get(name) for name in _VARIABLES}
-        os.environ.update({name: variables[name] for name in _VARIABLES})
+        variables = {**_reach(), _DOMAIN: str(self.claim.domain_id)}
+        self._before = {name: os.environ.get(name) for name in variables}
+        _set_variables(variables)
         self.context = Context()
         try:
-            rclpy.init(
-                args=[],
-                context=self.context,
-                domain_id=self.claim.domain_id,
-                signal_handler_options=SignalHandlerOptions.NO,
-            )
+            self._join()
+            if variables[_PROFILES] == _loopback() and self._is_open():
+                # The middleware reads profiles once in each process, and had done so before.
+                self.context.try_shutdown()
+                _set_variables({_RANGE: "LOCALHOST"})
+                self.context = Context()
+                self._join()
+                _set_variables(variables)
         except BaseException:
             self.close()
             raise
+
+    def _join(self) -> None:
+        rclpy.init(
+            args=[],
+            context=self.context,
+            domain_id=self.claim.domain_id,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+
+    def _is_open(self) -> bool:
+        """Whether other machines can reach this process; there are sockets only with a node."""
+        node = Node("armimp_socket_check", context=self.context, use_global_arguments=False)
+        try:
+            return bool(reachable_from_outside())
+        except OSError:  # no Linux
+            return True
+        finally:
+            node.destroy_node()
 
     def close(self) -> None:
         """Shut the context down, give the domain back, and restore the environment."""
         self.context.try_shutdown()
         self.claim.release()
-        for name, value in self._before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        _set_variables(self._before)
 
     def __enter__(self) -> GraphContext:
         return self
@@ -100,6 +116,30 @@ class GraphContext:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def _set_variables(variables: Mapping[str, str | None]) -> None:
+    for name, value in variables.items():
+        if value is None:
+            os.environ.pop(name, None)
+        else:
+            os.environ[name] = value
+
+
+def _loopback() -> str:
+    return str(config_file("fastdds_loopback.xml"))
+
+
+def _reach() -> dict[str, str | None]:
+    """Variables of the environment that say who can be heard and reached; None: not there."""
+    reach, profiles = os.environ.get(_RANGE, "LOCALHOST"), os.environ.get(_PROFILES)
+    if profiles is not None:
+        return {_RANGE: reach, _PROFILES: profiles}
+    if reach == "LOCALHOST":
+        # With this range, or the variable that was there before it, the middleware would put
+        # transports of its own in the place of those of the profile.
+        return {_RANGE: "SYSTEM_DEFAULT", _PROFILES: _loopback(), _OLD_RANGE: None}
+    return {_RANGE: reach, _PROFILES: str(config_file("fastdds.xml"))}
 
 
 class ComposedNodes:

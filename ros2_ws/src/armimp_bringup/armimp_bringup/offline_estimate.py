@@ -9,7 +9,7 @@ from pathlib import Path
 from armimp_common.errors import DataError
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, understand
 from armimp_estimation.gaps import GapConfig
 from armimp_estimation.parameters import EstimatorParameters
 
@@ -73,7 +73,7 @@ def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[Bag
     BagError
         If a bag can't be read.
     DataError
-        If the joints differ between them.
+        If the joints differ between them, or the metadata make no sense.
     """
     contents = []
     for path in bags:
@@ -86,4 +86,8 @@ def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[Bag
                 f"{content.path}: joints {', '.join(content.joint_names)} differ from "
                 f"{', '.join(contents[0].joint_names)} of {contents[0].path}"
             )
+    try:
+        understand(contents[0].metadata, len(contents[0].joint_names))
+    except DataError as error:
+        raise DataError(f"{contents[0].path}: {error}") from None
     return contents

@@ -1,12 +1,23 @@
 """The context of a graph: a domain of its own, and an environment that is given back."""
 
 import os
+import re
+import subprocess
+import sys
+from xml.etree import ElementTree
 
 import pytest
 
 from armimp_bringup.graph import GraphContext
+from armimp_bringup.resources import config_file
+from armimp_common.domain import DomainClaim
 
-VARIABLES = ("ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_DOMAIN_ID")
+VARIABLES = (
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "ROS_DOMAIN_ID",
+    "ROS_LOCALHOST_ONLY",
+)
 
 
 @pytest.mark.parametrize("value", [None, "77"])
@@ -21,18 +32,101 @@ def test_the_environment_is_as_it_was_after_the_context(
 
     with GraphContext() as graph:
         assert os.environ["ROS_DOMAIN_ID"] == str(graph.claim.domain_id)
-        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-        assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("fastdds.xml")
+        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "SYSTEM_DEFAULT"
+        assert os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"].endswith("fastdds_loopback.xml")
 
     assert dict(os.environ) == before
 
 
-def test_when_the_user_chose_the_range_of_discovery_expect_it_kept(
+@pytest.mark.parametrize(
+    ("reach", "profiles", "expected"),
+    [
+        ("LOCALHOST", None, ("SYSTEM_DEFAULT", "fastdds_loopback.xml")),
+        ("SUBNET", None, ("SUBNET", "fastdds.xml")),
+        ("OFF", None, ("OFF", "fastdds.xml")),
+        (None, "fastdds.xml", ("LOCALHOST", "fastdds.xml")),
+        ("SUBNET", "fastdds.xml", ("SUBNET", "fastdds.xml")),
+    ],
+)
+def test_when_the_user_chose_a_reach_or_a_profile_expect_it_kept(
     monkeypatch: pytest.MonkeyPatch,
+    reach: str | None,
+    profiles: str | None,
+    expected: tuple[str, str],
 ) -> None:
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")
+    given = {VARIABLES[0]: reach, VARIABLES[1]: profiles and str(config_file(profiles))}
+    for name, value in given.items():
+        monkeypatch.delenv(name, raising=False)
+        if value is not None:
+            monkeypatch.setenv(name, value)
 
     with GraphContext():
-        assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "OFF"
+        assert os.environ[VARIABLES[0]] == expected[0]
+        assert os.environ[VARIABLES[1]] == str(config_file(expected[1]))
 
-    assert os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "OFF"
+    assert {name: os.environ.get(name) for name in given} == given
+
+
+OPEN_BEFORE = """
+import os, rclpy
+from armimp_bringup.graph import GraphContext
+from armimp_common.sockets import endpoints
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
+rclpy.init(domain_id={domain})
+rclpy.create_node("before").destroy_node()
+rclpy.shutdown()
+del os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"]
+with GraphContext() as graph:
+    node = rclpy.create_node("after", context=graph.context)
+    print("ports", graph.claim.domain_id, *(one.port for one in endpoints()))
+    print("variable", os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"])
+    node.destroy_node()
+"""
+
+
+def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host_only(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+
+    with DomainClaim() as claim:
+        done = subprocess.run(
+            [sys.executable, "-c", OPEN_BEFORE.format(domain=claim.domain_id)],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    assert done.returncode == 0, done.stderr
+    ports, variable = done.stdout.splitlines()
+    domain, *found = (int(port) for port in ports.split()[1:])
+    # The port of a domain for multicast; its others follow.
+    assert found
+    assert 7400 + 250 * domain not in found
+    assert min(port for port in found if port >= 7400 + 250 * domain) < 7650 + 250 * domain
+    # Other processes have read nothing yet.
+    assert variable == "variable SYSTEM_DEFAULT"
+
+
+def test_both_profiles_are_the_same_but_for_how_far_they_reach() -> None:
+    def read(name: str) -> ElementTree.Element:
+        # Without the name space, for shorter paths.
+        text = re.sub(r' xmlns="[^"]+"', "", config_file(name).read_text(encoding="utf-8"))
+        return ElementTree.fromstring(text)
+
+    loopback, plain = read("fastdds_loopback.xml"), read("fastdds.xml")
+    for place, names in {
+        "profiles": ["transport_descriptors"],
+        "profiles/participant/rtps": ["userTransports", "useBuiltinTransports"],
+        "profiles/participant/rtps/builtin": ["metatrafficUnicastLocatorList", "initialPeersList"],
+    }.items():
+        parent = loopback.find(place)
+        assert parent is not None
+        for name in names:
+            child = parent.find(name)
+            assert child is not None
+            parent.remove(child)
+    for tree in (loopback, plain):
+        ElementTree.indent(tree)
+    assert ElementTree.tostring(loopback) == ElementTree.tostring(plain)

@@ -26,3 +26,7 @@ class DataError(ArmimpError):
 
 class GraphError(ArmimpError):
     """The node graph failed: discovery, a lifecycle transition, a dead node (exit status 1)."""
+
+
+class InterruptionError(ArmimpError):
+    """The user ended the work before it was done; says what is left of it (exit status 130)."""

@@ -7,7 +7,8 @@ that asks for a lease refuses every publisher which does not offer one, and few 
 
 A silent process of the same machine is looked up, since a busy machine may hold one up for long.
 
-A process does not watch itself: between nodes of one process nothing is reported.
+A process does not watch itself: the middleware lets the lease between two nodes of one process run
+out without a cause, and never renews it then.
 """
 
 from collections.abc import Callable
@@ -129,14 +130,16 @@ class Watch:
         self._process = message.data
 
     def _on_event(self, event: QoSLivelinessChangedInfo) -> None:
-        self._alive, self._silent = event.alive_count, event.not_alive_count
+        # Within one process the middleware counts below zero.
+        self._alive, self._silent = max(event.alive_count, 0), event.not_alive_count
         self._look()
 
     def _look(self) -> None:
-        mute = not self._alive and self._silent > 0
-        presence = self.presence.after(
-            self._alive, self._silent, lives(self._process) if mute else None
-        )
+        alive, silent = self._alive, self._silent
+        if silent and self._process and self._process == identity():
+            alive, silent = silent, 0
+        mute = not alive and silent > 0
+        presence = self.presence.after(alive, silent, lives(self._process) if mute else None)
         if presence is Presence.STALLED:
             self._timer.reset()
         else:

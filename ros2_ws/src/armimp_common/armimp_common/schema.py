@@ -91,15 +91,25 @@ class Leaf:
         if isinstance(item, enum.Enum):
             item = item.value
         if self.item is float and isinstance(item, int) and not isinstance(item, bool):
-            return float(item)
+            try:
+                return float(item)
+            except OverflowError:
+                raise self._too_large(value) from None
         if not isinstance(item, self.item) or (self.item is int and isinstance(item, bool)):
             raise self._wrong_type(value)
+        if self.item is int and not -(2**63) <= int(item) < 2**63:
+            raise self._too_large(value)
         return item
 
     def _wrong_type(self, value: object) -> ConfigurationError:
         article = "an" if self.item is int else "a"
         return ConfigurationError(
             f"parameter '{self.name}' = {_shown(value)}: should be {article} {self.type_name}"
+        )
+
+    def _too_large(self, value: object) -> ConfigurationError:
+        return ConfigurationError(
+            f"parameter '{self.name}' = {_shown(value)}: does not fit 64 bits"
         )
 
 
@@ -193,7 +203,8 @@ def check_names(names: Iterable[str], known: Iterable[str]) -> None:
 def explain(error: ValidationError) -> str:
     """Return pydantic's first complaint on one line: the parameter, its value, and why."""
     first = error.errors(include_url=False)[0]
-    name = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in first["loc"])[1:]
+    name = "".join(f"[{p}]" if isinstance(p, int) else f".{p}" for p in first["loc"])
+    name = name.removeprefix(".")
     reason = first["msg"].removeprefix("Value error, ").removeprefix("Assertion failed, ")
     reason = " ".join(reason.split())
     if first["type"] == "missing":

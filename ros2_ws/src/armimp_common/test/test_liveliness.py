@@ -5,6 +5,8 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from rclpy.context import Context
@@ -181,6 +183,20 @@ def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
         before = list(changes)
         a_moment(spinner, 2.0)
         assert changes == before
+
+
+def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay_alive(
+    node: Node, watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    sign = SignOfLife(node, "other")
+    eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+    # The binding of the event cannot be made by hand, but has the same attributes.
+    run_out: Any = SimpleNamespace(alive_count=0, not_alive_count=1)
+    watch._on_event(run_out)
+    assert watch.presence is Presence.ALIVE
+
+    node.destroy_publisher(sign.publisher)
+    eventually(spinner, lambda: watch.presence is Presence.LEFT, "the end")
 
 
 def test_ordinary_subscriptions_hear_a_sign_of_life_too(context: Context, node: Node) -> None:

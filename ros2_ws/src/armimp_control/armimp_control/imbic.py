@@ -110,15 +110,6 @@ class ImbicConfig:
                 raise ConfigurationError(
                     f"controller: target_inertia of joint {i + 1} must be positive, got {value}"
                 )
-        if not 0.0 <= self.lock_dither < np.inf:
-            raise ConfigurationError(
-                f"controller: lock_dither must not be negative, got {self.lock_dither}"
-            )
-        if not 0.0 < SECOND_TONE * self.lock_dither_frequency < 0.5 / self.period:
-            raise ConfigurationError(
-                "controller: lock_dither_frequency must lie between 0 and "
-                f"{0.5 / self.period / SECOND_TONE:.4g} Hz, got {self.lock_dither_frequency}"
-            )
         for name in (
             "lock_frequency",
             "lock_damping_ratio",
@@ -130,6 +121,15 @@ class ImbicConfig:
                 raise ConfigurationError(
                     f"controller: {name} must be positive, got {getattr(self, name)}"
                 )
+        if not 0.0 <= self.lock_dither < np.inf:
+            raise ConfigurationError(
+                f"controller: lock_dither must not be negative, got {self.lock_dither}"
+            )
+        if not 0.0 < SECOND_TONE * self.lock_dither_frequency < 0.5 / self.period:
+            raise ConfigurationError(
+                "controller: lock_dither_frequency must lie between 0 and "
+                f"{0.5 / self.period / SECOND_TONE:.4g} Hz, got {self.lock_dither_frequency}"
+            )
 
     @property
     def joints(self) -> int:

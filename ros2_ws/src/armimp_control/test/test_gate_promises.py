@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.fault_figures import Figures
 from armimp_control import gate_campaign, presets
 from armimp_control.gate import RAMP, RATE, RULE_ROWS, STOPS, TORQUE
 from armimp_control.gate_campaign import PROMISES, campaign
@@ -91,6 +93,19 @@ def test_hundred_thousand_random_sequences_break_no_promise() -> None:
     assert result.faults > 50_000
     assert result.poisoned > 50_000
     assert result.clipped > 1_000_000
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(1200)
+def test_million_random_sequences_break_no_promise(figures: Figures) -> None:
+    result = campaign(1_000_000, seed=1)
+    assert result.violations == dict.fromkeys(PROMISES, 0)
+    figures.add(
+        "gate fed a random sequence of 80 ticks",
+        result.sequences,
+        faults_latched=(result.faults, ""),
+        broken_promises=(sum(result.violations.values()), ""),
+    )
 
 
 def test_campaigns_of_one_seed_are_equal_and_of_another_differ() -> None:

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 PERIOD, GAMMA = 1e-3, 70.0
 
 
-def _config(n: int = 2) -> ImbicConfig:
+def _config(n: int = 2, dither: float = 0.0) -> ImbicConfig:
     random = np.random.default_rng(n)
     return ImbicConfig(
         target_posture=random.uniform(-1.0, 1.0, n),
@@ -30,16 +30,24 @@ def _config(n: int = 2) -> ImbicConfig:
         lock_damping_ratio=0.8,
         gamma=GAMMA,
         period=PERIOD,
+        lock_approach=0.02,
+        lock_dither=dither,
+        lock_dither_frequency=30.0,
     )
 
 
 @dataclass
 class Transcription:
-    """Equations 4 to 8 as they stand in the design, with whole histories instead of a memory."""
+    """Equations 4 to 8 as they stand in the design, with whole histories instead of a memory.
+
+    The target of a joint that has been locked since tick j is θ_rd plus what is left of its
+    distance at that tick, plus the dither.
+    """
 
     config: ImbicConfig
     limit: float
     positions: list[Array] = field(default_factory=list)
+    perturbed: list[int] = field(default_factory=list)
     accelerations: list[Array] = field(default_factory=list)
     sent: list[Array] = field(default_factory=list)
 
@@ -50,6 +58,7 @@ class Transcription:
             self.sent = [np.zeros(n)]
         self.positions.append(theta.copy())
         now, last, before = self.positions[-1], self.positions[-2], self.positions[-3]
+        self.perturbed.append(perturbed)
         velocity = (now - last) / PERIOD
         delayed_acceleration = (now - 2.0 * last + before) / PERIOD**2
         u = np.zeros(n)
@@ -59,7 +68,7 @@ class Transcription:
                 damping, stiffness, felt = c.target_damping[i], c.target_stiffness[i], tau_h[i]
             else:
                 damping, stiffness, felt = 2 * 0.8 * 90.0 * inertia, 90.0**2 * inertia, 0.0
-            deflection = theta[i] - c.target_posture[i]
+            deflection = theta[i] - (c.target_posture[i] if i == perturbed else self.goal(i))
             u[i] = (tau_delta[i] - felt - damping * velocity[i] - stiffness * deflection) / inertia
         self.accelerations.append(u)
         ideal_velocity = PERIOD * np.sum(self.accelerations, axis=0)
@@ -67,11 +76,26 @@ class Transcription:
         self.sent.append(np.clip(self.sent[-1] + change, -self.limit, self.limit))
         return self.sent[-1]
 
+    def goal(self, joint: int) -> float:
+        """Target of a locked joint, rad."""
+        c, ticks = self.config, len(self.perturbed) - 1
+        yielding = [tick for tick, k in enumerate(self.perturbed) if k == joint]
+        since = yielding[-1] + 1 if yielding else 0
+        rest = float(c.target_posture[joint])
+        distance = float(self.positions[since + 2][joint]) - rest
+        approach = distance * np.exp(-PERIOD * (ticks - since) / 0.02)
+        # Amplitude of the target for a joint that follows as a low-pass of 90 rad/s, ζ = 0.8.
+        s = 2j * np.pi * 30.0 * np.sqrt(1.3)
+        amplitude = c.lock_dither * abs(s**2 + 2 * 0.8 * 90.0 * s + 90.0**2) / 90.0**2
+        angle = 2.0 * np.pi * 30.0 * PERIOD * ticks
+        return float(rest + approach + amplitude * (np.sin(angle) + np.sin(1.3 * angle)))
 
+
+@pytest.mark.parametrize("dither", [0.0, 2e-4])
 @pytest.mark.parametrize("limit", [1e9, 6.0])
 @pytest.mark.parametrize("n", [1, 2, 3, 7])
-def test_law_is_that_of_the_design(n: int, limit: float) -> None:
-    config = _config(n)
+def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
+    config = _config(n, dither)
     controller, expected = (
         Controller(config, safety=torque_only(limit)),
         Transcription(config, limit),
@@ -119,8 +143,8 @@ def test_first_tick_away_from_the_target_takes_the_position_for_rest() -> None:
     controller = Controller(config, safety=torque_only(1e9))
     deflection = np.array([0.02, -0.01])
     controller.tick(config.target_posture + deflection, np.zeros(2), np.zeros(2))
-    role = config.role(0)
-    u = -role[3] * deflection / role[1]
+    # The locked joint has its target where it is.
+    u = np.array([-config.target_stiffness[0] * deflection[0] / config.target_inertia[0], 0.0])
     # No velocity and no acceleration: a kick from a jump 0 → θ would be 1e4 times larger.
     assert controller.command == pytest.approx(
         config.model_inertia @ (u * (1.0 + GAMMA * PERIOD)), rel=1e-9
@@ -187,6 +211,7 @@ def test_roles_hold_the_soft_target_for_one_joint_and_the_stiff_one_for_the_othe
     assert rows[3] == pytest.approx(
         [90.0**2 * inertia[0], config.target_stiffness[1], 90.0**2 * inertia[2]]
     )
+    assert rows.shape == (7, 3)
 
 
 def test_changing_roles_at_rest_in_the_target_does_not_move_the_command() -> None:

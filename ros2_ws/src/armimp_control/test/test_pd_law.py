@@ -16,6 +16,7 @@ from armimp_common.schema import build, flatten
 from armimp_control.experiment import Experiment
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
+from armimp_control.layout import DAMPING, DITHER, STIFFNESS
 from armimp_control.parameters import ControllerParameters
 from armimp_control.pd import PdConfig
 from armimp_control.stability import check_stability, spectral_radius
@@ -106,9 +107,14 @@ def test_torque_sensors_have_no_part_in_it() -> None:
 
 def test_when_all_joints_yield_expect_none_to_be_locked() -> None:
     config = _config(3)
-    _, _, damping, stiffness = config.role(None)
-    assert np.array_equal(damping, config.target_damping)
-    assert np.array_equal(stiffness, config.target_stiffness)
+    rows = config.role(None)
+    assert np.array_equal(rows[DAMPING], config.target_damping)
+    assert np.array_equal(rows[STIFFNESS], config.target_stiffness)
+
+
+@pytest.mark.parametrize("perturbed", [None, 0, 2])
+def test_no_joint_has_a_dither(perturbed: int | None) -> None:
+    assert np.array_equal(_config(3).role(perturbed)[DITHER], np.zeros(3))
 
 
 def test_first_tick_takes_the_position_for_rest_and_so_does_the_one_after_a_reset() -> None:

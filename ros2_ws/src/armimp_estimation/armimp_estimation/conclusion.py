@@ -35,6 +35,9 @@ FRF_FILE = "frf.npz"
 TIMING_KEY = "torque_timing"
 """Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
 
+_LARGEST_TRUTH = 1e12
+"""Far beyond any arm, far from where squares and products would overflow; SI units."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FinishedTrial:
@@ -120,11 +123,16 @@ def conclude(
     ------
     ConfigurationError
         If an estimator does not exist.
+    DataError
+        If the metadata make no sense.
     """
     found = list(problems)
     options = gaps if gaps is not None else GapConfig()
     identification = None
-    truth = truth_of(metadata)
+    told = understand(metadata, joints)
+    truth, seed = told.truth, told.seed
+    if seed is None and trials:
+        seed = trials[0].assembled.window.seed
     try:
         parts = [trial.assembled.intact(allow_gaps=options.allow) for trial in trials]
         if config is None:
@@ -136,11 +144,10 @@ def conclude(
         found += [problem for one in trials for problem in judge_gaps(one.assembled, options)]
     except DataError as error:
         found.append(str(error))
-    seed = _seed_of(trials, metadata)
     if identification is None:
         return Conclusion(
             summary=Summary(
-                config=_parsed(metadata, "config", {}),
+                config=told.config,
                 joints=joints,
                 seed=seed,
                 valid=False,
@@ -155,11 +162,56 @@ def conclude(
     summary = summarise(
         identification,
         ledgers,
-        config=_parsed(metadata, "config", {}),
+        config=told.config,
         seed=seed,
         problems=tuple(found),
     )
     return Conclusion(summary=summary, identification=identification)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Told:
+    """What the metadata of a bag tell of its experiment.
+
+    Attributes
+    ----------
+    config : dict
+        Configuration; empty if they do not know it.
+    truth : MBK or None
+        True matrices, as far as there are any.
+    seed : int or None
+        Of all random signals.
+    """
+
+    config: dict[str, Any]
+    truth: MBK | None
+    seed: int | None
+
+
+def understand(metadata: Mapping[str, str], joints: int) -> Told:
+    """Read what the metadata of a bag tell of its experiment.
+
+    Parameters
+    ----------
+    metadata : mapping of str to str
+        May be empty.
+    joints : int
+        Number of joints n of the data.
+
+    Raises
+    ------
+    DataError
+        If something is there, but makes no sense.
+    """
+    config = _parsed(metadata, "config", {})
+    if not isinstance(config, dict):
+        raise DataError(f"metadata: config is not a JSON object: {metadata['config'][:60]!r}")
+    truth = truth_of(metadata)
+    if truth is not None and truth.joints != joints:
+        raise DataError(f"metadata: truth is of {truth.joints} joints, the data of {joints}")
+    seed = _parsed(metadata, "seed", None)
+    whole = isinstance(seed, int) and not isinstance(seed, bool)
+    return Told(config=config, truth=truth, seed=seed if whole else None)
 
 
 def truth_of(metadata: Mapping[str, str]) -> MBK | None:
@@ -174,9 +226,13 @@ def truth_of(metadata: Mapping[str, str]) -> MBK | None:
     if truth is None:
         return None
     try:
-        return MBK(**{name: np.array(truth[name], dtype=np.float64) for name in ("M", "B", "K")})
-    except (KeyError, TypeError, ValueError, ArmimpError) as error:
+        found = MBK(**{name: np.array(truth[name], dtype=np.float64) for name in ("M", "B", "K")})
+    except (LookupError, TypeError, ValueError, OverflowError, ArmimpError) as error:
         raise DataError(f"metadata: truth is not three matrices M, B, K: {error}") from None
+    largest = max(float(np.max(np.abs(matrix))) for matrix in (found.M, found.B, found.K))
+    if not largest < _LARGEST_TRUTH:
+        raise DataError(f"metadata: truth has an element of {largest:g}, which no arm has")
+    return found
 
 
 def timing_of(metadata: Mapping[str, str]) -> TorqueTiming:
@@ -198,16 +254,12 @@ def _parsed(metadata: Mapping[str, str], key: str, default: Any) -> Any:
     if key not in metadata:
         return default
     try:
-        return json.loads(metadata[key])
-    except ValueError:
+        value = json.loads(metadata[key])
+        # Half a surrogate pair can be read, but not be written again.
+        json.dumps(value, ensure_ascii=False).encode()
+    except (ValueError, RecursionError):
         raise DataError(f"metadata: {key} is not JSON: {metadata[key][:60]!r}") from None
-
-
-def _seed_of(trials: Sequence[FinishedTrial], metadata: Mapping[str, str]) -> int | None:
-    seed = _parsed(metadata, "seed", None)
-    if isinstance(seed, int):
-        return seed
-    return trials[0].assembled.window.seed if trials else None
+    return value
 
 
 def _ledger(trial: FinishedTrial) -> TrialLedger:

@@ -67,7 +67,7 @@ class EstimatorParameters(Schema):
                 )
         try:
             values = json.loads(self.metadata)
-        except ValueError:
+        except (ValueError, RecursionError):
             values = None
         if not isinstance(values, dict) or not all(isinstance(v, str) for v in values.values()):
             raise ConfigurationError(

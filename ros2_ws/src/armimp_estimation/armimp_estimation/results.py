@@ -2,17 +2,25 @@
 
 import math
 import os
-import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    model_validator,
+)
 
 from armimp_common.errors import DataError
+from armimp_estimation.curve_checks import UNREADABLE, check_curve
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.mbk import MBK
@@ -155,13 +163,38 @@ class Summary(_Model):
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     config: dict[str, JsonValue]
-    joints: int
+    joints: int = Field(ge=1)
     seed: int | None
     valid: bool
     problems: list[str]
     trials: list[TrialSummary]
     estimators: dict[str, EstimatorSummary]
     truth: TruthSummary | None
+
+    @model_validator(mode="after")
+    def _check_shapes(self) -> "Summary":
+        for name, estimator in self.estimators.items():
+            self._check_matrices(f"estimators.{name}", estimator)
+            self._check_length(f"estimators.{name}.coherence_motion", estimator.coherence_motion)
+        if self.truth is not None:
+            self._check_matrices("truth", self.truth)
+        for number, trial in enumerate(self.trials):
+            if not 1 <= trial.k <= self.joints:
+                raise ValueError(f"trials.{number}.k = {trial.k} is none of {self.joints} joints")
+            self._check_length(f"trials.{number}.lock_ratio", trial.lock_ratio)
+            self._check_length(f"trials.{number}.bias_bound", trial.bias_bound)
+        return self
+
+    def _check_matrices(self, name: str, part: _Model) -> None:
+        for field, value in part:
+            if field != "coherence_motion" and value is not None:
+                self._check_length(f"{name}.{field}", value)
+                for row in value:
+                    self._check_length(f"a row of {name}.{field}", row)
+
+    def _check_length(self, name: str, values: Sized) -> None:
+        if len(values) != self.joints:
+            raise ValueError(f"{name} has {len(values)} values for {self.joints} joints")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,9 +302,14 @@ def read_summary(path: Path) -> Summary:
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from error
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"])) or "content"
-        raise DataError(f"{path}: not a summary: {where}: {first['msg']}") from error
+        raise DataError(f"{path}: not a summary: {first_complaint(error)}") from error
+
+
+def first_complaint(error: ValidationError) -> str:
+    """Return the first thing that is wrong with a JSON file, on one line: the place and why."""
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"])) or "content"
+    return f"{where}: {' '.join(first['msg'].removeprefix('Value error, ').split())}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -338,7 +376,7 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
         # Opened here, as numpy leaves a file that it cannot read open.
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             names = [key[2:] for key in file.files if key.startswith("Z_")]
-            return {
+            curves = {
                 name: ImpedanceCurve(
                     f=file[f"f_{name}" if f"f_{name}" in file.files else "f"],
                     Z=file[f"Z_{name}"],
@@ -347,9 +385,12 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
                 )
                 for name in names
             }
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        reason = " ".join(str(error).split())
+        for name, curve in curves.items():
+            check_curve(name, curve.f, curve.Z, curve.variance)
+    except UNREADABLE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
         raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
+    return curves
 
 
 def _write_new(path: Path, write: Callable[[Path], object]) -> None:

@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from armimp_common import contract
 from armimp_common.errors import BagError, DataError
+from armimp_common.fault_figures import Figures
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.synthetic import synthetic_recording
 from armimp_estimation.record import TrialRecord
@@ -211,7 +212,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.faults
 @pytest.mark.timeout(1200)
 class TestEveryByte:
-    def test_cut_at_every_byte_it_is_read_up_to_there(self, small: Path, tmp_path: Path) -> None:
+    def test_cut_at_every_byte_it_is_read_up_to_there(
+        self, small: Path, tmp_path: Path, figures: Figures
+    ) -> None:
         whole = storage_file(small).read_bytes()
         file = tmp_path / "bag.mcap"
         samples: list[int] = []
@@ -219,28 +222,42 @@ class TestEveryByte:
             file.write_bytes(whole[:size])
             samples.append(samples_or_refusal(file))
         assert samples == sorted(samples)
-        assert sorted(set(samples)) == [0, 50, 60]
+        steps = sorted(set(samples))
+        assert steps == [0, 50, 60]
+        figures.add(
+            "bag cut at every byte",
+            len(samples),
+            loss_before_the_cut=(float(max(np.diff(steps))), "ms"),
+        )
 
     def test_metadata_cut_at_every_byte_is_used_or_refused(
-        self, small: Path, tmp_path: Path
+        self, small: Path, tmp_path: Path, figures: Figures
     ) -> None:
         bag = tmp_path / "bag"
         shutil.copytree(small, bag)
         whole = (bag / "metadata.yaml").read_bytes()
+        refused = 0
         for size in range(len(whole)):
             (bag / "metadata.yaml").write_bytes(whole[:size])
-            assert samples_or_refusal(bag) in (0, 60)
+            samples = samples_or_refusal(bag)
+            assert samples in (0, 60)
+            refused += samples == 0
+        figures.add("metadata.yaml cut at every byte", len(whole), refused=(refused, ""))
 
     def test_every_byte_with_one_bit_flipped_is_read_or_refused(
-        self, small: Path, tmp_path: Path
+        self, small: Path, tmp_path: Path, figures: Figures
     ) -> None:
         whole = storage_file(small).read_bytes()
         file = tmp_path / "bag.mcap"
+        refused = 0
         for where in range(len(whole)):
             changed = bytearray(whole)
             changed[where] ^= 1 << (where % 8)
             file.write_bytes(changed)
-            assert samples_or_refusal(file) in (0, 50, 60)
+            samples = samples_or_refusal(file)
+            assert samples in (0, 50, 60)
+            refused += samples == 0
+        figures.add("one bit of a bag flipped, in every byte", len(whole), refused=(refused, ""))
 
     def test_tail_of_zeros_as_after_a_loss_of_power_is_read_or_refused(
         self, small: Path, tmp_path: Path

@@ -10,6 +10,7 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 
 from armimp_common import contract
 from armimp_common.errors import BagError
+from armimp_common.fault_figures import Figures
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
@@ -178,7 +179,8 @@ def cut_at(whole: bytes, size: int, path: Path) -> int:
     return len(after)
 
 
-def sweep(tmp_path: Path, step: int) -> None:
+def sweep(tmp_path: Path, step: int) -> int:
+    """Cut an unfinished bag every so many bytes: how often."""
     path = unfinished(tmp_path / "bag", MESSAGES[:300])
     whole = (path / "bag_0.mcap").read_bytes()
     counts = [cut_at(whole, size, path) for size in [*range(0, len(whole), step), len(whole)]]
@@ -186,6 +188,7 @@ def sweep(tmp_path: Path, step: int) -> None:
     assert counts[0] == -1
     assert counts[-1] == 300 - LOST
     assert len(set(counts)) == 4  # no header; no message; one chunk; both
+    return len(counts)
 
 
 def test_file_cut_anywhere_is_finished_up_to_the_cut(tmp_path: Path) -> None:
@@ -194,8 +197,10 @@ def test_file_cut_anywhere_is_finished_up_to_the_cut(tmp_path: Path) -> None:
 
 @pytest.mark.faults
 @pytest.mark.timeout(1200)
-def test_file_cut_at_many_more_places_is_finished_up_to_the_cut(tmp_path: Path) -> None:
-    sweep(tmp_path, 13)
+def test_file_cut_at_many_more_places_is_finished_up_to_the_cut(
+    tmp_path: Path, figures: Figures
+) -> None:
+    figures.add("bag of a killed recorder cut, then finished", sweep(tmp_path, 13))
 
 
 def test_damaged_bag_is_left_for_the_reader_to_refuse(tmp_path: Path) -> None:

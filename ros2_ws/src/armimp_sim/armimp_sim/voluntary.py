@@ -50,6 +50,28 @@ def _low_pass(cutoff: float, period: float) -> tuple[NDArray[np.float64], float]
     return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
 
 
+def power_spectrum(
+    config: VoluntaryConfig, f: NDArray[np.float64], period: float
+) -> NDArray[np.float64]:
+    """Power of each sample of d by frequency; its mean over all frequencies is the variance.
+
+    Parameters
+    ----------
+    config : VoluntaryConfig
+    f : (n_freq,) Hz
+    period : s, between ticks
+
+    Returns
+    -------
+    (n_freq,) NDArray
+        (N·m)², two-sided.
+    """
+    sos, passed = _low_pass(config.cutoff, period)
+    _, response = signal.freqz_sos(sos, worN=f, fs=1.0 / period)
+    power: NDArray[np.float64] = np.abs(config.rms / passed * response) ** 2
+    return power
+
+
 class VoluntaryTorque:
     """An endless, reproducible stream of d, one value per joint and tick.
 

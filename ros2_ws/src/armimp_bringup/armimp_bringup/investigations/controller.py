@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import numpy as np
 
@@ -30,8 +30,6 @@ from armimp_bringup.study.conditions import Condition, parse_seeds
 from armimp_bringup.study.engine import Batch, Provenance, condition_config, estimate_condition
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.plant import IntegrationError
-
-Work = TypeVar("Work")
 
 MODEL, GAMMA, LOCK, DITHER = "model_factor", "gamma", "lock_frequency", "lock_dither"
 PARAMETERS: Final[Mapping[str, str]] = {
@@ -60,7 +58,7 @@ class ControllerPlan:
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
     )
-    seeds: str = "0:8"
+    seeds: str = "0:24"
     perturbations: tuple[int, ...] = (1, 3)
     voluntary: tuple[float, ...] = (0.0, 0.3)
     values: Mapping[str, tuple[float, ...]] = field(
@@ -208,7 +206,7 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
     ----------
     options : InvestigationOptions
     plan : ControllerPlan, optional
-        By default 8 seeds of 50 s trials at friction and resolution level 3.
+        By default 24 seeds of 50 s trials at friction and resolution level 3.
 
     Returns
     -------

@@ -12,14 +12,14 @@ _LINES: Final[tuple[Any, ...]] = ("-", "--", ":", "-.")
 _ROWS: Final[tuple[tuple[str, Callable[[Cell], float]], ...]] = (
     ("rms error of M (%)", lambda cell: 100.0 * float(cell.rms[0])),
     ("rms error of B (%)", lambda cell: 100.0 * float(cell.rms[1])),
-    ("lock ratio", lambda cell: cell.lock_ratio),
+    ("bias by the lock (%)", lambda cell: 100.0 * cell.lock_bias),
 )
 
 
 def controller_figure(
     cells: Sequence[Cell], defaults: Mapping[str, float], names: Mapping[str, str]
 ) -> Any:
-    """Errors and lock ratio over each of the parameters.
+    """Errors, and the bias that motion of locked joints may cause, over each of the parameters.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def controller_figure(
     ] or list(names)
     places = list(dict.fromkeys(cell.place for cell in cells))
     estimators = list(dict.fromkeys(cell.estimator for cell in cells))
-    figure = Figure(figsize=(WIDTH, 5.0), layout="constrained")
+    figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
     axes = figure.subplots(len(_ROWS), len(varied), sharey="row", sharex="col", squeeze=False)
     for column, name in enumerate(varied):
         for row, (label, value) in enumerate(_ROWS):

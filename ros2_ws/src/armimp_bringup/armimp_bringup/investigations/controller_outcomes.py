@@ -50,6 +50,7 @@ class Outcome:
     errors : (3, n, n) of M, B and K, relative to each element
     vaf, coherence : smallest of all elements: %, and mean derived coherence
     lock_ratio : largest of all locked joints
+    lock_bias : bias that their motion may cause, relative, that of the worst element of Z
     command_step : rms of the change of the commands from tick to tick, N·m
     largest_command : N·m
     clipped : number of clipped joint commands
@@ -60,6 +61,7 @@ class Outcome:
     vaf: float
     coherence: float
     lock_ratio: float
+    lock_bias: float
     command_step: float
     largest_command: float
     clipped: int
@@ -89,6 +91,7 @@ class Outcome:
                 for joint, ratio in enumerate(trial.lock_ratio, start=1)
                 if joint != trial.k
             ),
+            lock_bias=max(max(trial.bias_bound) for trial in entry.trials),
             command_step=float(root_mean_square(steps)),
             largest_command=max(float(np.max(np.abs(one.command))) for one in trials),
             clipped=sum(one.clipped for one in trials),
@@ -107,7 +110,7 @@ class Cell:
     uncertainty : (3,) standard error of that mean
     rms, worst : (3,) errors of all elements and seeds
     vaf, coherence : smallest of all elements and seeds
-    lock_ratio, largest_command : largest of all seeds
+    lock_ratio, lock_bias, largest_command : largest of all seeds
     command_step : rms, N·m
     clipped : number of clipped joint commands
     """
@@ -124,6 +127,7 @@ class Cell:
     vaf: float
     coherence: float
     lock_ratio: float
+    lock_bias: float
     command_step: float
     largest_command: float
     clipped: int
@@ -163,6 +167,7 @@ class Cell:
             vaf=min((one.vaf for one in outcomes), default=np.nan),
             coherence=min((one.coherence for one in outcomes), default=np.nan),
             lock_ratio=max((one.lock_ratio for one in outcomes), default=np.nan),
+            lock_bias=max((one.lock_bias for one in outcomes), default=np.nan),
             command_step=float(root_mean_square(np.array([one.command_step for one in outcomes])))
             if outcomes
             else np.nan,
@@ -193,6 +198,7 @@ class Cell:
             "worst_vaf": self.vaf,
             "worst_coherence": self.coherence,
             "worst_lock_ratio": self.lock_ratio,
+            "worst_lock_bias": 100.0 * self.lock_bias,
             "command_step_rms": self.command_step,
             "largest_command": self.largest_command,
             "clipped": self.clipped,

@@ -29,7 +29,16 @@ def print_cells(
             f"{estimator}, {place}, {seeds} seeds; errors in %",
             (
                 *("setting", "rms M", "B", "K", "worst M", "B", "K", "bias M", "B", "K"),
-                *("VAF %", "coherence", "lock ratio", "step N·m", "largest N·m", "clips", "lost"),
+                *(
+                    "VAF %",
+                    "coherence",
+                    "lock ratio",
+                    "lock bias",
+                    "step N·m",
+                    "largest N·m",
+                    "clips",
+                    "lost",
+                ),
             ),
             [
                 (
@@ -39,6 +48,7 @@ def print_cells(
                     f"{cell.vaf:.3f}",
                     f"{cell.coherence:.4f}",
                     f"{cell.lock_ratio:.4f}",
+                    f"{100.0 * cell.lock_bias:.2f}",
                     f"{cell.command_step:.1f}",
                     f"{cell.largest_command:.0f}",
                     f"{cell.clipped}",
@@ -47,7 +57,8 @@ def print_cells(
                 for cell in cells
                 if (cell.place, cell.estimator) == (place, estimator)
             ],
-            "bias: mean over the seeds, of the worst element; VAF, coherence, lock ratio: worst; "
+            "bias: mean over the seeds, of the worst element; VAF, coherence, lock ratio: worst;\n"
+            "lock bias: of Z, that the motion of locked joints may cause, in %; "
             "lost: runs that were stopped",
         )
     for setting, reason in refused.items():

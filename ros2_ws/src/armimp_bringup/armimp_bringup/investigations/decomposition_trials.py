@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
@@ -16,6 +15,7 @@ from pydantic import JsonValue
 from armimp_bringup.benchmarks import available_cores
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline, run_together
+from armimp_bringup.study.backends import as_ready
 from armimp_bringup.study.engine import RATE
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError
@@ -39,10 +39,9 @@ JOINT_BY_JOINT: Final = ("direct", "welch_siso", "welch_full", "lpm_full")
 MIMO: Final = "mimo"
 ESTIMATORS: Final = (*JOINT_BY_JOINT, MIMO)
 
-# Far beyond what happens. With the default limits, a voluntary torque at the largest perturbation
-# exceeds the speed, and the torque with which a joint that is away from its posture is locked
-# saturates, so that the lock is lost.
-_NO_LIMITS: Final[dict[str, JsonValue]] = {
+# Far beyond what happens. The default limits are made for one joint that yields: when all seven do,
+# every joint is moved by the others too, commands saturate and the last joint gets too fast.
+_LIMITS_FOR_ALL_AT_ONCE: Final[dict[str, JsonValue]] = {
     "safety.position_limit": [10.0],
     "safety.velocity_limit": [1000.0],
     "safety.torque_limit": 300.0,
@@ -112,6 +111,8 @@ def joint_by_joint(configs: Sequence[ExperimentConfig]) -> list[Experiment]:
 def all_at_once(configs: Sequence[ExperimentConfig], correlation: float = 0.0) -> list[Experiment]:
     """Experiments of the same length, n trials in each of which all joints are perturbed.
 
+    The safety gate leaves them alone.
+
     Parameters
     ----------
     configs : as for :func:`joint_by_joint`
@@ -122,12 +123,18 @@ def all_at_once(configs: Sequence[ExperimentConfig], correlation: float = 0.0) -
     ConfigurationError, IntegrationError
         As :func:`joint_by_joint`, and if there are no perturbations with this correlation.
     """
-    parameters = [node_parameters(one, None) for one in configs]
+    free = [
+        one.model_copy(
+            update={"imbic_controller": {**one.imbic_controller, **_LIMITS_FOR_ALL_AT_ONCE}}
+        )
+        for one in configs
+    ]
+    parameters = [node_parameters(one, None) for one in free]
     rigs = [one.rig() for one in parameters]
     mixing = [input_mixing(rig.perturbation.peak, correlation) for rig in rigs]
     n = configs[0].joints
     trials = run_together(rigs, trials=n, mixing=mixing if correlation else None)
-    return _experiments(configs, parameters, trials)
+    return _experiments(free, parameters, trials)
 
 
 def input_mixing(peak: Sequence[float], correlation: float) -> FloatArray:
@@ -198,15 +205,9 @@ def estimate(
 def with_voluntary(
     base: ExperimentConfig, rms: float, seeds: Sequence[int]
 ) -> list[ExperimentConfig]:
-    """Configurations with a voluntary torque, N·m rms; one for each seed.
-
-    The safety gate leaves them alone: estimators are compared, not limits.
-    """
-    update = {
-        "arm_sim": {**base.arm_sim, "voluntary.rms": rms},
-        "imbic_controller": {**base.imbic_controller, **_NO_LIMITS},
-    }
-    return [base.model_copy(update={**update, "seed": seed}) for seed in seeds]
+    """Configurations with a voluntary torque, N·m rms; one for each seed."""
+    person = {**base.arm_sim, "voluntary.rms": rms}
+    return [base.model_copy(update={"arm_sim": person, "seed": seed}) for seed in seeds]
 
 
 def in_threads(
@@ -221,12 +222,18 @@ def in_threads(
     """
     if workers is not None and workers < 1:
         raise ConfigurationError(f"--workers must be at least 1, got {workers}")
-    with ThreadPoolExecutor(workers if workers is not None else available_cores()) as pool:
-        try:
-            yield from pool.map(work, tasks)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+
+    def numbered(task: tuple[int, Work]) -> tuple[int, Result]:
+        return task[0], work(task[1])
+
+    threads = workers if workers is not None else available_cores()
+    early: dict[int, Result] = {}
+    due = 0
+    for number, result in as_ready(numbered, list(enumerate(tasks)), threads):
+        early[number] = result
+        while due in early:
+            yield early.pop(due)
+            due += 1
 
 
 def in_blocks(runs: Sequence[Work]) -> list[tuple[Work, ...]]:

@@ -7,13 +7,15 @@ import importlib
 import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from armimp_bringup.study.engine import Batch, ConditionResult, run_batch
 from armimp_bringup.study.errors import StudyError
 from armimp_common.errors import ConfigurationError
 
 Results = list[ConditionResult]
+Task = TypeVar("Task")
+Done = TypeVar("Done")
 _CONNECT_TIMEOUT = 10.0  # s
 
 
@@ -33,10 +35,44 @@ class Backend(Protocol):
         ...
 
 
+def as_ready(work: Callable[[Task], Done], tasks: Sequence[Task], workers: int) -> Iterator[Done]:
+    """Results of the tasks from threads of this process, in the order in which they are ready.
+
+    The threads are daemons, so that nothing waits for a task that nobody wants any more. The first
+    error of a task is raised, and ends the others.
+    """
+    waiting: queue.SimpleQueue[Task] = queue.SimpleQueue()
+    done: queue.SimpleQueue[tuple[Done] | BaseException] = queue.SimpleQueue()
+    for task in tasks:
+        waiting.put(task)
+    stop = threading.Event()
+
+    def work_off() -> None:
+        while not stop.is_set():
+            try:
+                task = waiting.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                done.put((work(task),))
+            except BaseException as error:  # noqa: BLE001 (raised again by the other thread)
+                done.put(error)
+                return
+
+    for _ in range(min(workers, len(tasks))):
+        threading.Thread(target=work_off, daemon=True).start()
+    try:
+        for _ in tasks:
+            result = done.get()
+            if isinstance(result, BaseException):
+                raise result
+            yield result[0]
+    finally:
+        stop.set()
+
+
 class Threads:
     """Threads of this process; most of the time they are in compiled code, without the GIL.
-
-    They are daemons, so that nothing waits for a batch that nobody wants any more.
 
     Parameters
     ----------
@@ -59,32 +95,7 @@ class Threads:
 
     def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
         """As :meth:`Backend.run`."""
-        waiting: queue.SimpleQueue[Batch] = queue.SimpleQueue()
-        done: queue.SimpleQueue[Results | BaseException] = queue.SimpleQueue()
-        for batch in batches:
-            waiting.put(batch)
-        stop = threading.Event()
-
-        def work() -> None:
-            while not stop.is_set():
-                try:
-                    done.put(self._work(waiting.get_nowait()))
-                except queue.Empty:
-                    return
-                except BaseException as error:  # noqa: BLE001 (raised again by the other thread)
-                    done.put(error)
-                    return
-
-        for _ in range(min(self._workers, len(batches))):
-            threading.Thread(target=work, daemon=True).start()
-        try:
-            for _ in batches:
-                result = done.get()
-                if isinstance(result, BaseException):
-                    raise result
-                yield result
-        finally:
-            stop.set()
+        return as_ready(self._work, batches, self._workers)
 
 
 class Dask:

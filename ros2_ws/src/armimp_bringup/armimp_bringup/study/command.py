@@ -13,10 +13,9 @@ from armimp_bringup.config import load_config
 from armimp_bringup.study.backends import Backend, Dask, Threads
 from armimp_bringup.study.conditions import select_conditions
 from armimp_bringup.study.display import StudyDisplay, print_verdict
-from armimp_bringup.study.errors import StudyError
 from armimp_bringup.study.study import VERDICT_FILE, Watcher, run_study
 from armimp_bringup.study.verdict import StudyVerdict
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, InterruptionError
 
 DEFAULT_ESTIMATORS = ("welch_siso", "lpm_full")
 _MOST_FAILURES = 20
@@ -78,7 +77,7 @@ def reproduce(options: ReproduceOptions) -> int:
                 watcher=Watcher(on_progress=display.show, on_stage=display.tell),
             )
     except KeyboardInterrupt:
-        raise StudyError("interrupted; the same command goes on from here") from None
+        raise InterruptionError("interrupted; the same command goes on from here") from None
     return _present(verdict, options)
 
 

@@ -6,11 +6,11 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError, model_validator
 
 from armimp_bringup.study.conditions import Condition
 from armimp_common.errors import DataError
-from armimp_estimation.results import Summary
+from armimp_estimation.results import Summary, first_complaint
 
 
 class StudyEntry(Summary):
@@ -20,6 +20,20 @@ class StudyEntry(Summary):
     friction: int
     resolution: int
     perturbation: int
+
+    @model_validator(mode="after")
+    def _check_complete(self) -> StudyEntry:
+        """Whatever simulates a condition knows the truth, and perturbs each joint once."""
+        if self.truth is None:
+            raise ValueError("truth is missing")
+        if not self.estimators:
+            raise ValueError("estimators are missing")
+        if any(estimator.vaf is None for estimator in self.estimators.values()):
+            raise ValueError("a VAF is missing")
+        perturbed = [trial.k for trial in self.trials]
+        if sorted(perturbed) != list(range(1, self.joints + 1)):
+            raise ValueError(f"trials perturb the joints {perturbed}, of {self.joints}")
+        return self
 
     @property
     def condition(self) -> Condition:
@@ -53,7 +67,7 @@ def read_study(path: Path) -> list[StudyEntry]:
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from None
     except ValidationError as error:
-        raise DataError(f"{path}: not a study: {_first(error)}") from None
+        raise DataError(f"{path}: not a study: {first_complaint(error)}") from None
 
 
 def read_entry(path: Path) -> StudyEntry:
@@ -69,7 +83,9 @@ def read_entry(path: Path) -> StudyEntry:
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from None
     except ValidationError as error:
-        raise DataError(f"{path}: not the result of a condition: {_first(error)}") from None
+        raise DataError(
+            f"{path}: not the result of a condition: {first_complaint(error)}"
+        ) from None
 
 
 def differences(one: object, other: object, where: str = "") -> Iterable[str]:
@@ -79,10 +95,9 @@ def differences(one: object, other: object, where: str = "") -> Iterable[str]:
             inside = f"{where}.{key}" if where else str(key)
             yield from differences(one.get(key), other.get(key), inside)
     elif one != other:
-        yield f"{where} is {json.dumps(one)}, not {json.dumps(other)}"
+        yield f"{where or 'content'} is {_shown(one)}, not {_shown(other)}"
 
 
-def _first(error: ValidationError) -> str:
-    first = error.errors()[0]
-    where = ".".join(map(str, first["loc"])) or "content"
-    return f"{where}: {first['msg']}"
+def _shown(value: object) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 200 else f"{text[:197]}..."

@@ -51,6 +51,7 @@ class StudyStore:
 
     def __init__(self, directory: Path, base: ExperimentConfig, provenance: Provenance) -> None:
         self.directory = directory
+        self._estimators = set(base.estimators)
         described = _description(base, provenance)
         try:
             directory.mkdir(parents=True, exist_ok=True)
@@ -103,12 +104,19 @@ class StudyStore:
         StudyError, DataError
             If one is missing or damaged.
         """
-        found = []
+        found: list[StudyEntry] = []
         for condition in conditions:
             path = self._path(condition, "json")
             entry = read_entry(path)
             if entry.condition != condition:
                 raise StudyError(f"{path}: is of {entry.condition}, not {condition}")
+            if set(entry.estimators) != self._estimators:
+                raise StudyError(
+                    f"{path}: has the estimators {', '.join(sorted(entry.estimators))}, "
+                    f"not {', '.join(sorted(self._estimators))}"
+                )
+            if found and entry.joints != found[0].joints:
+                raise StudyError(f"{path}: has {entry.joints} joints, not {found[0].joints}")
             found.append(entry)
         return found
 
@@ -155,7 +163,7 @@ class StudyStore:
         path = self.directory / CONFIG_FILE
         try:
             stored = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise StudyError(f"{path}: not the configuration of a study: {error}") from None
         different = next(iter(sorted(differences(stored, described))), None)
         if different is not None:

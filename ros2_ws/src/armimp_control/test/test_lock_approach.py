@@ -1,0 +1,145 @@
+"""A joint that gets locked away from its posture goes there smoothly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_control.imbic import ImbicConfig
+from armimp_control.law import Controller
+from armimp_control.testing import torque_only
+
+Array = NDArray[np.float64]
+PERIOD = 1e-3
+INERTIA, MODEL = 0.5, 0.4
+FREQUENCY, APPROACH = 100.0, 0.05
+POSTURE = np.array([0.3, -0.2])
+
+
+def _config() -> ImbicConfig:
+    return ImbicConfig(
+        target_posture=POSTURE,
+        target_inertia=np.array([0.2, 0.1]),
+        target_damping=np.array([2.0, 1.0]),
+        target_stiffness=np.array([10.0, 10.0]),
+        model_inertia=MODEL * np.eye(2),
+        lock_frequency=FREQUENCY,
+        lock_approach=APPROACH,
+    )
+
+
+def _held_still(config: ImbicConfig, theta: Array, ticks: int) -> Controller:
+    """After the first joint has yielded for some ticks, at rest."""
+    controller = Controller(config, safety=torque_only(1e9))
+    for _ in range(ticks):
+        controller.tick(theta, np.zeros(2), np.zeros(2))
+    return controller
+
+
+def _locked(config: ImbicConfig, distance: float, ticks: int) -> tuple[Array, Array]:
+    """Distance from the posture and command (ticks,) of pure inertia that is locked at tick 0."""
+    controller = Controller(config, safety=torque_only(1e9))
+    controller.perturb_joint(1)
+    theta, velocity = POSTURE + np.array([distance, 0.0]), np.zeros(2)
+    path, command = np.zeros(ticks), np.zeros(ticks)
+    for tick in range(ticks):
+        path[tick] = theta[0] - POSTURE[0]
+        controller.tick(theta, np.zeros(2), np.zeros(2))
+        command[tick] = controller.command[0]
+        acceleration = controller.command / INERTIA
+        theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
+        velocity = velocity + PERIOD * acceleration
+    return path, command
+
+
+@pytest.mark.parametrize("distance", [0.1, -0.3])
+def test_when_locked_at_the_first_tick_away_from_the_posture_expect_no_torque(
+    distance: float,
+) -> None:
+    _, command = _locked(_config(), distance, 1)
+    assert command[0] == 0.0
+
+
+@pytest.mark.parametrize("distance", [0.1, -0.3])
+def test_when_a_displaced_joint_gets_locked_expect_no_jump_of_its_command(distance: float) -> None:
+    config, theta = _config(), POSTURE + np.array([distance, 0.0])
+    ticks = 5
+    controller = _held_still(config, theta, ticks)
+    before = controller.command[0]
+    controller.perturb_joint(1)
+    controller.tick(theta, np.zeros(2), np.zeros(2))
+    # At rest and at its target only Γ·v_id is left, which the soft target has piled up.
+    ideal_velocity = -ticks * PERIOD * config.target_stiffness[0] * distance / 0.2
+    change = MODEL * config.gamma * ideal_velocity
+    assert controller.command[0] - before == pytest.approx(change, rel=1e-9)
+    # A target that jumps would ask for M̄ ω² times the distance.
+    assert abs(change) < 0.01 * MODEL * FREQUENCY**2 * abs(distance)
+
+
+def test_target_decays_with_its_time_constant() -> None:
+    """Read from a joint that is held away from its posture, whatever the command."""
+    config, distance, ticks = _config(), 0.1, 100
+    controller = Controller(config, safety=torque_only(1e9))
+    controller.perturb_joint(1)
+    theta = POSTURE + np.array([distance, 0.0])
+    commands = [0.0]
+    for _ in range(ticks):
+        controller.tick(theta, np.zeros(2), np.zeros(2))
+        commands.append(controller.command[0])
+    decayed = distance * np.exp(-PERIOD * np.arange(ticks) / APPROACH)
+    u = FREQUENCY**2 * (decayed - distance)
+    change = MODEL * (u + config.gamma * PERIOD * np.cumsum(u))
+    assert np.diff(commands) == pytest.approx(change, rel=1e-9)
+
+
+def test_joint_follows_the_decay_to_its_posture_within_the_torque_of_the_closed_form() -> None:
+    """With x = d·e^(−t/T) as input, the acceleration of the stiff target is at most d/T² + dω/(eT).
+
+    That is the decay's own, d/T², through a low-pass without overshoot, and the impulse response of
+    the low-pass, at most ω/e, times the step −d/T of the target's velocity at the start.
+    """
+    distance = 0.1
+    path, command = _locked(_config(), distance, 1000)
+    largest = INERTIA * distance * (1.0 / APPROACH**2 + FREQUENCY / (np.e * APPROACH))
+    assert np.max(np.abs(command)) < largest < 0.1 * INERTIA * FREQUENCY**2 * distance * 1.5
+    # Behind the target by its delay, 2ζ/ω, and ahead of nothing.
+    time = PERIOD * np.arange(path.size)
+    behind = distance * np.exp(-(time - 2.0 / FREQUENCY) / APPROACH)
+    late = (time > 0.15) & (time < 0.4)
+    assert path[late] == pytest.approx(behind[late], rel=0.2)
+    assert np.abs(path[-1]) < 1e-6 * distance
+    assert np.min(path) > -1e-3 * distance
+
+
+def test_target_that_jumps_needs_far_more_torque() -> None:
+    distance = 0.1
+    smooth = np.max(np.abs(_locked(_config(), distance, 300)[1]))
+    jumping = np.max(np.abs(_locked(replace(_config(), lock_approach=1e-6), distance, 300)[1]))
+    assert jumping > 5.0 * smooth
+
+
+def test_when_a_joint_is_locked_again_expect_the_approach_to_start_from_its_new_place() -> None:
+    config = _config()
+    near, far = POSTURE + np.array([0.02, 0.0]), POSTURE + np.array([0.2, 0.0])
+    controller = _held_still(config, near, 1)
+    controller.perturb_joint(1)
+    for _ in range(20):
+        controller.tick(near, np.zeros(2), np.zeros(2))
+    controller.perturb_joint(0)
+    for _ in range(5):  # velocity and acceleration of the jump have passed
+        controller.tick(far, np.zeros(2), np.zeros(2))
+    speed, before = float(controller.memory[2, 0]), controller.command[0]
+    controller.perturb_joint(1)
+    controller.tick(far, np.zeros(2), np.zeros(2))
+    assert controller.command[0] - before == pytest.approx(MODEL * config.gamma * speed, rel=1e-9)
+
+
+def test_yielding_joint_has_its_soft_target_at_once() -> None:
+    config, distance = _config(), 0.1
+    controller = _held_still(config, POSTURE + np.array([distance, 0.0]), 1)
+    u = -config.target_stiffness[0] * distance / config.target_inertia[0]
+    change = MODEL * u * (1.0 + config.gamma * PERIOD)
+    assert controller.command[0] == pytest.approx(change, rel=1e-9)

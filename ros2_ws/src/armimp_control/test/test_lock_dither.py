@@ -1,0 +1,181 @@
+"""Dither of locked joints: the rows of the role, and the motion that a joint makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_control import presets
+from armimp_control.imbic import ImbicConfig
+from armimp_control.law import Controller
+from armimp_control.layout import APPROACH, DITHER, DITHER_ANGLE
+from armimp_control.testing import torque_only
+
+Array = NDArray[np.float64]
+PERIOD = 1e-3
+INERTIA = 0.5
+TONES = (35.0, 45.5)
+AMPLITUDE = 1e-4
+
+
+def _config(*, model: float = INERTIA, frequency: float = 100.0, ratio: float = 1.0) -> ImbicConfig:
+    return ImbicConfig(
+        target_posture=np.array([0.3, -0.2]),
+        target_inertia=np.array([0.2, 0.1]),
+        target_damping=np.array([2.0, 1.0]),
+        target_stiffness=np.array([10.0, 10.0]),
+        model_inertia=model * np.eye(2),
+        lock_frequency=frequency,
+        lock_damping_ratio=ratio,
+        lock_dither=AMPLITUDE,
+    )
+
+
+def _target(config: ImbicConfig, hertz: float) -> complex:
+    """``(s² + 2ζωs + ω²)/ω²`` of a locked joint, from its motion to that of its target."""
+    s, omega = 2j * np.pi * hertz, config.lock_frequency
+    return (s**2 + 2.0 * config.lock_damping_ratio * omega * s + omega**2) / omega**2
+
+
+def _delay(config: ImbicConfig, hertz: float) -> complex:
+    """What the lag of the time-delay estimation adds to it, ``(I/M̄) L s⁴/((s + Γ) ω²)``.
+
+    Time-delay estimation leaves ``θ̈ − u = Γ (v_id − θ̇) − (I/M̄) L s θ̈`` to first order in sL.
+    """
+    s = 2j * np.pi * hertz
+    share = INERTIA / config.model_inertia[0, 0]
+    return complex(share * PERIOD * s**4 / ((s + config.gamma) * config.lock_frequency**2))
+
+
+def _sampled(config: ImbicConfig, hertz: float) -> complex:
+    """From the target of a locked joint to its motion, exactly, for pure inertia.
+
+    The law as it stands in the design with 1/z for a tick, and a torque that is held between ticks.
+    """
+    z = np.exp(2j * np.pi * hertz * PERIOD)
+    speed = (1.0 - 1.0 / z) / PERIOD
+    plant = PERIOD**2 / (2.0 * INERTIA) * (z + 1.0) / (z - 1.0) ** 2
+    loop = plant * config.model_inertia[0, 0] / (1.0 - 1.0 / z)
+    feedback = 1.0 + config.gamma / speed
+    omega = config.lock_frequency
+    pull = 2.0 * config.lock_damping_ratio * omega * speed + omega**2
+    closed = 1.0 + loop * (feedback * pull + config.gamma * speed + speed**2)
+    return complex(loop * feedback * omega**2 / closed)
+
+
+def _motion(config: ImbicConfig, ticks: int) -> Array:
+    """Distance (ticks,) of the locked first joint, of pure inertia, from its posture, rad."""
+    controller = Controller(config, safety=torque_only(1e9))
+    controller.perturb_joint(1)
+    theta, velocity = config.target_posture.copy(), np.zeros(2)
+    path = np.zeros(ticks)
+    for tick in range(ticks):
+        path[tick] = theta[0] - config.target_posture[0]
+        controller.tick(theta, np.zeros(2), np.zeros(2))
+        acceleration = controller.command / INERTIA
+        theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
+        velocity = velocity + PERIOD * acceleration
+    return path
+
+
+def _amplitudes(path: Array) -> Array:
+    """Amplitudes of the two sines in the second half of a path, where nothing else is left."""
+    ticks = np.arange(path.size)[path.size // 2 :]
+    angles = 2.0 * np.pi * PERIOD * np.outer(ticks, TONES)
+    waves = np.hstack([np.cos(angles), np.sin(angles)])
+    found = np.linalg.lstsq(waves, path[ticks], rcond=None)[0]
+    assert np.max(np.abs(waves @ found - path[ticks])) < 1e-6 * AMPLITUDE
+    amplitudes: Array = np.hypot(found[:2], found[2:])
+    return amplitudes
+
+
+@pytest.mark.parametrize("ratio", [0.7, 1.0])
+@pytest.mark.parametrize("frequency", [50.0, 100.0, 200.0])
+def test_rows_of_the_role_are_those_of_the_closed_form(frequency: float, ratio: float) -> None:
+    config = _config(frequency=frequency, ratio=ratio)
+    rows = config.role(1)
+    between = np.sqrt(TONES[0] * TONES[1])
+    assert rows[DITHER] == pytest.approx([AMPLITUDE * abs(_target(config, between)), 0.0])
+    assert rows[DITHER_ANGLE] == pytest.approx([2.0 * np.pi * 35.0 * PERIOD] * 2)
+    assert rows[APPROACH] == pytest.approx([np.exp(-0.02)] * 2)
+
+
+@pytest.mark.parametrize("perturbed", [0, 1])
+def test_only_locked_joints_have_a_dither(perturbed: int) -> None:
+    amplitude = _config().role(perturbed)[DITHER]
+    assert amplitude[perturbed] == 0.0
+    assert amplitude[1 - perturbed] > 0.0
+
+
+def test_when_all_joints_yield_expect_no_dither() -> None:
+    assert np.array_equal(_config().role(None)[DITHER], np.zeros(2))
+
+
+@pytest.mark.parametrize("model", [0.6 * INERTIA, INERTIA])
+@pytest.mark.parametrize("frequency", [50.0, 100.0, 200.0])
+def test_joint_moves_by_the_sampled_response_to_its_target(model: float, frequency: float) -> None:
+    config = _config(model=model, frequency=frequency)
+    asked = config.role(1)[DITHER, 0]
+    expected = [asked * abs(_sampled(config, hertz)) for hertz in TONES]
+    assert _amplitudes(_motion(config, 4000)) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("model", [0.6 * INERTIA, INERTIA])
+def test_joint_moves_by_what_was_asked_but_for_the_lag_of_the_estimation(model: float) -> None:
+    config = _config(model=model)
+    moved = _amplitudes(_motion(config, 4000))
+    between = abs(_target(config, float(np.sqrt(TONES[0] * TONES[1]))))
+    for hertz, amplitude in zip(TONES, moved, strict=True):
+        target, lag = abs(_target(config, hertz)), abs(_delay(config, hertz))
+        # A low-pass makes more of the lower tone and less of the higher one.
+        assert lag < target
+        ideal = AMPLITUDE * between / target
+        assert ideal / (1.0 + lag / target) <= amplitude <= ideal / (1.0 - lag / target)
+
+
+def test_dither_is_in_proportion_to_its_amplitude() -> None:
+    once = _motion(_config(), 500)
+    twice = _motion(replace(_config(), lock_dither=2.0 * AMPLITUDE), 500)
+    assert np.max(np.abs(once)) > 0.5 * AMPLITUDE
+    # The angle is about 0.3, so numbers of it are rounded to 6e-17, in the law over L².
+    assert twice == pytest.approx(2.0 * once, abs=1e-9 * AMPLITUDE / PERIOD)
+
+
+def test_without_dither_its_frequency_has_no_part_in_the_law() -> None:
+    paths = [
+        _motion(replace(_config(), lock_dither=0.0, lock_dither_frequency=hertz), 200)
+        for hertz in (20.0, 35.0)
+    ]
+    assert np.array_equal(paths[0], paths[1])
+    # At rest in the posture, a law without dither has nothing to do at all.
+    assert np.array_equal(paths[0], np.zeros(200))
+
+
+def test_dither_leaves_the_command_of_a_yielding_joint_alone() -> None:
+    """With a diagonal model, else the command of one joint depends on the motion of the other."""
+    still, moving = (
+        Controller(replace(_config(), lock_dither=amplitude), safety=torque_only(1e9))
+        for amplitude in (0.0, AMPLITUDE)
+    )
+    random = np.random.default_rng(1)
+    differs = False
+    for _ in range(50):
+        theta = _config().target_posture + 1e-4 * random.normal(size=2)
+        for controller in (still, moving):
+            controller.tick(theta, np.ones(2), np.array([3.0, 0.0]))
+        assert still.command[0] == moving.command[0]
+        differs = differs or still.command[1] != moving.command[1]
+    assert differs
+
+
+def test_dither_of_the_study_is_above_the_band_of_the_perturbation() -> None:
+    config = presets.imbic(np.eye(2), np.zeros(2))
+    assert config.lock_dither_frequency > 2.0 * 15.0
+
+
+@pytest.mark.parametrize("resolution", [0.0, 2.0 * np.pi / 51200])
+def test_default_dither_is_a_share_of_a_count(resolution: float) -> None:
+    assert presets.lock_dither(resolution) == pytest.approx(0.7 * resolution)

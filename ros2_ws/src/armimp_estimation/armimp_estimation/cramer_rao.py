@@ -1,0 +1,201 @@
+"""The accuracy of M, B and K that noise of the sensors allows: the Cramér-Rao bound.
+
+At each bin of the Fourier transform of a trial the sensors read ``θ + w_θ`` and
+``Z θ + d + w_τ``, with the unknown motion θ, the impedance ``Z = M s² + B s + K``, the voluntary
+torque d, and noise w. With θ as a nuisance parameter at every bin, all there is to know of M, B and
+K is in the error ``e = τ - Z θ`` of the equation of motion, whose covariance is
+
+    Σ = N (σ_τ² I + σ_θ² Z Z*) + S_dd I ,
+
+for records of N samples. With the derivatives ``φ = (s² θ, s θ, θ)`` of Z θ by the elements of a
+row of M, B and K, the Fisher information of all 3n² parameters, where i and l are rows, is
+
+    F_(i,a),(l,b) = 2 Re Σ_trials Σ_bins conj(φ_a) (Σ⁻¹)_il φ_b ,
+
+and no unbiased estimator has standard deviations below ``sqrt(diag(F⁻¹))`` (Söderström,
+*Errors-in-Variables Methods in System Identification*, 2018; Pintelon & Schoukens, *System
+Identification: A Frequency Domain Approach*, 2nd ed., section 9).
+
+What is assumed:
+
+- The bound is conditional on the motion which there was. Robot, controller and friction shape that
+  motion and enter in no other way: the torque transducers sit between the robot and the arm.
+- Noise is white, circular normal, independent between bins, channels and trials, and its variance
+  is known. Rounding to counts of q has the variance q²/12. It is neither normal nor, where a signal
+  stays within a few counts, white.
+- Voluntary torque is normal noise of a known spectrum, independent between joints. Through the loop
+  it moves the arm, too. Estimators that go by the perturbation learn nothing from that part of the
+  motion, so it has to be left out; a motion simulated without voluntary torque has none of it.
+  (With it, the bound would be that of someone who knows the robot, and who tells Z from how it
+  changes the covariance of the readings. The part of sensor noise that goes through the loop is
+  taken for motion; it is tiny.)
+- Ends of the record are known, nothing outside the band is used, and torques are read on time.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.local_polynomial import bins_in_band
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Of the normalised information, beyond which its inverse is rounding.
+_WORST_CONDITION = 1e12
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorNoise:
+    """White noise of the sensors.
+
+    Parameters
+    ----------
+    angle, torque : float
+        Standard deviations of each sample, rad and N·m.
+
+    Raises
+    ------
+    ConfigurationError
+        If one is negative or not finite.
+    """
+
+    angle: float
+    torque: float
+
+    def __post_init__(self) -> None:
+        for name in ("angle", "torque"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ConfigurationError(f"noise of the {name} must not be negative, got {value!r}")
+
+    @classmethod
+    def of_rounding(cls, *, angle: float, torque: float) -> "SensorNoise":
+        """That of readings rounded to counts q (rad, N·m): uniform within one, ``q/sqrt(12)``."""
+        return cls(angle=angle / float(np.sqrt(12.0)), torque=torque / float(np.sqrt(12.0)))
+
+
+def motion_in_band(
+    records: Sequence[TrialRecord],
+    band: tuple[float, float] = (WelchConfig.f_low, WelchConfig.f_high),
+) -> tuple[FloatArray, ComplexArray]:
+    """Fourier transforms of the angles of some trials.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        Of equal length and rate.
+    band : tuple of float
+        Lowest and highest frequency, Hz.
+
+    Returns
+    -------
+    f : (n_freq,) NDArray
+        Hz.
+    motion : (trials, n, n_freq) NDArray
+        ``Σ_t θ(t) exp(-jωt)``, rad.
+
+    Raises
+    ------
+    DataError
+        If there is no record, lengths or rates differ, or the band holds no bin.
+    """
+    kinds = {(record.samples, record.rate) for record in records}
+    if len(kinds) != 1:
+        raise DataError(f"trials must have one length and rate, got {sorted(kinds)}")
+    ((samples, rate),) = kinds
+    bins = bins_in_band(samples, rate, *band)
+    if not bins.size:
+        raise DataError(f"{samples} samples have no bin between {band[0]:.4g} and {band[1]:.4g} Hz")
+    f = bins.astype(np.float64) * float(rate / samples)
+    return f, np.stack([np.fft.rfft(one.position, axis=1)[:, bins] for one in records])
+
+
+def error_covariance(
+    truth: MBK,
+    f: FloatArray,
+    samples: int,
+    noise: SensorNoise,
+    disturbance: FloatArray | None = None,
+) -> ComplexArray:
+    """Covariance Σ of the Fourier transform of ``τ - Z θ``.
+
+    Parameters
+    ----------
+    truth : MBK
+    f : (n_freq,) NDArray
+        Hz.
+    samples : int
+        N of each trial.
+    noise : SensorNoise
+    disturbance : (n_freq,) NDArray, optional
+        Power of the voluntary torque of each joint for each sample, (N·m)²: its mean over all
+        frequencies, negative ones as well, is the variance.
+
+    Returns
+    -------
+    (n_freq, n, n) NDArray
+        (N·m)².
+    """
+    impedance = np.moveaxis(truth.impedance(f), -1, 0)
+    alike = np.full(f.size, noise.torque**2)
+    if disturbance is not None:
+        alike = alike + disturbance
+    through_angles = noise.angle**2 * (impedance @ np.conj(np.swapaxes(impedance, 1, 2)))
+    covariance: ComplexArray = samples * (
+        alike[:, None, None] * np.eye(truth.joints) + through_angles
+    )
+    return covariance
+
+
+def cramer_rao_bound(f: FloatArray, motion: ComplexArray, covariance: ComplexArray) -> FloatArray:
+    """Smallest standard deviations that unbiased estimates of M, B and K can have.
+
+    Parameters
+    ----------
+    f : (n_freq,) NDArray
+        Hz.
+    motion : (trials, n, n_freq) NDArray
+        Fourier transforms of the angles, rad.
+    covariance : (n_freq, n, n) NDArray
+        From :func:`error_covariance`; if it is 0 everywhere, so is the bound.
+
+    Returns
+    -------
+    (3, n, n) NDArray
+        For M, B and K, in kg·m², N·m·s/rad and N·m/rad.
+
+    Raises
+    ------
+    DataError
+        If it is singular at some frequencies, or the motion does not tell the parameters apart.
+    """
+    n = motion.shape[1]
+    if not covariance.any():
+        return np.zeros((3, n, n))
+    try:
+        precision = np.linalg.inv(covariance)
+    except np.linalg.LinAlgError:
+        raise DataError("noise is 0 in some channels only; there is no bound") from None
+    s = 2j * np.pi * f
+    # (trials, 3n, n_freq): derivatives by M, B and K, each by joint.
+    slopes = np.concatenate((s**2 * motion, s * motion, motion), axis=1)
+    products = np.einsum("taf,tbf->fab", np.conj(slopes), slopes)
+    information = 2.0 * np.real(np.einsum("fil,fab->ialb", precision, products))
+    information = information.reshape(3 * n * n, 3 * n * n)
+    # Of equal size before it is inverted: those of M and K differ by ω⁴.
+    size = np.sqrt(np.diagonal(information))
+    if not (size > 0.0).all():
+        raise DataError("a joint does not move; there is no information about it")
+    normal = information / size[:, None] / size
+    if np.linalg.cond(normal) > _WORST_CONDITION:
+        raise DataError("the motion does not tell M, B and K of all joints apart")
+    variance = np.diagonal(np.linalg.inv(normal)) / size**2
+    bound: FloatArray = np.moveaxis(np.sqrt(variance).reshape(n, 3, n), 1, 0)
+    return bound

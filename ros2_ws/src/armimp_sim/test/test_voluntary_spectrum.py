@@ -1,0 +1,34 @@
+"""The power spectrum of voluntary torque against the stream itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque, power_spectrum
+
+PERIOD = 1e-3
+CONFIG = VoluntaryConfig(rms=0.3, cutoff=2.0)
+
+
+def test_mean_over_all_frequencies_is_the_variance() -> None:
+    """Within what the sum counts too much at frequency zero, half a line, when it is scaled."""
+    f = (np.arange(200_000) + 0.5) / 200_000 * 0.5 / PERIOD
+    assert np.mean(power_spectrum(CONFIG, f, PERIOD)) == pytest.approx(0.3**2, rel=1e-3)
+
+
+def test_band_power_is_that_of_a_long_stream() -> None:
+    samples = 400_000
+    torque = VoluntaryTorque(CONFIG, joints=2, period=PERIOD, seed=4).take(samples)
+    periodogram = np.mean(np.abs(np.fft.rfft(torque, axis=0)) ** 2, axis=1) / samples
+    f = np.arange(samples // 2 + 1, dtype=np.float64) / (samples * PERIOD)
+    for low, high in ((0.1, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0)):
+        band = (f >= low) & (f < high)
+        # Chi squared with two degrees of freedom for each bin and joint; 4 standard deviations.
+        tolerance = 4.0 / np.sqrt(2.0 * np.count_nonzero(band))
+        expected = np.mean(power_spectrum(CONFIG, f[band], PERIOD))
+        assert np.mean(periodogram[band]) == pytest.approx(expected, rel=tolerance)
+
+
+def test_relaxed_person_has_no_power() -> None:
+    assert not power_spectrum(VoluntaryConfig(), np.array([0.5, 5.0]), PERIOD).any()

@@ -1,0 +1,147 @@
+"""Experiments keep to themselves: no other one and no other machine can hear or reach them."""
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from armimp_bringup.graph import NODES
+from armimp_bringup.testing import FinishedRun
+from armimp_common.domain import DomainClaim
+from armimp_common.sockets import Endpoint, endpoints
+from armimp_estimation.results import read_summary
+
+COMMAND = [sys.executable, "-m", "armimp_bringup.cli", "run", "--duration", "10", "--json"]
+CHOICES = (
+    "ROS_DOMAIN_ID",
+    "ROS_AUTOMATIC_DISCOVERY_RANGE",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_STATIC_PEERS",
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+)
+"""Variables by which a user chooses who can hear an experiment."""
+PATIENCE = 120.0
+
+
+def start(directory: Path, *options: str, **choices: str) -> "subprocess.Popen[str]":
+    """An experiment in a process of its own, where the user has chosen only this."""
+    environment = {name: value for name, value in os.environ.items() if name not in CHOICES}
+    return subprocess.Popen(
+        [*COMMAND, "--out", str(directory), *options],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment | choices,
+    )
+
+
+def test_two_experiments_at_once_do_not_hear_each_other(
+    tmp_path: Path, composed: FinishedRun, other_seed: FinishedRun
+) -> None:
+    """Every message of each is the same, to the last bit, as when it is alone on the machine."""
+    alone = {1: composed, 2: other_seed}
+    processes = {1: "composed", 2: "separate"}
+    others = {
+        seed: start(tmp_path / str(seed), "--seed", str(seed), "--processes", processes[seed])
+        for seed in alone
+    }
+
+    for seed, process in others.items():
+        output, errors = process.communicate(timeout=PATIENCE)
+        assert process.returncode == 0, errors
+        summary = read_summary(tmp_path / str(seed) / "summary.json")
+        assert json.loads(output)["problems"] == summary.problems == []
+        together = FinishedRun(directory=tmp_path / str(seed), summary=summary)
+        together.assert_same_streams(alone[seed])
+
+
+def test_when_the_domain_is_taken_expect_the_second_experiment_refused(tmp_path: Path) -> None:
+    with DomainClaim() as claim:
+        second = start(tmp_path / "out", "--domain-id", str(claim.domain_id))
+        output, errors = second.communicate(timeout=PATIENCE)
+
+    assert second.returncode == 1
+    assert output == ""
+    taken = f"armimp: domain id {claim.domain_id} is taken by another experiment"
+    assert errors.splitlines() == [taken]
+
+
+def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set[Endpoint]]:
+    """Processes of an experiment that has begun its first trial, each with its endpoints."""
+    deadline = time.monotonic() + PATIENCE
+    while not any(directory.glob("bags/*/*.mcap")):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline, "no trial has begun"
+        time.sleep(0.02)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+    return {number: endpoints(number) for number in (process.pid, *map(int, children))}
+
+
+def own_address() -> str:
+    """The address by which other machines reach this one."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            # Nothing is sent by this.
+            probe.connect(("192.0.2.1", 9))
+        except OSError:
+            pytest.skip("this machine has no network")
+        return str(probe.getsockname()[0])
+
+
+def refused(address: str, ports: Sequence[int]) -> list[bool]:
+    """Whether this machine says of each port that nobody listens there, by UDP."""
+    found = []
+    for port in ports:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            sender.settimeout(0.2)
+            sender.connect((address, port))
+            try:
+                sender.send(b"RTPS")
+                sender.recv(1)
+            except ConnectionRefusedError:
+                found.append(True)
+            except TimeoutError:
+                found.append(False)
+    return found
+
+
+@pytest.mark.parametrize("processes", ["composed", "separate"])
+def test_nothing_of_an_experiment_can_be_reached_from_other_machines(
+    tmp_path: Path, processes: str
+) -> None:
+    experiment = start(tmp_path / "out", "--processes", processes)
+    try:
+        graph = graph_of(experiment, tmp_path / "out")
+        ports = sorted({one.port for found in graph.values() for one in found})
+        inside = refused("127.0.0.1", ports)
+        outside = refused(own_address(), ports)
+    finally:
+        experiment.terminate()
+        experiment.communicate(timeout=PATIENCE)
+
+    assert len(graph) == (1 if processes == "composed" else 1 + len(NODES))
+    # Each has two ports at least, for discovery and for data, on the loopback interface.
+    assert all(len(found) >= 2 for found in graph.values())
+    assert [one for found in graph.values() for one in found if not one.address.is_loopback] == []
+    assert {one.protocol for found in graph.values() for one in found} == {"udp"}
+    # From the outside, as opposed to from the inside, the machine itself says so.
+    assert not any(inside)
+    assert all(outside)
+
+
+def test_when_the_user_asks_for_the_network_expect_it_open(tmp_path: Path) -> None:
+    """What the tests above look at can be otherwise."""
+    experiment = start(tmp_path / "out", ROS_AUTOMATIC_DISCOVERY_RANGE="SUBNET")
+    try:
+        graph = graph_of(experiment, tmp_path / "out")
+    finally:
+        experiment.terminate()
+        experiment.communicate(timeout=PATIENCE)
+
+    assert any(not one.address.is_loopback for found in graph.values() for one in found)

@@ -1,0 +1,59 @@
+"""A joint that voluntary torque has moved far from its posture by the time it gets locked."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.offline import Rig, run_offline
+from armimp_common.errors import DataError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Person:
+    """A run in which the first joint is far from its posture when the second trial locks it."""
+
+    seed: int
+    duration: float
+    voluntary: float
+
+    def rig(self, approach: float) -> Rig:
+        config = ExperimentConfig(
+            friction=3,
+            resolution=3,
+            perturbation=3,
+            seed=self.seed,
+            duration=self.duration,
+            arm_sim={"voluntary.rms": self.voluntary, "substeps": 20},
+            imbic_controller={"target.lock_approach": approach},
+        )
+        return node_parameters(config, None).rig()
+
+
+# At 0.037 rad, for which a target that jumps asks for about the torque limit: M̄ ω² times that.
+AT_THE_LIMIT = Person(seed=119, duration=50.0, voluntary=0.3)
+# At −0.069 rad.
+BEYOND_IT = Person(seed=0, duration=20.0, voluntary=1.0)
+
+
+@pytest.mark.parametrize("person", [AT_THE_LIMIT, BEYOND_IT])
+def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(person: Person) -> None:
+    default = node_parameters(ExperimentConfig(), None).controller.target.lock_approach
+    rig = person.rig(default)
+    first, second = run_offline([rig])[0]
+    assert (first.clipped, second.clipped) == (0, 0)
+    target = rig.controller.target_posture
+    # Here at the end of the first trial already, a rest before it gets locked.
+    assert abs(first.position[0, -1] - target[0]) > 0.01
+    assert np.max(np.abs(second.position[0] - target[0])) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("person", "approach"), [(AT_THE_LIMIT, 1e-5), (BEYOND_IT, 1e-5), (BEYOND_IT, 1e-3)]
+)
+def test_target_that_jumps_is_what_the_safety_gate_stops(person: Person, approach: float) -> None:
+    with pytest.raises(DataError, match="safety gate stopped in trial 2: velocity of joint"):
+        run_offline([person.rig(approach)])

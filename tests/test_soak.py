@@ -1,0 +1,95 @@
+"""An hour of simulated trials back to back in one process: nothing is lost, nothing piles up."""
+
+import json
+import statistics
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from armimp_common.fault_figures import Figures
+
+EXPERIMENTS = 36
+"""Of two trials of 50 s each: an hour."""
+WARM_UP = 6
+"""Experiments after which libraries are loaded, code is compiled and caches are full."""
+MOST_GROWTH = 24.0
+"""MB that the process may grow in the hour, which is less than half of what one of its bags and its
+result take in memory: whatever keeps one trial in ten, or 0.2 bytes of each sample, is found."""
+
+# Runs experiments as `armimp run` does, and tells after each how it went and what it holds.
+PROGRAM = """
+import json, os, shutil, sys
+from pathlib import Path
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import run_experiment
+
+for number in range(int(sys.argv[2])):
+    directory = Path(sys.argv[1]) / str(number)
+    summary = run_experiment(ExperimentConfig(seed=number), directory)
+    shutil.rmtree(directory)
+    status = dict(line.split(":", 1) for line in open("/proc/self/status"))
+    told = {
+        "problems": summary.problems,
+        "ticks": [trial.ticks for trial in summary.trials],
+        "lost": [trial.lost for trial in summary.trials],
+        "memory": int(status["VmRSS"].split()[0]) / 1024,
+        "threads": int(status["Threads"]),
+        "files": len(os.listdir("/proc/self/fd")),
+    }
+    print(json.dumps(told), flush=True)
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """What the process told after one experiment; memory in MB."""
+
+    problems: list[str]
+    ticks: list[int]
+    lost: list[int]
+    memory: float
+    threads: int
+    files: int
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(3600)
+def test_in_an_hour_of_trials_nothing_is_lost_and_nothing_piles_up(
+    tmp_path: Path, figures: Figures
+) -> None:
+    began = time.monotonic()
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, str(tmp_path), str(EXPERIMENTS)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    told = [Told(**json.loads(line)) for line in done.stdout.splitlines()]
+
+    assert len(told) == EXPERIMENTS
+    assert [one.problems for one in told] == [[]] * EXPERIMENTS
+    assert [one.ticks for one in told] == [[50_000, 50_000]] * EXPERIMENTS
+    assert sum(sum(one.lost) for one in told) == 0
+    warm, last = told[WARM_UP : 2 * WARM_UP], told[-WARM_UP:]
+    growth = statistics.median(one.memory for one in last) - statistics.median(
+        one.memory for one in warm
+    )
+    figures.add(
+        "trial of 50 s, back to back in one process",
+        2 * EXPERIMENTS,
+        lost_samples=(sum(sum(one.lost) for one in told), ""),
+        growth=(growth, "MB"),
+        memory=(max(one.memory for one in told), "MB"),
+        threads=(max(one.threads for one in last), ""),
+        open_files=(max(one.files for one in last), ""),
+        wall_time=(time.monotonic() - began, "s"),
+    )
+    print("memory, MB:", *(round(one.memory) for one in told))
+    assert growth < MOST_GROWTH
+    assert max(one.threads for one in last) <= max(one.threads for one in warm)
+    assert max(one.files for one in last) <= max(one.files for one in warm)
