@@ -13,7 +13,7 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint format lock clean
+.PHONY: help setup run test faults lint format lock clean
 
 help:  ## list what make can do here
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,9 @@ run: setup  ## set up, then run the default experiment (or as ARGS say)
 
 test: lint  ## set up, check style and types, then run every test
 	$(BIN)/pytest $(ARGS)
+
+faults: setup  ## the long versions of the fault tests, with a line of figures for each hazard
+	$(BIN)/pytest -m faults $(ARGS)
 
 lint: setup  ## check style and types only
 	$(BIN)/ruff check

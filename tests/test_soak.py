@@ -16,9 +16,9 @@ EXPERIMENTS = 36
 """Of two trials of 50 s each: an hour."""
 WARM_UP = 6
 """Experiments after which libraries are loaded, code is compiled and caches are full."""
-MOST_GROWTH = 24.0
-"""MB that the process may grow in the hour, which is less than half of what one of its bags and its
-result take in memory: whatever keeps one trial in ten, or 0.2 bytes of each sample, is found."""
+MOST_GROWTH = 6.0
+"""MB that the process may grow from the experiments after the first few to the last few: half of
+what a single graph that is not taken down costs, and less than three bytes of each sample."""
 
 # Runs experiments as `armimp run` does, and tells after each how it went and what it holds.
 PROGRAM = """

@@ -1,12 +1,12 @@
 """The command ``armimp``.
 
-Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupted by the user.
+Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupted without a result.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -93,8 +93,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             on_progress=display.show,
             interrupted=stopped,
         )
-        status = _present(summary, directory, json)
-    return _unless_stopped(status, stopped, directory)
+        return _present(summary, directory, json)
 
 
 @app.command()
@@ -148,8 +147,7 @@ def replay(
             on_progress=display.show,
             interrupted=stopped,
         )
-        status = _present(summary, out, json, bags)
-    return _unless_stopped(status, stopped, out)
+        return _present(summary, out, json, bags)
 
 
 @app.command()
@@ -302,14 +300,6 @@ def _present(
     for problem in summary.problems:
         _say(f"armimp: not valid: {problem}")
     return 0 if summary.valid and complete else 1
-
-
-def _unless_stopped(status: int, stopped: Callable[[], bool], directory: Path | None) -> int:
-    """Return the exit status of a graph that ran to its end."""
-    if stopped():
-        kept = "nothing is kept" if directory is None else f"what there is of it is in {directory}"
-        raise InterruptionError(f"interrupted; {kept}")
-    return status
 
 
 def _new_directory(what: str) -> Path:

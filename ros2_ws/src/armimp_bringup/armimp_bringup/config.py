@@ -22,6 +22,8 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.parameters import SimulatorParameters
 
 Overrides = dict[str, JsonValue]
+_LARGEST = 1e20
+"""Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
 
 
 class ExperimentConfig(BaseModel):
@@ -213,9 +215,14 @@ def _overridden(base: Any, node: str, overrides: Overrides) -> Any:
     if not overrides:
         return base
     try:
-        return build(type(base), {**flatten(base), **_dotted(overrides)})
+        found = build(type(base), {**flatten(base), **_dotted(overrides)})
     except ConfigurationError as error:
         raise ConfigurationError(f"{node}: {error}") from None
+    for name, value in flatten(found).items():
+        for number in value if isinstance(value, list) else (value,):
+            if isinstance(number, float) and abs(number) > _LARGEST:
+                raise ConfigurationError(f"{node}: parameter '{name}' = {number}: is too large")
+    return found
 
 
 def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -60,6 +61,11 @@ class GraphContext:
     ----------
     domain_id : int or None
         The domain; None takes a free one.
+
+    Raises
+    ------
+    ConfigurationError, GraphError
+        If there is no such domain, or it is taken, or ROS cannot be started.
     """
 
     def __init__(self, domain_id: int | None = None) -> None:
@@ -78,6 +84,10 @@ class GraphContext:
                 self.context = Context()
                 self._join()
                 _set_variables(variables)
+        except RuntimeError as error:
+            self.close()
+            # The errors of rclpy, as with security asked of a middleware that has none.
+            raise GraphError(f"ROS cannot be started: {' '.join(str(error).split())}") from None
         except BaseException:
             self.close()
             raise
@@ -102,6 +112,9 @@ class GraphContext:
 
     def close(self) -> None:
         """Shut the context down, give the domain back, and restore the environment."""
+        # A lifecycle node that was destroyed stays in the graph, with all sockets and threads, as
+        # long as its services are there, which only the garbage collector finds.
+        gc.collect()
         self.context.try_shutdown()
         self.claim.release()
         _set_variables(self._before)

@@ -127,7 +127,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     substeps, step, interval_mean, resolutions : as for :func:`armimp_sim.plant.tick`
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
     laws : (lanes,) numbers of the laws, from :class:`armimp_control.law.LawNumbers`
-    roles : (lanes, 4, n) from the configurations of the laws
+    roles : (lanes, ROLE_ROWS, n) from the configurations of the laws
     targets, models : (lanes, n) θ_rd, rad, and (lanes, n, n) M̄, kg·m²
     scalars : (lanes, 2) Γ, rad/s; L, s
     rules : (lanes, RULE_ROWS, n) of the safety gates

@@ -146,7 +146,7 @@ def _status(phase: Phase, window: TrialWindow, trials: int) -> bytes:
             ticks=window.ticks,
             seed=window.seed or 0,
             valid=not window.fault,
-            reason=window.fault,
+            reason=window.told_again,
         )
     )
 

@@ -4,13 +4,20 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from rclpy.node import Node
 
-from armimp_bringup.graph import GraphContext
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.graph import ComposedNodes, GraphContext
 from armimp_bringup.resources import config_file
 from armimp_common.domain import DomainClaim
+from armimp_common.errors import GraphError
+from armimp_common.schema import to_params_yaml
+from armimp_common.sockets import endpoints
+from armimp_common.spin import Spinner
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -130,3 +137,37 @@ def test_both_profiles_are_the_same_but_for_how_far_they_reach() -> None:
     for tree in (loopback, plain):
         ElementTree.indent(tree)
     assert ElementTree.tostring(loopback) == ElementTree.tostring(plain)
+
+
+def test_when_security_is_enforced_without_a_keystore_expect_one_line_and_no_graph(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROS_SECURITY_ENABLE", "true")
+    monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Enforce")
+    monkeypatch.delenv("ROS_SECURITY_KEYSTORE", raising=False)
+    before = dict(os.environ)
+
+    with pytest.raises(GraphError, match=r"^ROS cannot be started: ") as error:
+        GraphContext()
+
+    assert "\n" not in str(error.value)
+    assert dict(os.environ) == before
+
+
+def test_when_a_graph_is_closed_expect_no_socket_of_it_left(tmp_path: Path) -> None:
+    parameters = tmp_path / "parameters.yaml"
+    values = node_parameters(ExperimentConfig(), tmp_path).by_node()
+    parameters.write_text(to_params_yaml(values), encoding="utf-8")
+    before = endpoints()
+
+    with GraphContext() as graph:
+        watcher = Node("watcher", context=graph.context)
+        with Spinner([watcher], context=graph.context) as spinner:
+            nodes = ComposedNodes(graph.context, spinner, parameters)
+            during = endpoints()
+            nodes.close()
+            spinner.remove_node(watcher)
+            watcher.destroy_node()
+
+    assert during > before
+    assert endpoints() == before

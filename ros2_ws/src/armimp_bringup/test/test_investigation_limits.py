@@ -125,7 +125,7 @@ def test_words_name_the_worst_element() -> None:
     cell = made((0.01, -0.01), 0.005)
     cell.errors[:, 1, 0, 1] *= 3.0
     (sentence,) = in_words([cell])
-    assert "2.00 to 6 times the bound" in sentence
+    assert "2.00 to 6.00 times the bound" in sentence
     assert "B12 at levels 0 1 3, an error of 3 %" in sentence
 
 

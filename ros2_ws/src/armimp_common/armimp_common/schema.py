@@ -92,12 +92,12 @@ class Leaf:
             item = item.value
         if self.item is float and isinstance(item, int) and not isinstance(item, bool):
             try:
-                return float(item)
+                item = float(item)
             except OverflowError:
                 raise self._too_large(value) from None
         if not isinstance(item, self.item) or (self.item is int and isinstance(item, bool)):
             raise self._wrong_type(value)
-        if self.item is int and not -(2**63) <= int(item) < 2**63:
+        if isinstance(item, int) and not -(2**63) <= item < 2**63:
             raise self._too_large(value)
         return item
 
@@ -108,9 +108,7 @@ class Leaf:
         )
 
     def _too_large(self, value: object) -> ConfigurationError:
-        return ConfigurationError(
-            f"parameter '{self.name}' = {_shown(value)}: does not fit 64 bits"
-        )
+        return ConfigurationError(f"parameter '{self.name}' = {_shown(value)}: is too large")
 
 
 def leaves(model: type[BaseModel]) -> dict[str, Leaf]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from typing import Any
@@ -188,16 +189,29 @@ class ImbicControllerNode(LifecycleNode):
     def _on_position(self, stamp_ns: int, theta: tuple[float, ...]) -> None:
         tau_h = self._torques.pop(stamp_ns, None)
         if tau_h is None:
-            self._positions[stamp_ns] = theta
+            self._keep(self._positions, stamp_ns, theta, "position")
         else:
             self._answer(stamp_ns, theta, tau_h)
 
     def _on_torque(self, stamp_ns: int, tau_h: tuple[float, ...]) -> None:
         theta = self._positions.pop(stamp_ns, None)
         if theta is None:
-            self._torques[stamp_ns] = tau_h
+            self._keep(self._torques, stamp_ns, tau_h, "torque reading")
         else:
             self._answer(stamp_ns, theta, tau_h)
+
+    def _keep(
+        self,
+        waiting: dict[int, tuple[float, ...]],
+        stamp_ns: int,
+        values: tuple[float, ...],
+        what: str,
+    ) -> None:
+        """Keep a reading for its partner. That may never come, so nonsense is a fault already."""
+        waiting[stamp_ns] = values
+        bad = next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
+        if bad is not None and self._experiment is not None and not self._experiment.at_rest:
+            self._refuse(f"{what} of joint {bad + 1} is not finite: {values[bad]}")
 
     def _answer(self, stamp_ns: int, theta: tuple[float, ...], tau_h: tuple[float, ...]) -> None:
         experiment = self._experiment
@@ -216,10 +230,14 @@ class ImbicControllerNode(LifecycleNode):
             self._report()
 
     def _on_malformed(self, error: ArmimpError) -> None:
+        self._refuse(f"malformed sensor message: {error}")
+
+    def _refuse(self, reason: str) -> None:
+        """End the experiment with zero torque because of a message that can not be used."""
         experiment = self._experiment
         if not self._active or experiment is None:
             return
-        self._garbled = f"malformed sensor message: {error}"
+        self._garbled = reason
         experiment.abort(self._garbled)
         self._commands.publish(experiment.command)
 

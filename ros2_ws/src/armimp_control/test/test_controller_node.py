@@ -287,8 +287,31 @@ class TestFaults:
         feed_still(driver, 5)
         eventually(spinner, lambda: driver.has_said(Phase.ABORTED) and driver.answered, "an abort")
 
-        assert driver.commands[60:] == [(0.0, 0.0)] * 6
+        # One more, if the bad reading came before its partner.
+        assert driver.commands[60:] in ([(0.0, 0.0)] * 6, [(0.0, 0.0)] * 7)
         assert driver.statuses[-1].reason == f"torque reading of joint 2 is not finite: {bad}"
+
+    @pytest.mark.parametrize(
+        ("topic", "what"),
+        [(contract.JOINT_STATES, "position"), (contract.TORQUE_SENSORS, "torque reading")],
+    )
+    def test_when_a_reading_without_a_partner_is_not_finite_expect_zero_torque_at_once(
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, topic: str, what: str
+    ) -> None:
+        self.start(make(), driver, spinner)
+
+        for _ in range(3):
+            driver.channels[topic].publish(driver.stamp_ns + 10**15, (math.nan, 1.0))
+        eventually(spinner, lambda: len(driver.commands) > 60, "a command")
+        a_moment(spinner)
+
+        # One is enough: in lockstep each is a step.
+        assert driver.commands[60:] == [(0.0, 0.0)]
+        assert driver.statuses[-1].phase is Phase.ABORTED
+        assert driver.statuses[-1].reason == f"{what} of joint 1 is not finite: nan"
+        feed_still(driver, 3)
+        eventually(spinner, lambda: len(driver.commands) >= 64, "an answer to every sample")
+        assert set(driver.commands[60:]) == {(0.0, 0.0)}
 
     def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import j0
 
 from armimp_control import presets
 from armimp_control.imbic import ImbicConfig
@@ -134,6 +135,23 @@ def test_joint_moves_by_what_was_asked_but_for_the_lag_of_the_estimation(model: 
         assert lag < target
         ideal = AMPLITUDE * between / target
         assert ideal / (1.0 + lag / target) <= amplitude <= ideal / (1.0 - lag / target)
+
+
+@pytest.mark.parametrize("counts", [0.2, 0.35, 0.7])
+@pytest.mark.parametrize("place", [0.1, 0.25, 0.4])
+def test_joint_between_two_counts_is_read_right_but_for_the_bessel_functions(
+    counts: float, place: float
+) -> None:
+    """Without dither a joint at 0.1, 0.25 or 0.4 counts would always be read as 0."""
+    motion = _motion(_config(), 4000)
+    count = AMPLITUDE / counts
+    # Both sines have whole numbers of periods in two seconds.
+    readings = np.round(motion[2000:] / count + place)
+    order = np.arange(1, 30)
+    left = np.prod([j0(2.0 * np.pi * order * a / count) for a in _amplitudes(motion)], axis=0)
+    error = np.sum((-1.0) ** order / (np.pi * order) * left * np.sin(2.0 * np.pi * order * place))
+    # 2000 readings have some hundred steps between them, each known to within a tick.
+    assert np.mean(readings) == pytest.approx(place + error, abs=0.015)
 
 
 def test_dither_is_in_proportion_to_its_amplitude() -> None:

@@ -106,8 +106,8 @@ class AssembledTrial:
         Parameters
         ----------
         allow_gaps : bool
-            Also take the parts of a trial that lost samples, or had some that were repeated, out
-            of order or not finite.
+            Also take the parts of a trial that was aborted or lost samples, or had some that were
+            repeated, out of order or not finite.
 
         Raises
         ------

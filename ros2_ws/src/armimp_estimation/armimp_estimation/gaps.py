@@ -18,7 +18,8 @@ class GapConfig:
     Parameters
     ----------
     allow : bool
-        Estimate from the intact parts of trials that lost samples; else such trials are refused.
+        Estimate from the intact parts of trials that lost samples or were aborted; else such
+        trials are refused. The result of one that was aborted is not valid.
         Intervals in which the controller clipped its command are left out in any case.
     most_excluded : float
         Largest share of the samples of a trial that may be left out, from 0 to 1. Beyond, there
@@ -38,7 +39,7 @@ class GapConfig:
 def judge_gaps(trial: AssembledTrial, config: GapConfig) -> list[str]:
     """Problems with a trial that was estimated from its intact parts, in words."""
     ledger = trial.ledger
-    problems = []
+    problems = [f"trial {trial.trial}: {trial.window.fault}"] if trial.window.aborted else []
     if not ledger.excluded_share <= config.most_excluded:
         problems.append(
             f"trial {trial.trial}: {100 * ledger.excluded_share:.3g} % of its samples are "

@@ -63,14 +63,15 @@ def find_problems(
     if steps.size > 1 and np.median(steps) > 1.5 * PERIOD_NS:
         apart = f"samples are {np.median(steps) / 1e6:.6g} ms apart, not {PERIOD_NS / 1e6:.6g} ms"
         return TrialProblems(all=apart, lasting=apart)
-    lasting = [fault] if fault and not window.missed else []
+    # What was recorded before an abort, or between missed samples, is intact.
+    lasting = [fault] if fault and not (window.missed or window.aborted) else []
     close = np.flatnonzero(np.diff(numbers) == 0)
     if close.size:
         first, second = stamps[close[0]], stamps[close[0] + 1]
         lasting.append(
             f"{close.size} stamps do not agree, the first {second - first} ns from its neighbour"
         )
-    gaps = [fault] if window.missed else []
+    gaps = [fault] if window.missed or window.aborted else []
     gaps += _gaps(kept, counts, usable.size)
     return TrialProblems(all=_one_line(lasting + gaps), lasting=_one_line(lasting))
 

@@ -21,6 +21,8 @@ MOST_TICKS: Final = 10_000_000
 
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
 
+_ABORTED: Final = "aborted: "
+_NOT_VALID: Final = "not valid: "
 # What the controller says of a trial in which it only missed samples, which the ledger shows too.
 _MISSED: Final = re.compile(r"[0-9]+ samples? did not arrive")
 
@@ -50,6 +52,8 @@ class TrialWindow:
         What spoiled the trial, according to the controller; empty if nothing did.
     missed : bool
         Whether the fault is no more than samples that did not reach the controller.
+    aborted : bool
+        Whether the controller aborted it: what was recorded before that is as good as ever.
     clipped : int
         Joint commands that the controller had to limit.
     clipped_intervals : tuple of (int, int)
@@ -70,8 +74,14 @@ class TrialWindow:
     ended: bool
     fault: str = ""
     missed: bool = False
+    aborted: bool = False
     clipped: int = 0
     clipped_intervals: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def told_again(self) -> str:
+        """The fault as the reason of a status of phase `REST`, from which the same window comes."""
+        return self.fault.removeprefix(_NOT_VALID)
 
     def __post_init__(self) -> None:
         if not 0 <= self.ticks <= MOST_TICKS:
@@ -119,11 +129,13 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
         if current is None:
             continue
         if status.phase is Phase.ABORTED:
-            current = replace(current, fault=f"aborted: {status.reason or 'no reason given'}")
-            current = replace(current, missed=False)
+            fault = f"{_ABORTED}{status.reason or 'no reason given'}"
+            current = replace(current, fault=fault, missed=False, aborted=True)
+        elif not status.valid and status.reason.startswith(_ABORTED):
+            current = replace(current, fault=status.reason, aborted=True)
         elif not status.valid and (current.missed or not current.fault):
-            current = replace(current, fault=f"not valid: {status.reason or 'no reason given'}")
-            current = replace(current, missed=only_missed_samples(status))
+            fault = f"{_NOT_VALID}{status.reason or 'no reason given'}"
+            current = replace(current, fault=fault, missed=only_missed_samples(status))
         current = _with_clipping(current, status)
         if status.phase is not Phase.PERTURB:
             current = replace(current, ended=True)

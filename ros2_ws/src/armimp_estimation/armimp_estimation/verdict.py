@@ -19,7 +19,8 @@ class Limits:
     ----------
     lock_ratio : float
         Largest motion of a locked joint relative to the perturbed one. Good locking stays below
-        0.006; at 0.02 the bias of off-diagonal elements may reach several per cent.
+        0.006, apart from the controller's dither, with which it reaches 0.013 for the coarsest
+        encoders; at 0.02 the bias of off-diagonal elements may reach several per cent.
     bias_bound : float
         Largest share of a torque that motion of locked joints explains, band mean, see
         :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03.

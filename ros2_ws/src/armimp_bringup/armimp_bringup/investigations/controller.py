@@ -50,23 +50,25 @@ class ControllerPlan:
     base : everything but seed, perturbation level and what is varied. The plant takes steps of
         0.05 ms, since the default of 0.01 ms would need five times as long.
     seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`
-    perturbations : levels
-    voluntary : rms of the voluntary torque of every joint, N·m
+    places : levels of the perturbation, and voluntary torques of every joint
     values : what the parameters are set to; a value that is the default is not run twice
     """
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
     )
-    seeds: str = "0:24"
-    perturbations: tuple[int, ...] = (1, 3)
-    voluntary: tuple[float, ...] = (0.0, 0.3)
+    seeds: str = "0:8"
+    places: tuple[Place, ...] = (
+        Place(perturbation=1, voluntary=0.0),
+        Place(perturbation=3, voluntary=0.0),
+        Place(perturbation=3, voluntary=0.3),
+    )
     values: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
-            MODEL: (0.4, 0.6, 0.8),
-            GAMMA: (50.0, 100.0, 200.0),
-            LOCK: (50.0, 100.0, 200.0),
-            DITHER: (0.0, 0.35, 0.7, 1.4),
+            MODEL: (0.2, 0.3, 0.4, 0.6, 0.8, 1.0),
+            GAMMA: (25.0, 50.0, 100.0, 200.0, 400.0),
+            LOCK: (25.0, 50.0, 100.0, 200.0, 300.0),
+            DITHER: (0.0, 0.35, 0.7, 1.05, 1.4),
         }
     )
 
@@ -206,7 +208,7 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
     ----------
     options : InvestigationOptions
     plan : ControllerPlan, optional
-        By default 24 seeds of 50 s trials at friction and resolution level 3.
+        By default 8 seeds of 50 s trials at friction and resolution level 3.
 
     Returns
     -------
@@ -250,21 +252,20 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
 def _lanes(
     plan: ControllerPlan, setting: Setting, base: ExperimentConfig, seeds: Sequence[int]
 ) -> Iterator[_Lane]:
-    for perturbation in plan.perturbations:
-        for rms in plan.voluntary:
-            person = {**base.arm_sim, "voluntary.rms": rms}
-            for seed in seeds:
-                yield _Lane(
-                    setting=setting,
-                    place=Place(perturbation=perturbation, voluntary=rms),
-                    base=base.model_copy(update={"arm_sim": person}),
-                    condition=Condition(
-                        seed=seed,
-                        friction=base.friction,
-                        resolution=base.resolution,
-                        perturbation=perturbation,
-                    ),
-                )
+    for place in plan.places:
+        person = {**base.arm_sim, "voluntary.rms": place.voluntary}
+        for seed in seeds:
+            yield _Lane(
+                setting=setting,
+                place=place,
+                base=base.model_copy(update={"arm_sim": person}),
+                condition=Condition(
+                    seed=seed,
+                    friction=base.friction,
+                    resolution=base.resolution,
+                    perturbation=place.perturbation,
+                ),
+            )
 
 
 def _simulated(block: Sequence[_Lane]) -> list[tuple[_Lane, list[OfflineTrial]]]:

@@ -22,7 +22,9 @@ def coverage_figure(cells: Sequence[Cell]) -> Any:
     figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
     shares, ratios = figure.subplots(1, 2)
     names = list(dict.fromkeys(cell.estimator for cell in cells))
-    shares.axhspan(100.0 * TARGET[0], 100.0 * TARGET[1], color="0.88", zorder=0, label="target")
+    shares.axhspan(
+        100.0 * TARGET[0], 100.0 * TARGET[1], color="0.88", zorder=0, label="target, pooled"
+    )
     shares.axhline(100.0 * NOMINAL, color="0.5", linewidth=0.6)
     for number, name in enumerate(names):
         look = LOOKS.get(name, {})
@@ -39,7 +41,6 @@ def coverage_figure(cells: Sequence[Cell]) -> Any:
                 markersize=4,
                 color=look.get("color"),
                 alpha=0.45,
-                label="its elements" if place == places[0] else None,
             )
         shares.errorbar(
             places,
@@ -55,6 +56,7 @@ def coverage_figure(cells: Sequence[Cell]) -> Any:
         )
     shares.set_ylabel("intervals that hold the truth (%)")
     shares.set_ylim(-3.0, 103.0)
+    shares.plot([], [], linestyle="none", marker="_", color="0.5", label="single elements")
     shares.legend(loc="lower left")
     first = [cell for cell in cells if cell.estimator == names[0]]
     for number, letter in enumerate(LETTERS):

@@ -28,8 +28,8 @@ def in_words(cells: Sequence[Cell]) -> list[str]:
         element, largest = worst.worst
         error = 100.0 * float(worst.rms.flat[worst.elements.index(element)])
         sentences.append(
-            f"{name}, {where}: rms errors are {smallest:.2f} to {largest:.3g} times the bound; the"
-            f" largest is that of {element} at levels {'{} {} {}'.format(*worst.levels)},"
+            f"{name}, {where}: rms errors are {smallest:.2f} to {_times(largest)} times the bound;"
+            f" the largest is that of {element} at levels {'{} {} {}'.format(*worst.levels)},"
             f" an error of {error:.2g} %."
         )
     return sentences
@@ -60,10 +60,16 @@ def print_cells(cells: Sequence[Cell]) -> None:
                 cell.estimator,
                 f"{cell.voluntary:g}",
                 "{} {} {}".format(*cell.levels),
-                *(f"{value:.3g}" if np.isfinite(value) else "–" for value in cell.ratio.flat),
-                "{} {:.3g}".format(*cell.worst) if cell.bound.any() else "–",
+                *(_times(value) for value in cell.ratio.flat),
+                f"{cell.worst[0]} {_times(cell.worst[1])}",
             )
             for cell in cells
         ],
         "Monte Carlo standard errors are in limits.csv",
     )
+
+
+def _times(ratio: float) -> str:
+    if not np.isfinite(ratio):
+        return "–"
+    return f"{ratio:.2f}" if ratio < 10.0 else f"{ratio:.0f}"

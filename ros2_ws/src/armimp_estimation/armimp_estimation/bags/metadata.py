@@ -213,11 +213,18 @@ def parse_custom_data(text: str) -> dict[str, str]:
     return _custom(inner) if isinstance(inner, dict) else {}
 
 
-# Deep nesting exhausts the stack before the parser objects.
+# The loader in C ends the process when it runs out of stack.
+_DEEPEST: Final = 100
 _BROKEN: Final = (yaml.YAMLError, RecursionError, ValueError)
 
 
 def _parse(text: str) -> Any:
+    depth = 0
+    for event in yaml.parse(text, Loader=_LOADER):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            raise yaml.YAMLError("nested too deeply")
     return yaml.load(text, Loader=_LOADER)
 
 

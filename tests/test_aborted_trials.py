@@ -1,0 +1,71 @@
+"""Bags of a trial that was aborted: refused, or estimated up to there on request, as not valid."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from armimp_bringup.cli import main
+from armimp_common.contract import PERIOD_NS, TRIAL
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
+from armimp_estimation.recording import BAGS, Recording
+from armimp_estimation.results import read_summary
+from armimp_estimation.testing import recorded_arm
+
+pytestmark = pytest.mark.usefixtures("environment")
+
+BEFORE = 7000
+"""Samples of the second trial before it is aborted."""
+REASON = "arm_sim is dead"
+
+
+def aborted_bags(directory: Path) -> list[str]:
+    arm = recorded_arm()
+    names = arm.records[0].joint_names
+    end_ns = arm.records[1].start_ns + BEFORE * PERIOD_NS
+    recording = Recording(names, directory, {"joint_names": json.dumps(names)}, lambda *_: None)
+    last: TrialStatus | None = None
+    for topic, stamp, raw in arm.messages:
+        if stamp >= end_ns:
+            break
+        if topic == TRIAL:
+            last = decode_trial_status(raw)
+            recording.add_status(last)
+        else:
+            recording.add(topic, raw)
+    assert last is not None
+    assert last.phase is Phase.PERTURB
+    recording.add_status(replace(last, phase=Phase.ABORTED, valid=False, reason=REASON))
+    recording.stop()
+    return [str(path) for path in sorted((directory / BAGS).iterdir())]
+
+
+@pytest.mark.parametrize("command", ["estimate", "replay"])
+def test_without_the_option_the_reason_is_one_line(
+    tmp_path: Path, command: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bags = aborted_bags(tmp_path)
+    assert main([command, *bags]) == 1
+    told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("armimp: ")]
+    assert told == [
+        f"armimp: {bags[1]}: trial 2: aborted: {REASON}; --allow-gaps uses the intact parts"
+    ]
+
+
+def test_with_the_option_it_is_estimated_up_to_there_but_not_valid(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    bags = aborted_bags(tmp_path)
+    for command in ("estimate", "replay"):
+        assert main([command, *bags, "--allow-gaps", "--out", str(tmp_path / command)]) == 1
+        assert f"not valid: trial 2: aborted: {REASON}" in capfd.readouterr().err
+
+    offline, replayed = (tmp_path / command for command in ("estimate", "replay"))
+    assert (offline / FRF_FILE).read_bytes() == (replayed / FRF_FILE).read_bytes()
+    one, other = read_summary(offline / SUMMARY_FILE), read_summary(replayed / SUMMARY_FILE)
+    assert one.estimators == other.estimators
+    assert one.problems[0] == f"trial 2: aborted: {REASON}"
+    assert BEFORE - 2 <= one.trials[1].ticks <= BEFORE

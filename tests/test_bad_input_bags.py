@@ -1,0 +1,379 @@
+"""Bags of every wrong kind, through the commands that take them: a result, or a clear complaint."""
+
+import json
+import random
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from armimp_bringup.testing_command import Told, behaved, refused
+from armimp_common import contract
+from armimp_common.cdr import JointStateDecoder, JointStateEncoder
+from armimp_common.contract import PERIOD_NS
+from armimp_estimation.bags import BagWriter
+from armimp_estimation.bags.synthetic import Message
+from armimp_estimation.testing import recorded_arm
+
+SAMPLES = 1800
+MESSAGES = recorded_arm(SAMPLES).messages
+NAMES = recorded_arm(SAMPLES).records[0].joint_names
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = dict(contract.MESSAGE_TYPES)
+Change = Callable[[Message], Message | None]
+
+
+def write(path: Path, messages: Sequence[Message] = MESSAGES, **metadata: str) -> Path:
+    with BagWriter(path, metadata=metadata) as writer:
+        for topic, log_time_ns, raw in messages:
+            writer.write(topic, raw, log_time_ns)
+    return path
+
+
+def foreign(path: Path, messages: Sequence[Message], types: dict[str, str] = TYPES) -> Path:
+    """As ``ros2 bag record`` would have it, with whatever types."""
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections = {
+            topic: writer.add_connection("/" + topic, types[topic], typestore=STORE)
+            for topic in dict.fromkeys(message[0] for message in messages)
+        }
+        for topic, log_time_ns, raw in messages:
+            writer.write(connections[topic], log_time_ns, raw)
+    return path
+
+
+def changed(change: Change) -> list[Message]:
+    return [kept for message in MESSAGES if (kept := change(message)) is not None]
+
+
+def restamped(stamp: Callable[[int], int], names: Sequence[str] = NAMES) -> list[Message]:
+    """All samples with other stamps, and the joints in another order."""
+
+    def change(message: Message) -> Message:
+        topic, log_time_ns, raw = message
+        if topic not in contract.VALUE_FIELD:
+            return message
+        field = contract.VALUE_FIELD[topic]
+        (stamp_ns,), values = JointStateDecoder(names, field).decode_many([raw])
+        encoder = JointStateEncoder(names, field)
+        return topic, log_time_ns, encoder.encode(stamp(int(stamp_ns)), values[:, 0])
+
+    return changed(change)
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("good") / "bag", joint_names=json.dumps(NAMES))
+
+
+@pytest.fixture(scope="module")
+def told_of_good(good: Path) -> Told:
+    told = behaved("estimate", str(good), "--json")
+    assert told.status == 0
+    return told
+
+
+def numbers(told: Told) -> object:
+    return json.loads(told.out)["estimators"]
+
+
+def both_refuse(bag: Path) -> str:
+    """The line with which both commands refuse a bag, as data that are invalid."""
+    lines = set()
+    for command in ("estimate", "replay"):
+        told = refused(command, str(bag))
+        assert told.status == 1
+        lines.add(told.err)
+    (line,) = lines
+    assert str(bag) in line
+    return line
+
+
+class TestContent:
+    def test_foreign_topics(self, tmp_path: Path) -> None:
+        raw = STORE.serialize_cdr(
+            STORE.types["std_msgs/msg/String"](data="hello"), "std_msgs/msg/String"
+        )
+        bag = foreign(
+            tmp_path / "bag",
+            [("chatter", 10**9 + i, bytes(raw)) for i in range(20)],
+            {"chatter": "std_msgs/msg/String"},
+        )
+        assert "no messages of an experiment in it" in both_refuse(bag)
+
+    def test_no_messages(self, tmp_path: Path) -> None:
+        assert "no messages of an experiment" in both_refuse(write(tmp_path / "own", ()))
+        assert "no messages of an experiment" in both_refuse(foreign(tmp_path / "foreign", ()))
+
+    @pytest.mark.parametrize(
+        "topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS, contract.PERTURBATION]
+    )
+    def test_a_missing_topic(self, topic: str, tmp_path: Path) -> None:
+        bag = foreign(tmp_path / "bag", changed(lambda m: None if m[0] == topic else m))
+        assert f"no topic {topic}" in both_refuse(bag)
+
+    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+    def test_wrong_joint_names(self, topic: str, tmp_path: Path) -> None:
+        def rename(message: Message) -> Message:
+            raw = message[2].replace(b"joint_2", b"joint_7") if message[0] == topic else message[2]
+            return message[0], message[1], raw
+
+        line = both_refuse(foreign(tmp_path / "bag", changed(rename)))
+        assert f"{topic}: none of " in line
+        assert "'joint_7'" in line
+
+    def test_another_order_of_the_joints_gives_the_same_numbers(
+        self, tmp_path: Path, told_of_good: Told
+    ) -> None:
+        bag = write(
+            tmp_path / "bag",
+            restamped(lambda stamp: stamp, NAMES[::-1]),
+            joint_names=json.dumps(NAMES),
+        )
+        assert numbers(behaved("estimate", str(bag), "--json")) == numbers(told_of_good)
+
+    @pytest.mark.parametrize(
+        "kind", ["std_msgs/msg/Float64MultiArray", "std_msgs/msg/String", "sensor_msgs/msg/Imu"]
+    )
+    def test_a_wrong_message_type(self, kind: str, tmp_path: Path) -> None:
+        bag = foreign(tmp_path / "bag", MESSAGES, {**TYPES, contract.JOINT_STATES: kind})
+        line = both_refuse(bag)
+        assert kind in line
+        assert contract.JOINT_STATES in line
+
+    def test_messages_of_another_type_under_the_right_name(self, tmp_path: Path) -> None:
+        command = next(raw for topic, _, raw in MESSAGES if topic == contract.COMMANDS)
+        bag = write(
+            tmp_path / "bag",
+            changed(lambda m: (m[0], m[1], command) if m[0] == contract.TORQUE_SENSORS else m),
+        )
+        assert f"{contract.TORQUE_SENSORS}: none of " in both_refuse(bag)
+
+    @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+    def test_a_value_that_is_no_number(self, topic: str, value: float, tmp_path: Path) -> None:
+        numbered = [i for i, message in enumerate(MESSAGES) if message[0] == topic]
+        where = numbered[len(numbered) // 4]
+        encoder = JointStateEncoder(NAMES, contract.VALUE_FIELD[topic])
+        stamp_ns = MESSAGES[where][1]
+        messages = list(MESSAGES)
+        messages[where] = (topic, stamp_ns, encoder.encode(stamp_ns, np.array([0.1, value])))
+        line = both_refuse(write(tmp_path / "bag", messages))
+        assert f"trial 1: 1 sample of {topic} is not finite" in line
+
+
+class TestStamps:
+    @pytest.mark.parametrize(
+        "stamp",
+        [
+            lambda stamp: 2 * stamp,
+            lambda stamp: stamp // 2,
+            lambda stamp: 5 * 10**9,
+            lambda stamp: 0,
+            lambda stamp: 10**12 - stamp,
+            lambda stamp: stamp + (stamp // PERIOD_NS % 7) * 300_000,
+        ],
+        ids=["half the rate", "twice the rate", "all the same", "zero", "backwards", "jitter"],
+    )
+    def test_wrong_stamps_are_refused(self, stamp: Callable[[int], int], tmp_path: Path) -> None:
+        both_refuse(write(tmp_path / "bag", restamped(stamp)))
+
+    def test_swapped_samples_are_found_by_their_stamps(
+        self, tmp_path: Path, told_of_good: Told
+    ) -> None:
+        def swapped(stamp: int) -> int:
+            tick = stamp // PERIOD_NS
+            return PERIOD_NS * (tick + 1 - 2 * (tick % 2) if 200 <= tick < 210 else tick)
+
+        bag = write(tmp_path / "bag", restamped(swapped))
+        told = behaved("estimate", str(bag), "--json")
+        assert told.status == 1 or numbers(told) != numbers(told_of_good)
+
+
+# What may stand in the metadata of a bag, and what is said of it.
+METADATA = [
+    ("config", "x", "config is not JSON: 'x'"),
+    ("config", "[]", "config is not a JSON object: '[]'"),
+    ("config", "5", "config is not a JSON object: '5'"),
+    ("config", "null", "config is not a JSON object: 'null'"),
+    ("config", "[" * 100_000, "config is not JSON: '[["),
+    ("config", '{"a": ' + "9" * 5000 + "}", "config is not JSON"),
+    ("config", '{"a": "\\ud800"}', "config is not JSON"),
+    ("seed", "x", "seed is not JSON: 'x'"),
+    ("seed", "9" * 5000, "seed is not JSON: '999"),
+    ("seed", "[" * 100_000, "seed is not JSON"),
+    ("truth", "x", "truth is not JSON: 'x'"),
+    ("truth", "{}", "truth is not three matrices"),
+    ("truth", "5", "truth is not three matrices"),
+    ("truth", '{"M": "a", "B": 1, "K": 2}', "'a'"),
+    ("truth", '{"M": [[1, 2], [3]], "B": 1, "K": 2}', "truth is not three matrices"),
+    ("truth", '{"M": [[1]], "B": [[1]], "K": [[1]]}', "truth is of 1 joints, the data of 2"),
+    (
+        "truth",
+        '{"M": [[NaN, 0], [0, 1]], "B": [[1, 0], [0, 1]], "K": [[1, 0], [0, 1]]}',
+        "M is not finite",
+    ),
+    (
+        "truth",
+        '{"M": [[1e300, 0], [0, 1]], "B": [[1, 0], [0, 1]], "K": [[1, 0], [0, 1]]}',
+        "an element of 1e+300",
+    ),
+    (
+        "truth",
+        '{"M": [[' + "9" * 400 + ', 0], [0, 1]], "B": [[1, 0], [0, 1]], "K": [[1, 0], [0, 1]]}',
+        "truth is not three matrices",
+    ),
+    ("joint_names", '["joint_1"]', "unknown joint 'joint_2'"),
+    ("joint_names", '["a", "b"]', "lacks joint 'a'"),
+    ("joint_names", '["joint_1", "joint_1"]', "not distinct: joint_1, joint_1"),
+    ("joint_names", '["joint_1\\n", "joint_2"]', r"lacks joint 'joint_1\n'"),
+]
+
+
+class TestMetadata:
+    @pytest.mark.parametrize(("key", "value", "complaint"), METADATA)
+    def test_wrong_metadata_are_named(
+        self, key: str, value: str, complaint: str, tmp_path: Path
+    ) -> None:
+        assert complaint in both_refuse(write(tmp_path / "bag", MESSAGES, **{key: value}))
+
+    @pytest.mark.parametrize("timing", ["x", "5", "[]", "null", "[" * 100_000])
+    def test_a_wrong_torque_timing_makes_the_result_invalid(
+        self, timing: str, tmp_path: Path
+    ) -> None:
+        bag = write(tmp_path / "bag", MESSAGES, torque_timing=timing)
+        told = behaved("estimate", str(bag))
+        assert told.status == 1
+        (line,) = told.complaints
+        assert "torque_timing is " in line
+
+    @pytest.mark.parametrize(
+        ("key", "value"),
+        [("config", '{"experiment": 5}'), ("seed", "[]"), ("seed", "null"), ("truth", "null")],
+    )
+    def test_metadata_of_no_consequence_do_no_harm(
+        self, key: str, value: str, tmp_path: Path, told_of_good: Told
+    ) -> None:
+        bag = write(tmp_path / "bag", MESSAGES, **{key: value})
+        assert numbers(behaved("estimate", str(bag), "--json")) == numbers(told_of_good)
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            b"",
+            b"garbage",
+            bytes(range(256)),
+            b"[" * 100_000,
+            b"rosbag2_bagfile_information: 5",
+            b"rosbag2_bagfile_information: {relative_file_paths: []}",
+            b"rosbag2_bagfile_information: {relative_file_paths: [nowhere.mcap]}",
+            b"rosbag2_bagfile_information: {relative_file_paths: ['..']}",
+            b'rosbag2_bagfile_information: {relative_file_paths: ["a\\0b"]}',
+            b'rosbag2_bagfile_information: {relative_file_paths: ["a\\nb"]}',
+            b"rosbag2_bagfile_information: &a {relative_file_paths: *a}",
+        ],
+    )
+    def test_garbage_as_metadata_file_is_named(
+        self, content: bytes, good: Path, tmp_path: Path
+    ) -> None:
+        bag = Path(shutil.copytree(good, tmp_path / "bag"))
+        (bag / "metadata.yaml").write_bytes(content)
+        both_refuse(bag)
+
+    def test_a_directory_as_metadata_file_is_named(self, good: Path, tmp_path: Path) -> None:
+        bag = Path(shutil.copytree(good, tmp_path / "bag"))
+        (bag / "metadata.yaml").unlink()
+        (bag / "metadata.yaml").mkdir()
+        assert "metadata.yaml: cannot be read: Is a directory" in both_refuse(bag)
+
+
+class TestFiles:
+    @pytest.mark.parametrize("name", ["bag", "bag.mcap", "bag.db3", "metadata.yaml"])
+    def test_a_file_of_length_zero(self, name: str, tmp_path: Path) -> None:
+        (tmp_path / name).touch()
+        for command in ("estimate", "replay"):
+            assert str(tmp_path) in refused(command, str(tmp_path / name)).err
+
+    def test_a_directory_without_files(self, tmp_path: Path) -> None:
+        assert "is an empty directory" in both_refuse(tmp_path)
+
+    def test_a_directory_of_other_files(self, tmp_path: Path) -> None:
+        (tmp_path / "thesis.tex").write_text("ten years of work")
+        assert "is not a bag: it has no metadata.yaml" in both_refuse(tmp_path)
+
+    @pytest.mark.parametrize("name", ["/dev/null", "/dev/full", "/proc/self/mem", "a" * 300])
+    def test_what_cannot_be_read(self, name: str) -> None:
+        both_refuse(Path(name))
+
+    def test_one_bad_bag_among_good_ones_is_named(self, good: Path, tmp_path: Path) -> None:
+        (tmp_path / "empty.mcap").touch()
+        told = refused("estimate", str(good), str(tmp_path / "empty.mcap"))
+        assert f"{tmp_path / 'empty.mcap'}: is empty" in told.err
+
+    def test_bags_of_other_joints_do_not_mix(self, good: Path, tmp_path: Path) -> None:
+        other = [(t, n, raw.replace(b"joint_", b"whale_")) for t, n, raw in MESSAGES]
+        told = refused("estimate", str(good), str(write(tmp_path / "other", other)))
+        assert "joints whale_1, whale_2 differ from joint_1, joint_2" in told.err
+
+
+def storage(bag: Path) -> bytes:
+    (file,) = bag.glob("*.mcap")
+    return file.read_bytes()
+
+
+def cut(good: Path, directory: Path, parts: int) -> None:
+    whole = storage(good)
+    file = directory / "cut.mcap"
+    statuses = []
+    for part in range(parts):
+        file.write_bytes(whole[: len(whole) * part // parts])
+        statuses.append(behaved("estimate", str(file)).status)
+    # Where the second trial is missing there is no result, and without its end there may be one.
+    assert statuses[: parts // 2] == [1] * (parts // 2)
+
+
+def flip(good: Path, directory: Path, rounds: int, *, seed: int) -> None:
+    whole = storage(good)
+    rng = random.Random(seed)
+    file = directory / "flipped.mcap"
+    for _ in range(rounds):
+        content = bytearray(whole)
+        for _ in range(rng.choice([1, 1, 2, 20])):
+            # The records at both ends say what all the others are.
+            where = rng.choice([rng.randrange(len(whole)), rng.randrange(4000)])
+            content[where if rng.random() < 0.8 else -1 - where % 4000] = rng.randrange(256)
+        file.write_bytes(content)
+        behaved("estimate", str(file))
+
+
+def test_a_bag_cut_at_every_fiftieth_of_its_length_gives_a_result_or_a_reason(
+    good: Path, tmp_path: Path
+) -> None:
+    cut(good, tmp_path, 50)
+
+
+def test_a_bag_with_changed_bytes_gives_a_result_or_a_reason(good: Path, tmp_path: Path) -> None:
+    flip(good, tmp_path, 40, seed=1)
+
+
+def test_a_cut_bag_is_refused_by_replay_with_the_same_reason(good: Path, tmp_path: Path) -> None:
+    whole = storage(good)
+    file = tmp_path / "cut.mcap"
+    for size in (5, 100, 3000):
+        file.write_bytes(whole[:size])
+        both_refuse(file)
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(3600)
+class TestAtLength:
+    def test_cut_at_two_thousand_places(self, good: Path, tmp_path: Path) -> None:
+        cut(good, tmp_path, 2000)
+
+    @pytest.mark.parametrize("seed", range(10))
+    def test_changed_bytes(self, seed: int, good: Path, tmp_path: Path) -> None:
+        flip(good, tmp_path, 500, seed=100 + seed)

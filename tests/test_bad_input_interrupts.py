@@ -1,0 +1,121 @@
+"""Ctrl-C at any moment: one line, exit status 130 without a result, never a traceback."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from armimp_bringup.testing_command import call
+from armimp_estimation.bags import BagWriter
+from armimp_estimation.testing import recorded_arm
+
+PATIENCE = 60.0
+
+
+@contextmanager
+def program(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    command = [sys.executable, "-m", "armimp_bringup.cli", *arguments]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def interrupt(process: subprocess.Popen[str], *, status: int = 130) -> list[str]:
+    """Lines of standard error after SIGINT."""
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=PATIENCE)
+    assert process.returncode == status, error
+    return error.splitlines()
+
+
+def reader_of(pipe: Path, process: subprocess.Popen[str]) -> int:
+    """Wait until the process reads from a pipe, which it will do in vain."""
+    deadline = time.monotonic() + PATIENCE
+    while True:
+        try:
+            return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError as error:
+            if error.errno != errno.ENXIO:
+                raise
+        assert process.poll() is None
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_while_it_reads_a_bag_expect_one_line(tmp_path: Path) -> None:
+    pipe = tmp_path / "metadata.yaml"
+    os.mkfifo(pipe)
+    with program("estimate", str(tmp_path)) as process:
+        writer = reader_of(pipe, process)
+        try:
+            assert interrupt(process) == ["armimp: interrupted"]
+        finally:
+            os.close(writer)
+
+
+def test_while_it_measures_expect_one_line_and_no_figures(tmp_path: Path) -> None:
+    with program("bench", "--out", str(tmp_path / "out")) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline() == "compiling\n"
+        told = interrupt(process)
+    assert told[-1] == "armimp: interrupted"
+    assert len([line for line in told if line.startswith("armimp: ")]) == 1
+    assert not any("Traceback" in line for line in told)
+    assert not (tmp_path / "out" / "bench.json").exists()
+
+
+def test_an_investigation_does_not_wait_for_the_work_that_nobody_wants(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with program("investigate", "coverage", "--out", str(out)) as process:
+        deadline = time.monotonic() + PATIENCE
+        while not out.exists():
+            assert process.poll() is None
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        assert interrupt(process) == ["armimp: interrupted"]
+    assert not list(out.iterdir())
+
+
+def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
+    bag, out = tmp_path / "bag", tmp_path / "out"
+    with BagWriter(bag, metadata={}) as writer:
+        for topic, log_time_ns, raw in recorded_arm(8_000).messages:
+            writer.write(topic, raw, log_time_ns)
+    with program("replay", str(bag), "--out", str(out)) as process:
+        assert process.stderr is not None
+        while not process.stderr.readline().startswith("trial 1 of 2"):
+            assert process.poll() is None
+        told = interrupt(process, status=1)
+    assert "armimp: not valid: interrupted by the user" in told
+    assert not any("Traceback" in line for line in told)
+    assert (out / "summary.json").exists()
+
+
+def test_when_an_import_is_interrupted_expect_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compiled_module(*_: object) -> NoReturn:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr("armimp_bringup.config.load_config", compiled_module)
+    told = call("run")
+    assert (told.status, told.err, told.out) == (130, "armimp: interrupted\n", "")
+
+
+def test_a_module_that_is_missing_is_not_taken_for_an_interruption(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def missing(*_: object) -> NoReturn:
+        raise ImportError("no module named rclpy")
+
+    monkeypatch.setattr("armimp_bringup.config.load_config", missing)
+    with pytest.raises(ImportError, match="rclpy"):
+        call("run")

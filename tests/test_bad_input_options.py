@@ -1,0 +1,187 @@
+"""Wrong values of options: one line with the value, exit status 2 (or 1), nothing left behind."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from armimp_bringup.testing_command import refused
+
+LONG = "a" * 300
+
+
+@pytest.fixture(autouse=True)
+def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty directory to work in, with a file and a full directory beside it."""
+    (tmp_path / "file").write_text("ten years of work")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").touch()
+    here = tmp_path / "here"
+    here.mkdir()
+    monkeypatch.chdir(here)
+    return here
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "quoted"),
+    [
+        ("--friction", "7", "'friction' = 7"),
+        ("--friction", "-1", "'friction' = -1"),
+        ("--friction", "1.5", "--friction"),
+        ("--friction", "", "--friction"),
+        ("--friction", "3\n4", "--friction"),
+        ("--resolution", "4", "'resolution' = 4"),
+        ("--perturbation", "0", "'perturbation' = 0"),
+        ("--duration", "-1", "'duration' = -1.0"),
+        ("--duration", "nan", "'duration' = nan"),
+        ("--duration", "inf", "'duration' = inf"),
+        ("--duration", "1e400", "'duration' = inf"),
+        ("--duration", "1e300", "'duration' = 1e+300"),
+        ("--duration", "ten", "--duration"),
+        ("--seed", "-1", "'seed' = -1"),
+        ("--seed", "9" * 30, "'seed' = 9999"),
+        ("--seed", "9" * 5000, "--seed"),
+        ("--seed", "nan", "--seed"),
+        ("--joints", "9", "'joints' = 9"),
+        ("--joints", "-2", "'joints' = -2"),
+        ("--estimator", "foo", "'foo'"),
+        ("--estimator", "", "''"),
+        ("--estimator", "a\nb", r"'a\nb'"),
+        ("--mode", "warp", '"warp"'),
+        ("--processes", "", "'processes'"),
+        ("--config", ".", ".: Is a directory"),
+        ("--config", "../file/x", "../file/x: Not a directory"),
+        ("--config", "/proc/self/mem", "/proc/self/mem: Input/output error"),
+        ("--config", LONG * 20, "File name too long"),
+        ("--out", "../file", "../file"),
+        ("--out", "../file/x", "../file/x: cannot be made: Not a directory"),
+        ("--out", "../full", "../full: is not empty"),
+        ("--out", "/proc/here", "/proc/here: cannot be made"),
+        ("--out", LONG, f"{LONG}: cannot be made: File name too long"),
+        ("--colour", "red", "--colour"),
+    ],
+)
+def test_a_wrong_value_of_run_ends_in_one_line_with_the_value(
+    directory: Path, option: str, value: str, quoted: str
+) -> None:
+    told = refused("run", option, value)
+    assert told.status == 2
+    assert quoted in told.err
+    made = [path for path in directory.rglob("*") if path.is_file()]
+    assert not made
+
+
+@pytest.mark.parametrize("command", ["run", "replay"])
+@pytest.mark.parametrize("domain", ["-1", "500", "9" * 30, "x"])
+def test_a_wrong_domain_ends_in_one_line_with_the_value(command: str, domain: str) -> None:
+    arguments = ["nowhere"] if command == "replay" else ["--out", "new"]
+    told = refused(command, *arguments, "--domain-id", domain)
+    assert "nowhere" in told.err or domain[:20] in told.err or "--domain-id" in told.err
+
+
+@pytest.mark.parametrize(
+    ("value", "quoted"),
+    [
+        ("x:y", "'x:y'"),
+        ("", "''"),
+        ("-1", "'-1'"),
+        ("1:0", "'1:0'"),
+        ("1,1", "1 is there twice"),
+        ("0:5:0", "'0:5:0'"),
+        ("0:1:2:3", "'0:1:2:3'"),
+        ("0:" + "9" * 19, "9999999999999999998"),
+        ("0:10001", "10001 seeds"),
+        ("٣", "'٣'"),
+        ("1\n,x", r"'1\n,x'"),
+    ],
+)
+@pytest.mark.parametrize("command", [("reproduce",), ("investigate", "coverage")])
+def test_wrong_seeds_end_in_one_line_and_leave_no_directory(
+    directory: Path, command: tuple[str, ...], value: str, quoted: str
+) -> None:
+    told = refused(*command, "--out", "new", "--seeds", value)
+    assert told.status == 2
+    assert quoted in told.err
+    assert not list(directory.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "value", "quoted"),
+    [
+        ("reproduce", "--only", "nonsense", "'nonsense'"),
+        ("reproduce", "--only", "", "''"),
+        ("reproduce", "--only", "friction=", "''"),
+        ("reproduce", "--only", "friction=9", "'9'"),
+        ("reproduce", "--only", "friction=1,friction=2", "friction is there twice"),
+        ("reproduce", "--only", "friction=1+\n", r"friction=1+\n"),
+        ("reproduce", "--workers", "0", "got 0"),
+        ("reproduce", "--workers", "-3", "got -3"),
+        ("reproduce", "--workers", "two", "--workers"),
+        ("reproduce", "--duration", "-1", "'duration' = -1.0"),
+        ("reproduce", "--duration", "nan", "'duration' = nan"),
+        ("reproduce", "--joints", "9", "'joints' = 9"),
+        ("reproduce", "--estimator", "foo", "'foo'"),
+        ("investigate coverage", "--workers", "0", "got 0"),
+        ("investigate nothing", "--workers", "1", "'nothing'"),
+        ("bench nothing", "--out", "new", "'nothing'"),
+    ],
+)
+def test_a_wrong_value_of_the_studies_ends_in_one_line_and_leaves_no_directory(
+    directory: Path, command: str, option: str, value: str, quoted: str
+) -> None:
+    out = () if option == "--out" else ("--out", "new")
+    told = refused(*command.split(), *out, option, value)
+    assert told.status == 2
+    assert quoted in told.err
+    assert not list(directory.iterdir())
+
+
+@pytest.mark.parametrize("out", ["../file", "../file/x", "/proc/here", LONG])
+@pytest.mark.parametrize("command", [("reproduce",), ("investigate", "limits"), ("bench",)])
+def test_a_directory_that_cannot_be_made_is_named_before_anything_is_measured(
+    command: tuple[str, ...], out: str
+) -> None:
+    assert out in refused(*command, "--out", out).err
+
+
+@pytest.mark.parametrize("command", [("reproduce",), ("investigate", "limits")])
+def test_nothing_is_overwritten(directory: Path, command: tuple[str, ...]) -> None:
+    told = refused(*command, "--out", "../full")
+    assert told.status == 2
+    assert "../full: is not empty" in told.err
+    assert [path.name for path in (directory.parent / "full").iterdir()] == ["thesis.tex"]
+    assert (directory.parent / "file").read_text() == "ten years of work"
+
+
+@pytest.mark.parametrize("name", ["no\nwhere", "\x1b[31mred", "no\udcffwhere", "a\u2028b"])
+@pytest.mark.parametrize("command", ["estimate", "replay"])
+def test_a_name_with_strange_characters_is_shown_on_one_line(command: str, name: str) -> None:
+    told = refused(command, name)
+    assert told.status == 1
+    assert told.err[:-1].isprintable()
+    assert told.err.endswith(": does not exist\n")
+
+
+def test_a_figure_of_the_benchmarks_is_not_overwritten(directory: Path) -> None:
+    (directory / "bench.json").write_text("{}")
+    assert "bench.json: exists already" in refused("bench", "--out", ".").err
+    assert (directory / "bench.json").read_text() == "{}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "complaint"),
+    [
+        (["run", "--friction", "7"], 2, "parameter 'friction' = 7: "),
+        ([b"estimate", b"no\n\xff\x1b[31mwhere"], 1, r"no\n\udcff\x1b[31mwhere: does not exist"),
+    ],
+)
+def test_the_program_itself_prints_that_line_alone(
+    arguments: list[str | bytes], status: int, complaint: str
+) -> None:
+    program = [sys.executable, "-m", "armimp_bringup.cli"]
+    done = subprocess.run([*program, *arguments], capture_output=True, text=True, check=False)
+    assert done.returncode == status
+    assert done.stdout == ""
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"armimp: {complaint}")

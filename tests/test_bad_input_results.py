@@ -1,0 +1,298 @@
+"""Files of a study that goes on, damaged in every way: each is named with its fault."""
+
+import copy
+import io
+import json
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armimp_bringup.testing_command import Told, call
+from armimp_common.errors import DataError
+from armimp_estimation.results import read_frf, read_summary
+
+STUDY = (
+    *("reproduce", "--duration", "10", "--no-figures", "--estimator", "welch_full"),
+    *("--only", "friction=0,resolution=0,perturbation=3"),
+)
+NAME = "friction0-resolution0-perturbation3-seed0"
+ESTIMATOR = ("estimators", "welch_full")
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("study") / "good"
+    assert call(*STUDY, "--out", str(directory)).status == 0
+    return directory
+
+
+@pytest.fixture(scope="module")
+def result(study: Path) -> dict[str, Any]:
+    read: dict[str, Any] = json.loads((study / "conditions" / f"{NAME}.json").read_bytes())
+    return read
+
+
+@pytest.fixture
+def damaged(study: Path, tmp_path: Path) -> Path:
+    """A copy to spoil."""
+    return Path(shutil.copytree(study, tmp_path / "damaged"))
+
+
+def go_on(directory: Path) -> Told:
+    return call(*STUDY, "--out", str(directory))
+
+
+def named(file: Path, directory: Path) -> str:
+    """The one complaint, which must begin with the file; progress comes before it."""
+    before = (directory / "verdict.json").read_bytes()
+    told = go_on(directory)
+    assert told.status in (1, 2), told
+    (line,) = [line for line in told.err.splitlines() if not line[0].isdigit()]
+    assert line.startswith(f"armimp: {file}: "), told
+    assert told.out == ""
+    assert (directory / "verdict.json").read_bytes() == before
+    return line
+
+
+def with_value(result: dict[str, Any], path: tuple[str | int, ...], value: object) -> bytes:
+    spoiled = copy.deepcopy(result)
+    place: Any = spoiled
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    return json.dumps(spoiled).encode()
+
+
+NO_JSON = {
+    "empty": b"",
+    "binary": bytes(range(256)),
+    "zeros": bytes(1000),
+    "deep": b"[" * 100_000,
+    "list": b"[]",
+    "number": b"5",
+    "null": b"null",
+    "not a number": b"NaN",
+    "many digits": b"9" * 5000,
+    "foreign": b'{"name": "armimp", "version": 3}',
+    "half a pair": b'{"\\ud800": 1}',
+}
+
+
+@pytest.mark.parametrize("kind", NO_JSON)
+@pytest.mark.parametrize("name", [f"conditions/{NAME}.json", "config.json"])
+def test_what_is_no_result_is_named(name: str, kind: str, damaged: Path) -> None:
+    (damaged / name).write_bytes(NO_JSON[kind])
+    told = go_on(damaged)
+    assert told.status in (1, 2)
+    (line,) = [line for line in told.err.splitlines() if not line[0].isdigit()]
+    assert line.startswith(f"armimp: {damaged}")
+    assert len(line) < 800
+    assert told.out == ""
+
+
+def test_a_cut_result_is_named(damaged: Path) -> None:
+    file = damaged / "conditions" / f"{NAME}.json"
+    whole = file.read_bytes()
+    for part in range(10):
+        file.write_bytes(whole[: len(whole) * part // 10])
+        assert "not the result of a condition" in named(file, damaged)
+
+
+MATRIX = [[1.0, 2.0], [3.0]]
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "complaint"),
+    [
+        (("schema",), 2, "schema"),
+        (("config",), [], "config"),
+        (("joints",), -1, "joints"),
+        (("joints",), 3, "for 3 joints"),
+        (("joints",), 10**30, "for 1000000000000000000000000000000 joints"),
+        (("joints",), "two", "joints"),
+        (("joints",), float("nan"), "joints"),
+        (("seed",), None, "seed"),
+        (("seed",), 1.5, "seed"),
+        (("seed",), 5, "seed 5, not friction 0"),
+        (("seed",), 10**30, f"seed {10**30}, not friction 0"),
+        (("friction",), "high", "friction"),
+        (("friction",), 9, "is of friction 9"),
+        (("valid",), "perhaps", "valid"),
+        (("problems",), [5], "problems.0"),
+        (("trials",), [], "trials perturb the joints [], of 2"),
+        (("trials", 0, "k"), 2, "trials perturb the joints [2, 2], of 2"),
+        (("trials", 0, "k"), -1, "trials.0.k = -1 is none of 2 joints"),
+        (("trials", 0, "ticks"), "many", "trials.0.ticks"),
+        (("trials", 0, "lock_ratio"), [], "trials.0.lock_ratio has 0 values for 2 joints"),
+        (("trials", 1, "bias_bound"), [1.0], "trials.1.bias_bound has 1 values for 2 joints"),
+        (("truth",), None, "truth is missing"),
+        (("truth", "M"), [], "truth.M has 0 values for 2 joints"),
+        (("truth", "K"), MATRIX, "a row of truth.K has 1 values for 2 joints"),
+        (("estimators",), {}, "estimators are missing"),
+        (("estimators",), None, "estimators"),
+        ((*ESTIMATOR, "vaf"), None, "VAF is missing"),
+        ((*ESTIMATOR, "M"), "x", "estimators.welch_full.M"),
+        ((*ESTIMATOR, "M"), [[]], "estimators.welch_full.M has 1 values for 2 joints"),
+        ((*ESTIMATOR, "B"), MATRIX, "a row of estimators.welch_full.B has 1 values"),
+        ((*ESTIMATOR, "K_se"), [[1.0]], "estimators.welch_full.K_se has 1 values"),
+        ((*ESTIMATOR, "coherence_motion"), [], "coherence_motion has 0 values"),
+        ((*ESTIMATOR, "colour"), "red", "colour"),
+    ],
+)
+def test_a_wrong_value_in_a_result_is_named(
+    path: tuple[str | int, ...],
+    value: object,
+    complaint: str,
+    result: dict[str, Any],
+    damaged: Path,
+) -> None:
+    file = damaged / "conditions" / f"{NAME}.json"
+    file.write_bytes(with_value(result, path, value))
+    assert complaint in named(file, damaged)
+
+
+def test_a_result_of_another_estimator_is_named(result: dict[str, Any], damaged: Path) -> None:
+    file = damaged / "conditions" / f"{NAME}.json"
+    other = {"welch_siso": result["estimators"]["welch_full"]}
+    file.write_bytes(with_value(result, ("estimators",), other))
+    assert "has the estimators welch_siso, not welch_full" in named(file, damaged)
+
+
+@pytest.mark.parametrize("number", [None, -1e-300])
+def test_numbers_that_are_unknown_or_absurd_fail_the_verdict(
+    number: float | None, result: dict[str, Any], damaged: Path
+) -> None:
+    file = damaged / "conditions" / f"{NAME}.json"
+    file.write_bytes(with_value(result, (*ESTIMATOR, "M"), [[number, 1.0], [1.0, 1.0]]))
+    told = go_on(damaged)
+    assert told.status in (0, 1)
+    verdict = json.loads((damaged / "verdict.json").read_text())
+    assert verdict["conditions"] == 1
+
+
+def archive(file: Path, **arrays: Any) -> bytes:
+    content = io.BytesIO()
+    np.savez(content, **{**np.load(file), **arrays})
+    return content.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("arrays", "complaint"),
+    [
+        ({"f": np.zeros(0)}, "frequencies of welch_full"),
+        ({"f": np.zeros((2, 2))}, "frequencies of welch_full"),
+        ({"f": np.array(["a"])}, "frequencies of welch_full"),
+        ({"f": np.array([np.nan, 1.0])}, "frequencies of welch_full"),
+        ({"f": np.array([2.0, 1.0])}, "frequencies of welch_full"),
+        ({"Z_welch_full": np.zeros(3)}, "Z_welch_full has shape (3,)"),
+        ({"Z_welch_full": np.array([{}], dtype=object)}, "allow_pickle"),
+        ({"var_welch_full": np.zeros(3)}, "var_welch_full has shape (3,)"),
+        ({"averages_welch_full": np.zeros(3)}, "scalar"),
+    ],
+)
+def test_wrong_arrays_of_curves_are_named(
+    arrays: dict[str, Any], complaint: str, damaged: Path
+) -> None:
+    file = damaged / "conditions" / f"{NAME}.npz"
+    file.write_bytes(archive(file, **arrays))
+    with pytest.raises(DataError) as caught:
+        read_frf(file)
+    assert complaint in str(caught.value)
+    told = go_on(damaged)
+    assert told.status == 1
+    assert f"armimp: {caught.value}\n" in told.err
+
+
+def test_curves_that_are_not_finite_are_refused(study: Path, tmp_path: Path) -> None:
+    good = study / "conditions" / f"{NAME}.npz"
+    file = tmp_path / "frf.npz"
+    Z = np.load(good)["Z_welch_full"] * np.nan
+    file.write_bytes(archive(good, Z_welch_full=Z))
+    with pytest.raises(DataError, match="Z_welch_full is not finite"):
+        read_frf(file)
+
+
+def reason_against(read: Callable[[Path], object], file: Path) -> str:
+    """The line with which a file is refused; empty if it is read."""
+    try:
+        read(file)
+    except DataError as error:
+        (line,) = str(error).splitlines()
+        return line
+    return ""
+
+
+def changed_curves(study: Path, file: Path, rounds: int, *, seed: int) -> int:
+    """How many of so many damaged copies are refused; no other error may come."""
+    whole = (study / "conditions" / f"{NAME}.npz").read_bytes()
+    rng = random.Random(seed)
+    refused = 0
+    for number in range(rounds):
+        content = bytearray(whole[: len(whole) * number // rounds] if number % 2 else whole)
+        for _ in range(0 if number % 2 else rng.choice([1, 3, 30])):
+            # Headers are at the beginning, the directory of the archive is at the end.
+            where = rng.choice([rng.randrange(len(whole)), rng.randrange(300)])
+            content[rng.choice([where, -1 - where])] = rng.randrange(256)
+        file.write_bytes(content)
+        reason = reason_against(read_frf, file)
+        refused += bool(reason)
+        assert reason.startswith(f"{file}: not a file of impedance curves: " if reason else "")
+    return refused
+
+
+def changed_summaries(study: Path, file: Path, rounds: int, *, seed: int) -> int:
+    """Likewise, of summaries."""
+    entry = json.loads((study / "conditions" / f"{NAME}.json").read_bytes())
+    levels = ("friction", "resolution", "perturbation")
+    text = json.dumps({key: value for key, value in entry.items() if key not in levels})
+    file.write_text(text)
+    assert read_summary(file).joints == 2
+    rng = random.Random(seed)
+    refused = 0
+    for _ in range(rounds):
+        where = rng.randrange(len(text))
+        part = rng.choice(["", "[", "]", "{", "null", "1e999", "NaN", '"', ",", "\0", "-"])
+        file.write_text(text[:where] + part + text[where + rng.randrange(8) :])
+        reason = reason_against(read_summary, file)
+        refused += bool(reason)
+        assert reason.startswith(f"{file}: not a summary: " if reason else "")
+    return refused
+
+
+def test_changed_bytes_are_read_or_refused(study: Path, tmp_path: Path) -> None:
+    assert changed_curves(study, tmp_path / "frf.npz", 300, seed=1) > 150
+    assert changed_summaries(study, tmp_path / "summary.json", 300, seed=1) > 150
+
+
+@pytest.mark.faults
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(10))
+def test_many_changed_bytes_are_read_or_refused(seed: int, study: Path, tmp_path: Path) -> None:
+    assert changed_curves(study, tmp_path / "frf.npz", 5000, seed=100 + seed) > 2500
+    assert changed_summaries(study, tmp_path / "summary.json", 5000, seed=100 + seed) > 2500
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["config.json", "conditions", f"conditions/{NAME}.json", "study.json", "report.html", ".lock"],
+)
+def test_a_directory_in_the_place_of_a_file_or_a_file_in_that_of_a_directory_is_named(
+    name: str, damaged: Path
+) -> None:
+    path = damaged / name
+    if path.is_dir():
+        shutil.rmtree(path)
+        path.write_text("ten years of work")
+    else:
+        path.unlink()
+        path.mkdir()
+    told = go_on(damaged)
+    assert told.status == 1
+    (line,) = [line for line in told.err.splitlines() if line.startswith("armimp: ")]
+    assert line.startswith(f"armimp: {damaged}")
+    assert path.exists()

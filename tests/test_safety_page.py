@@ -1,0 +1,39 @@
+"""The page on safety names tests that exist, and leads nowhere that does not."""
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "safety.md").read_text(encoding="utf-8")
+NAMED = sorted(set(re.findall(r"`(test_\w+\.py)::(test_\w+)`", PAGE)))
+
+
+def names_in(file: str) -> set[str]:
+    (path,) = (*ROOT.glob(f"tests/{file}"), *ROOT.glob(f"ros2_ws/src/*/test/{file}"))
+    tree = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    return {node.name for node in tree if isinstance(node, ast.FunctionDef)}
+
+
+def test_every_hazard_of_the_page_has_a_test() -> None:
+    rows = [line for line in PAGE.splitlines() if line.startswith("| ") and "`test_" in line]
+    assert len(rows) > 15
+    table = PAGE.partition("| hazard |")[2].partition("\n\n")[0].splitlines()[2:]
+    assert [row for row in table if "::test_" not in row] == []
+
+
+@pytest.mark.parametrize(("file", "test"), NAMED)
+def test_every_test_that_the_page_names_exists(file: str, test: str) -> None:
+    assert test in names_in(file)
+
+
+def test_every_link_of_the_page_leads_to_a_file_and_a_heading() -> None:
+    links = re.findall(r"\]\(([^)#]*)#?([^)]*)\)", PAGE)
+    assert links
+    for name, anchor in links:
+        target = ROOT / "docs" / (name or "safety.md")
+        headings = re.findall(r"^#+ (.*)$", target.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        anchors = {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
+        assert not anchor or anchor in anchors
