@@ -35,12 +35,20 @@ def _square(value: float, joints: int) -> list[list[float]]:
     return [[value] * joints for _ in range(joints)]
 
 
+def _truth(joints: int) -> TruthSummary:
+    if joints == 2:
+        return TRUTH
+    ones = _square(1.0, joints)
+    return TruthSummary(M=ones, B=ones, K=ones)
+
+
 def _estimator(joints: int = 2) -> EstimatorSummary:
     zeros = _square(0.0, joints)
+    truth = _truth(joints)
     return EstimatorSummary(
-        M=TRUTH.M if joints == 2 else zeros,
-        B=TRUTH.B if joints == 2 else zeros,
-        K=TRUTH.K if joints == 2 else zeros,
+        M=truth.M,
+        B=truth.B,
+        K=truth.K,
         M_se=zeros,
         B_se=zeros,
         K_se=zeros,
@@ -73,7 +81,7 @@ def _entry(
             for k in range(joints)
         ],
         "estimators": {name: _estimator(joints) for name in estimators},
-        "truth": TRUTH if joints == 2 else None,
+        "truth": _truth(joints),
         "friction": 0,
         "resolution": 0,
         "perturbation": 1,
