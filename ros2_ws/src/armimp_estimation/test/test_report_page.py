@@ -7,6 +7,7 @@ import re
 import shutil
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -275,7 +276,7 @@ def test_a_summary_alone_is_enough_and_what_lacks_is_said(directory: Path, tmp_p
 def test_curves_of_another_size_are_not_drawn(directory: Path, tmp_path: Path) -> None:
     target = altered(directory, tmp_path / "three")
     with np.load(target / "frf.npz") as curves:
-        larger = {
+        larger: dict[str, Any] = {
             name: np.pad(values, ((0, 1), (0, 1), (0, 0))) if values.ndim == 3 else values
             for name, values in curves.items()
         }
