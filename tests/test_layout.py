@@ -37,6 +37,7 @@ WITH_ROS = {
     "armimp_estimation.node",
     "armimp_sim.node",
     "armimp_bringup.display",
+    "armimp_bringup.external",
     "armimp_bringup.graph",
     "armimp_bringup.orchestrator",
     "armimp_bringup.replay",
