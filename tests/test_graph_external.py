@@ -13,6 +13,7 @@ import pytest
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.external import external_domain
+from armimp_bringup.health import main as health
 from armimp_bringup.orchestrator import Progress, run_experiment
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
@@ -75,6 +76,16 @@ def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
     FinishedRun(directory=tmp_path / "first", summary=first).assert_same_streams(composed)
     assert all(process.poll() is None for process in started.values())
     assert os.environ["ROS_DOMAIN_ID"]
+
+
+def test_health_tells_who_answers_and_who_does_not(
+    started: Processes, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert [health([name]) for name in started] == [0, 0, 0]
+    assert f"node {SIM_NODE} is unconfigured" in capsys.readouterr().out
+    assert health(["nobody"]) == 1
+    assert capsys.readouterr().err == "node did not appear: nobody\n"
+    assert health([]) == 2
 
 
 def test_when_a_node_of_others_is_killed_expect_it_named_and_the_others_left_alone(

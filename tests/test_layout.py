@@ -39,6 +39,7 @@ WITH_ROS = {
     "armimp_bringup.display",
     "armimp_bringup.external",
     "armimp_bringup.graph",
+    "armimp_bringup.health",
     "armimp_bringup.orchestrator",
     "armimp_bringup.replay",
 }
