@@ -5,20 +5,24 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from armimp_bringup import orchestrator
-from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.external import external_domain
+from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.health import main as health
+from armimp_bringup.health import state_of
 from armimp_bringup.orchestrator import Progress, run_experiment
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.testing import PATIENCE
 
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 PACKAGES = {
@@ -79,12 +83,15 @@ def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
 
 
 def test_health_tells_who_answers_and_who_does_not(
-    started: Processes, capsys: pytest.CaptureFixture[str]
+    started: Processes, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert [health([name]) for name in started] == [0, 0, 0]
-    assert f"node {SIM_NODE} is unconfigured" in capsys.readouterr().out
+    assert {name: state_of(name, PATIENCE) for name in started} == dict.fromkeys(
+        started, "unconfigured"
+    )
+    assert health([SIM_NODE]) == 0
+    assert f"node {SIM_NODE} is unconfigured\n" in capfd.readouterr().out
     assert health(["nobody"]) == 1
-    assert capsys.readouterr().err == "node did not appear: nobody\n"
+    assert "node did not appear: nobody\n" in capfd.readouterr().err
     assert health([]) == 2
 
 
@@ -108,7 +115,10 @@ def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
 ) -> None:
     with monkeypatch.context() as patch:
         # As an orchestrator does with nodes of its own: it finalizes them at the end.
-        patch.setattr(orchestrator.ExternalNodes, "retire", orchestrator.LifecycleManager.shutdown)
+        def finalize(_: ExternalNodes, manager: LifecycleManager, name: str) -> None:
+            manager.shutdown(name)
+
+        patch.setattr(ExternalNodes, "retire", finalize)
         run_experiment(config(), tmp_path / "first", interrupted=lambda: True)
     again = run_experiment(config(), tmp_path / "again")
 
@@ -119,12 +129,10 @@ def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
 def test_when_a_parameter_is_refused_expect_node_and_reason(
     started: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    parameters = orchestrator.node_parameters
-
-    def spoiled(*arguments: Any) -> Any:
-        sound = parameters(*arguments)
+    def spoiled(experiment: ExperimentConfig, directory: Path) -> NodeParameters:
+        sound = node_parameters(experiment, directory)
         wrong = sound.controller.model_copy(update={"seed": -1})
-        return type(sound)(simulator=sound.simulator, controller=wrong, estimator=sound.estimator)
+        return replace(sound, controller=wrong)
 
     monkeypatch.setattr(orchestrator, "node_parameters", spoiled)
 

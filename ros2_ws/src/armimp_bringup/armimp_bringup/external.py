@@ -11,7 +11,7 @@ from rclpy.node import Node
 
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.liveliness import Watch
+from armimp_common.liveliness import Presence, Watch
 from armimp_common.parameters import as_parameters
 from armimp_common.spin import Spinner
 
@@ -53,9 +53,15 @@ class ExternalNodes:
         self._watches = [Watch(supervisor, name, lambda _: None) for name in names]
 
     def dead(self) -> Mapping[str, str]:
-        """Say which nodes were there and give no sign of life any more."""
+        """Say which nodes were there and are not any more.
+
+        One that is only silent may be stalled, in a place where it can't be looked up; the
+        middleware declares it dead soon if it is.
+        """
         return {
-            watch.name: f"node {watch.sentence}" for watch in self._watches if watch.presence.lost
+            watch.name: f"node {watch.sentence}"
+            for watch in self._watches
+            if watch.presence in (Presence.GONE, Presence.LEFT)
         }
 
     def close(self) -> None:
