@@ -37,7 +37,9 @@ WITH_ROS = {
     "armimp_estimation.node",
     "armimp_sim.node",
     "armimp_bringup.display",
+    "armimp_bringup.external",
     "armimp_bringup.graph",
+    "armimp_bringup.health",
     "armimp_bringup.orchestrator",
     "armimp_bringup.replay",
 }

@@ -56,12 +56,15 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     seed: Annotated[int | None, typer.Option(help="Seed of all random signals.")] = None,
     mode: Annotated[str | None, typer.Option(help="How time passes: lockstep.")] = None,
     processes: Annotated[
-        str | None, typer.Option(help="Where the nodes live: composed or separate.")
+        str | None, typer.Option(help="Where the nodes live: composed, separate or external.")
     ] = None,
     joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
     estimator: _Estimators = None,
     out: _Out = None,
-    domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
+    domain_id: Annotated[
+        int | None,
+        typer.Option(help="ROS domain; default: a free one; of external nodes: ROS_DOMAIN_ID."),
+    ] = None,
     json: _Json = False,
 ) -> int:
     """Run the experiment through the node graph: one trial for each joint, then the result."""

@@ -40,8 +40,9 @@ class ExperimentConfig(BaseModel):
     duration: float = Field(default=50.0, ge=10.0, le=9000.0, description="of each trial (s)")
     seed: int = Field(default=1, ge=0, lt=2**63, description="of all random signals")
     mode: Literal["lockstep"] = Field(default="lockstep", description="how time passes")
-    processes: Literal["composed", "separate"] = Field(
-        default="composed", description="all nodes in one process, or one process for each"
+    processes: Literal["composed", "separate", "external"] = Field(
+        default="composed",
+        description="all nodes in one process, one process for each, or started by others",
     )
     estimators: tuple[str, ...] = Field(
         default=("welch_siso", "lpm_full"), description="estimators of the result"

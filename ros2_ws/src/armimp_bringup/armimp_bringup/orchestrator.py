@@ -11,6 +11,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 from armimp_common import contract, qos
 from armimp_common.diagnostics import Level, values_of
@@ -121,7 +122,7 @@ def run_experiment(
     directory : Path
         New directory for bags and results.
     domain_id : int, optional
-        ROS domain; by default a free one.
+        ROS domain; by default a free one, or where nodes are external that of the environment.
     on_progress : callable
         Called a few times per second.
     interrupted : callable
@@ -150,16 +151,26 @@ def run_experiment(
     parameter_file = directory / PARAMETERS_FILE
     parameter_file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
     problems: list[str] = []
-    with GraphContext(domain_id) as graph:
+    external = config.processes == "external"
+    with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
         supervisor = Supervisor(graph, on_progress)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
-            if config.processes == "composed":
+            care = Care()
+            if external:
+                nodes = guests = ExternalNodes(supervisor, GRAPH_ORDER)
+                care = Care(
+                    prepare=lambda manager: guests.prepare(manager, spinner, parameters.by_node()),
+                    retire=guests.retire,
+                )
+            elif config.processes == "composed":
                 nodes = ComposedNodes(graph.context, spinner, parameter_file)
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
             try:
-                problems += lead(supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted)
+                problems += lead(
+                    supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted, care=care
+                )
             finally:
                 nodes.close()
                 spinner.remove_node(supervisor)
@@ -186,6 +197,20 @@ def prepare_directory(directory: Path) -> None:
         raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Care:
+    """What is done with nodes before they are configured, and when they are needed no more.
+
+    Attributes
+    ----------
+    prepare : called once, when all nodes are there
+    retire : called for each node that was configured and lives, at the end
+    """
+
+    prepare: Callable[[LifecycleManager], None] = lambda _: None
+    retire: Callable[[LifecycleManager, str], None] = LifecycleManager.shutdown
+
+
 def lead(
     supervisor: Supervisor,
     spinner: Spinner,
@@ -194,8 +219,9 @@ def lead(
     *,
     interrupted: Callable[[], bool],
     drive: Callable[[], None] = lambda: None,
+    care: Care | None = None,
 ) -> list[str]:
-    """Lead nodes through their life, from unconfigured to finalized.
+    """Lead nodes through their life, by default from unconfigured to finalized.
 
     Parameters
     ----------
@@ -204,6 +230,7 @@ def lead(
     names : their names, in the order of activation
     interrupted : asked often; once true, the nodes are taken down
     drive : called once all nodes are active
+    care : what is done before and after
 
     Returns
     -------
@@ -211,6 +238,7 @@ def lead(
         What went wrong.
     """
     roll = _Roll(nodes)
+    care = care or Care()
     manager = LifecycleManager(
         supervisor, names, spin_until=spinner.spin_until, timeout=60.0, check=roll.check
     )
@@ -218,6 +246,7 @@ def lead(
     begun: list[str] = []
     try:
         manager.wait_for_nodes()
+        care.prepare(manager)
         for name in names:
             begun.append(name)
             manager.configure(name)
@@ -230,7 +259,7 @@ def lead(
         # From the graph itself or, where nodes live in this process, from one of their callbacks.
         problems += roll.deaths() or [str(error)]
     # Those that were never asked for anything have nothing to close.
-    return problems + _shut_down(manager, roll, begun)
+    return problems + _shut_down(manager, roll, begun, care)
 
 
 class _Roll:
@@ -264,8 +293,10 @@ class _Roll:
             raise GraphError("a node died")
 
 
-def _shut_down(manager: LifecycleManager, roll: _Roll, names: Sequence[str]) -> list[str]:
-    """Finalise the nodes that live, whatever has happened to the others."""
+def _shut_down(
+    manager: LifecycleManager, roll: _Roll, names: Sequence[str], care: Care
+) -> list[str]:
+    """Retire the nodes that live, whatever has happened to the others."""
     problems: list[str] = []
     for name in reversed(names):
         problems += roll.deaths()
@@ -273,7 +304,7 @@ def _shut_down(manager: LifecycleManager, roll: _Roll, names: Sequence[str]) -> 
             continue
         roll.awaited = name
         try:
-            manager.shutdown(name)
+            care.retire(manager, name)
         except ArmimpError as error:
             problems += roll.deaths() or [str(error)]
     return problems + roll.deaths()
