@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -34,6 +35,7 @@ _MODULES = {
 _RANGE, _PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 _OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
 _PATIENCE = 5.0
+_NICE = 10
 
 
 class NodeGroup(Protocol):
@@ -246,6 +248,11 @@ class SeparateNodes:
                 lines = self._logs[name].read_text(errors="replace").strip().splitlines()
                 sentences[name] = f"node {name} {how}" + (f": {lines[-1]}" if lines else "")
         return sentences
+
+    def yield_precedence(self, name: str) -> None:
+        """Let a process just started, and all threads that it makes, stand behind the others."""
+        with suppress(OSError):  # it has died; `dead` will tell
+            os.setpriority(os.PRIO_PROCESS, self.processes[name].pid, _NICE)
 
     def crashed(self) -> list[str]:
         """Say which nodes died by a signal that did not come from here, at the very end too."""

@@ -60,6 +60,8 @@ class Supervisor(Node):
         self._on_progress = on_progress
         self.problems: list[str] = []
         self.concluded = self.finished = False
+        self.impatient = False
+        """Whether a fault that a node reports ends the experiment."""
         self.last_news = time.monotonic()
         self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
@@ -158,7 +160,11 @@ def run_experiment(
                 nodes = ComposedNodes(graph.context, spinner, parameter_file)
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
+                if config.mode == "realtime":
+                    # What it computes between trials must not take the processor from the others.
+                    nodes.yield_precedence(contract.ESTIMATOR_NODE)
             try:
+                supervisor.impatient = config.mode == "realtime"
                 problems += lead(supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted)
             finally:
                 nodes.close()
@@ -294,6 +300,8 @@ def _watch(
             problems.extend(deaths)
         elif time.monotonic() - supervisor.last_news > _STALL:
             problems.append(f"nothing happened for {_STALL:g} s")
+        elif supervisor.impatient and supervisor.problems and not supervisor.finished:
+            return True
         return bool(problems) or (supervisor.concluded and supervisor.finished)
 
     spinner.spin(over, period=_PERIOD)

@@ -158,6 +158,23 @@ class TruthSummary(_Model):
         return MBK(M=np.array(self.M), B=np.array(self.B), K=np.array(self.K))
 
 
+class TimingSummary(_Model):
+    """Timing of a run in real time, and its limits; see `armimp_common.jitter`."""
+
+    ticks: int
+    late: int
+    missed: int
+    period_p50: Number
+    period_p99: Number
+    period_max: Number
+    latency_p50: Number
+    latency_p99: Number
+    latency_max: Number
+    max_late_share: float
+    max_missed_share: float
+    max_latency: float
+
+
 class Summary(_Model):
     """Content of ``summary.json``."""
 
@@ -170,6 +187,8 @@ class Summary(_Model):
     trials: list[TrialSummary]
     estimators: dict[str, EstimatorSummary]
     truth: TruthSummary | None
+    timing: TimingSummary | None = None
+    """Of a run in real time."""
 
     @model_validator(mode="after")
     def _check_shapes(self) -> "Summary":
@@ -229,6 +248,7 @@ def summarise(
     config: Mapping[str, JsonValue],
     seed: int | None,
     problems: tuple[str, ...] = (),
+    timing: TimingSummary | None = None,
 ) -> Summary:
     """Put an identification into the form of ``summary.json``.
 
@@ -244,6 +264,8 @@ def summarise(
         Seed of the run.
     problems : tuple of str
         Problems of the run itself, which come first and make the result invalid.
+    timing : TimingSummary, optional
+        Of a run in real time.
 
     Raises
     ------
@@ -274,6 +296,7 @@ def summarise(
             name: EstimatorSummary.of(result) for name, result in identification.estimators.items()
         },
         truth=None if identification.truth is None else TruthSummary.of(identification.truth),
+        timing=timing,
     )
 
 
