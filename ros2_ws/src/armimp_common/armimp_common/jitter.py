@@ -6,8 +6,10 @@ All durations go in as integer nanoseconds and come out in seconds.
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from itertools import accumulate
 from typing import Final
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS, SIM_NODE
@@ -22,7 +24,8 @@ LATE_NS: Final = PERIOD_NS // 4
 _COUNTS: Final = ("ticks", "late", "missed")
 _FINEST_NS: Final = 1000
 _WIDTH: Final = math.log(1.02)
-"""Durations are counted in bins 2 % wide, the first of which ends at one microsecond."""
+_BINS: Final = 1000
+"""Durations are counted in bins 2 % wide, from one microsecond to minutes; the last has no end."""
 
 
 class Spread:
@@ -34,7 +37,7 @@ class Spread:
     """
 
     def __init__(self) -> None:
-        self._bins: dict[int, int] = {}
+        self._bins = [0] * _BINS
         self._longest_ns = 0
         self.count = 0
 
@@ -42,8 +45,8 @@ class Spread:
         """Count a duration, ns; one below zero counts as zero."""
         place = 0
         if duration_ns > _FINEST_NS:
-            place = math.ceil(math.log(duration_ns / _FINEST_NS) / _WIDTH)
-        self._bins[place] = self._bins.get(place, 0) + 1
+            place = min(math.ceil(math.log(duration_ns / _FINEST_NS) / _WIDTH), _BINS - 1)
+        self._bins[place] += 1
         self._longest_ns = max(self._longest_ns, duration_ns)
         self.count += 1
 
@@ -53,14 +56,13 @@ class Spread:
         It is the smallest end of a bin up to which there are ``share · count`` durations, and
         never longer than the longest. NaN if there is none.
         """
-        wanted = max(share * self.count, 1.0)
-        found = 0
-        for place in sorted(self._bins):
-            found += self._bins[place]
-            if found >= wanted:
-                end_ns = _FINEST_NS * math.exp(place * _WIDTH)
-                return min(end_ns, self._longest_ns) / NS_PER_S
-        return math.nan
+        if not self.count:
+            return math.nan
+        up_to = list(accumulate(self._bins))
+        place = bisect_left(up_to, max(share * self.count, 1.0))
+        if place == _BINS - 1:
+            return self.longest
+        return min(_FINEST_NS * math.exp(place * _WIDTH), self._longest_ns) / NS_PER_S
 
     @property
     def longest(self) -> float:

@@ -38,8 +38,10 @@ _CLOCK_TICKS = 100
 _DIAGNOSTICS_TICKS = 1000
 _FAULT_PERIOD = 1.0
 """Wall time between reports of a latched fault (s), since simulated time may stand still."""
-_TIMING_PERIOD = 0.1
-"""Wall time between two reports of the timing in realtime (s)."""
+_TIMING_TICKS = 100
+"""Ticks between two reports of the timing in realtime."""
+_LOOK_PERIOD = 0.05
+"""Wall time between two looks at the rig in realtime, which may come to a fault by itself (s)."""
 _STOPPED = "emergency stop"
 
 
@@ -54,7 +56,7 @@ class ArmSimNode(LifecycleNode):
         self._paced: PacedRig | None = None
         self._urgency: Urgency | None = None
         self._stopped = self._holding = self._faulty = False
-        self._told = 0
+        self._told = self._timing_told = 0
         self._backlog = Backlog()
         self._sign = SignOfLife(self, contract.SIM_NODE)
         self._controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
@@ -89,7 +91,7 @@ class ArmSimNode(LifecycleNode):
         )
         self._timers = [self.create_timer(_FAULT_PERIOD, self._on_fault_timer)]
         if parameters.mode == "realtime":
-            self._timers.append(self.create_timer(_TIMING_PERIOD, self._on_timing_timer))
+            self._timers.append(self.create_timer(_LOOK_PERIOD, self._on_look_timer))
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -187,6 +189,9 @@ class ArmSimNode(LifecycleNode):
             return
         if self._paced is not None:
             self._paced.command(command)
+            if rig.tick - self._timing_told >= _TIMING_TICKS:
+                # Now, since nothing else is due until the next sample.
+                self._report_timing(self._paced)
             return
         sound = not rig.fault
         rig.step(command)
@@ -257,14 +262,13 @@ class ArmSimNode(LifecycleNode):
         if sound:
             self._report(rig)
 
-    def _on_timing_timer(self) -> None:
-        """Tell in realtime what the thread must not lose time with."""
+    def _on_look_timer(self) -> None:
+        """Tell what has happened in the thread, which must not lose time with that."""
         paced, rig = self._paced, self._rig
         if paced is None or rig is None:
             return
         if paced.error is not None:
             raise paced.error
-        self._report_timing(paced)
         if bool(rig.fault) is not self._faulty or rig.tick - self._told >= _DIAGNOSTICS_TICKS:
             self._report(rig)
 
@@ -313,8 +317,11 @@ class ArmSimNode(LifecycleNode):
         self._diagnostics.publish(make_array(stamp_ns, [status]))
 
     def _report_timing(self, paced: PacedRig) -> None:
+        rig = self._rig
+        assert rig is not None
         with paced.lock:
-            stamp_ns, figures = 0 if self._rig is None else self._rig.stamp_ns, paced.figures()
+            stamp_ns, self._timing_told = rig.stamp_ns, rig.tick
+            figures = paced.figures()
         status = make_status(TIMING_NAME, Level.OK, "timing since activation", figures.to_values())
         self._diagnostics.publish(make_array(stamp_ns, [status]))
 

@@ -21,10 +21,11 @@ _PATIENCE = 2.0
 class PacedRig:
     """Runs a rig in a thread of its own: sample k at its deadline, under the latest command.
 
-    The command that answers sample k acts from sample k to sample k + 1, as in lockstep: the step
-    between them is computed at the deadline of k + 1. If it has not come by then, the last one is
-    held and the tick counts as missed. As a run without a missed tick takes the steps of a run in
-    lockstep, it gives the same samples to the last bit.
+    The command that answers sample k acts from sample k to sample k + 1, as in lockstep. The step
+    between them is taken as soon as it comes, so that nothing is left to do at the deadline of k + 1
+    but to send. If it has not come by then, the last command is held and the tick counts as missed.
+    A run without a missed tick takes the steps of a run in lockstep, and gives the same samples to
+    the last bit.
 
     Parameters
     ----------
@@ -44,7 +45,7 @@ class PacedRig:
         self._command: tuple[float, ...] = (0.0,) * rig.position.size
         self._ledger = TimingLedger()
         self._unanswered: deque[int] = deque(maxlen=10_000)
-        self._began = self._arrived = False
+        self._began = self._arrived = self._stepped = False
         self._silent = 0
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
@@ -66,7 +67,7 @@ class PacedRig:
         now_ns = self._pacer.now()
         with self.lock:
             self._command = tuple(command)
-            self._note_arrival(now_ns)
+            self._arrive(now_ns)
 
     def refuse(self, reason: str) -> None:
         """Take a message that is no command: no torque from now on."""
@@ -74,7 +75,7 @@ class PacedRig:
         with self.lock:
             self._rig.latch(reason)
             self._command = (0.0,) * len(self._command)
-            self._note_arrival(now_ns)
+            self._arrive(now_ns)
 
     def figures(self) -> TimingFigures:
         """Timing since the start."""
@@ -88,15 +89,15 @@ class PacedRig:
             self._sample(0)
 
     def advance(self, tick: int) -> None:
-        """Take the step to a tick and send its sample. Part of the thread."""
+        """Send the sample of a tick whose deadline has come. Part of the thread."""
         with self.lock:
             self._silent = 0 if self._arrived or not self._began else self._silent + 1
             self._arrived = False
-            if self._unanswered:
+            if not self._stepped:
                 self._ledger.missed()
-            if self._silent >= WATCHDOG_TICKS:
-                self._rig.fade(f"no command for {WATCHDOG_TICKS} ticks", RAMP_TICKS)
-            self._rig.step(self._command)
+                if self._silent >= WATCHDOG_TICKS:
+                    self._rig.fade(f"no command for {WATCHDOG_TICKS} ticks", RAMP_TICKS)
+                self._rig.step(self._command)
             self._sample(tick)
 
     def _sample(self, tick: int) -> None:
@@ -104,11 +105,15 @@ class PacedRig:
         sent_ns = self._pacer.now()
         self._ledger.sent(self._pacer.deadline_ns(tick), sent_ns)
         self._unanswered.append(sent_ns)
+        self._stepped = False
 
-    def _note_arrival(self, now_ns: int) -> None:
+    def _arrive(self, now_ns: int) -> None:
         self._began = self._arrived = True
         if self._unanswered:
             self._ledger.answered(now_ns - self._unanswered.popleft())
+        if not self._unanswered and not self._stepped:
+            self._stepped = True
+            self._rig.step(self._command)
 
     def _run(self) -> None:
         wake_up_exactly()
