@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
@@ -14,18 +16,26 @@ from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 from armimp_common import contract, qos
 from armimp_common.diagnostics import Level, values_of
-from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_common.errors import (
+    ArmimpError,
+    ConfigurationError,
+    GraphError,
+    MalformedMessageError,
+)
+from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.liveliness import SignOfLife
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
+from armimp_common.urgency import require_precedence
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary, write_summary
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
 PARAMETERS_FILE = "parameters.yaml"
 GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)
@@ -62,6 +72,8 @@ class Supervisor(Node):
         self.concluded = self.finished = False
         self.impatient = False
         """Whether a fault that a node reports ends the experiment."""
+        self.timing: TimingFigures | None = None
+        """Last figures of a rig in real time."""
         self.last_news = time.monotonic()
         self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
@@ -101,6 +113,9 @@ class Supervisor(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
+            if status.name == TIMING_NAME:
+                with suppress(MalformedMessageError):  # the estimator complains
+                    self.timing = TimingFigures.from_values(values_of(status))
             if status.level == bytes([Level.ERROR]):
                 problem = f"{status.name}: {status.message}"
                 if problem not in self.problems:
@@ -145,6 +160,7 @@ def run_experiment(
     """
     directory = directory.absolute()
     parameters = node_parameters(config, directory)
+    require_precedence(config.priority)
     prepare_directory(directory)
     ticks = round(parameters.controller.sequence.duration * contract.NS_PER_S / contract.PERIOD_NS)
     n = len(parameters.simulator.joints)
@@ -173,7 +189,11 @@ def run_experiment(
             if isinstance(nodes, SeparateNodes):
                 problems += [crash for crash in nodes.crashed() if crash not in problems]
     problems += supervisor.problems
-    return settle(directory, parameters.estimator, problems)
+    timing = None
+    if supervisor.timing is not None:
+        limits = parameters.estimator.realtime.limits()
+        timing = TimingRecord(figures=supervisor.timing, limits=limits)
+    return settle(directory, parameters.estimator, problems, timing)
 
 
 def prepare_directory(directory: Path) -> None:
@@ -308,7 +328,12 @@ def _watch(
     return problems
 
 
-def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[str]) -> Summary:
+def settle(
+    directory: Path,
+    estimator: EstimatorParameters,
+    problems: Sequence[str],
+    timing: TimingRecord | None = None,
+) -> Summary:
     """Bring together what the estimator stored and what the orchestrator saw.
 
     Parameters
@@ -319,13 +344,16 @@ def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[s
         Parameters of the estimator, for a run of which it left no summary.
     problems : sequence of str
         What the orchestrator saw go wrong.
+    timing : TimingRecord, optional
+        Timing up to the very end, of which the estimator did not see the last samples.
     """
     finish_bags(directory)  # An estimator that was killed could not.
     path = directory / SUMMARY_FILE
     if not path.exists():
+        metadata = estimator.bag_metadata()
         conclusion = conclude(
             [],
-            metadata=estimator.bag_metadata(),
+            metadata=metadata if timing is None else {**metadata, RECORD_KEY: timing.to_json()},
             joints=len(estimator.joints),
             estimators=estimator.estimators,
             problems=problems,
@@ -333,10 +361,16 @@ def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[s
         write_summary(path, conclusion.summary)
         return conclusion.summary
     summary = read_summary(path)
-    new = [problem for problem in problems if problem not in summary.problems]
-    if new:
-        update = {"valid": False, "problems": [*new, *summary.problems]}
-        summary = summary.model_copy(update=update)
+    update: dict[str, Any] = {}
+    known = summary.problems
+    if timing is not None:
+        before = [] if summary.timing is None else TimingRecord.of(summary.timing).problems
+        known = [*timing.problems, *(problem for problem in known if problem not in before)]
+        update["timing"] = timing.summary
+    new = [problem for problem in problems if problem not in known]
+    if update or new:
+        known = [*new, *known]
+        summary = summary.model_copy(update={**update, "valid": not known, "problems": known})
         path.unlink()
         write_summary(path, summary)
     return summary

@@ -10,7 +10,7 @@ from pathlib import Path
 from armimp_bringup.benchmarks import Measured
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common.errors import GraphError
+from armimp_common.errors import ConfigurationError
 
 SECONDS = 10.0
 """Length of the only trial, s."""
@@ -42,7 +42,11 @@ def time_realtime(tell: Callable[[str], None]) -> list[Measured]:
 def _jitter(key: str, label: str, priority: int, tell: Callable[[str], None]) -> list[Measured]:
     config = ExperimentConfig(mode="realtime", joints=1, duration=SECONDS, priority=priority)
     with tempfile.TemporaryDirectory() as temporary:
-        summary = run_experiment(config, Path(temporary) / "run")
+        try:
+            summary = run_experiment(config, Path(temporary) / "run")
+        except ConfigurationError as error:
+            tell(str(error))
+            return []
     for problem in summary.problems:
         tell(f"{label}: {problem}")
     timing = summary.timing

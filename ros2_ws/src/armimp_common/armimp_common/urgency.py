@@ -6,16 +6,18 @@ import ctypes
 import gc
 import os
 import sys
+import threading
 from contextlib import suppress
 from pathlib import Path
 
 from pydantic import Field
 
-from armimp_common.errors import GraphError
+from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.schema import Schema
 
 _SWITCH_INTERVAL = 2e-4
 """How long a thread may keep another one of Python waiting (s); the default is five periods."""
+_REFUSAL = "the system does not permit SCHED_FIFO to this user, see docs/realtime.md"
 _PR_SET_TIMERSLACK = 29
 _SLACK_NS = 1000
 
@@ -63,28 +65,23 @@ class Urgency:
         sys.setswitchinterval(_SWITCH_INTERVAL)
 
     def _raise(self, thread: int, parameters: UrgencyParameters) -> None:
-        before = (
-            os.sched_getscheduler(thread),
-            os.sched_getparam(thread),
-            os.sched_getaffinity(thread),
-        )
+        policy, param = os.sched_getscheduler(thread), os.sched_getparam(thread)
+        self._before[thread] = policy, param, os.sched_getaffinity(thread)
         try:
-            if parameters.priority:
-                param = os.sched_param(parameters.priority)
-                os.sched_setscheduler(thread, os.SCHED_FIFO, param)
-            self._before[thread] = before
             if parameters.cpu >= 0:
                 os.sched_setaffinity(thread, {parameters.cpu})
-        except PermissionError:
-            self._restore()
-            raise GraphError(
-                f"parameter 'realtime.priority' = {parameters.priority}: the system does not "
-                "permit SCHED_FIFO to this user"
-            ) from None
         except OSError as error:
             self._restore()
             raise GraphError(
                 f"parameter 'realtime.cpu' = {parameters.cpu}: {error.strerror}"
+            ) from None
+        try:
+            if parameters.priority:
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(parameters.priority))
+        except PermissionError:
+            self._restore()
+            raise GraphError(
+                f"parameter 'realtime.priority' = {parameters.priority}: {_REFUSAL}"
             ) from None
 
     def give_back(self) -> None:
@@ -101,6 +98,32 @@ class Urgency:
                 os.sched_setscheduler(thread, policy, param)
                 os.sched_setaffinity(thread, cores)
         self._before.clear()
+
+
+def require_precedence(priority: int) -> None:
+    """Find out beforehand whether the system permits a SCHED_FIFO priority; 0 always is.
+
+    Raises
+    ------
+    ConfigurationError
+        If it does not.
+    """
+    if priority == 0:
+        return
+    refused: list[OSError] = []
+
+    def attempt() -> None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            refused.append(error)
+
+    # The scheduling of a thread ends with it.
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    if refused:
+        raise ConfigurationError(f"priority = {priority}: {_REFUSAL}")
 
 
 def wake_up_exactly() -> None:

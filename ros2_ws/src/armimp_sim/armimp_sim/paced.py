@@ -22,10 +22,10 @@ class PacedRig:
     """Runs a rig in a thread of its own: sample k at its deadline, under the latest command.
 
     The command that answers sample k acts from sample k to sample k + 1, as in lockstep. The step
-    between them is taken as soon as it comes, so that nothing is left to do at the deadline of k + 1
-    but to send. If it has not come by then, the last command is held and the tick counts as missed.
-    A run without a missed tick takes the steps of a run in lockstep, and gives the same samples to
-    the last bit.
+    between them is taken as soon as it comes, so that nothing is left to do at the deadline of
+    k + 1 but to send. If it has not come by then, the last command is held and the tick counts as
+    missed. A run without a missed tick takes the steps of a run in lockstep, and gives the same
+    samples to the last bit.
 
     Parameters
     ----------

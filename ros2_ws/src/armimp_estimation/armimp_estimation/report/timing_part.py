@@ -15,7 +15,7 @@ def timing_section(summary: Summary) -> Html | None:
     if timing is None:
         return None
     ticks = max(timing.ticks, 1)
-    spreads = [
+    spreads: list[list[object]] = [
         [
             "time between samples",
             *map(_milliseconds, (timing.period_p50, timing.period_p99, timing.period_max)),
@@ -29,7 +29,7 @@ def timing_section(summary: Summary) -> Html | None:
             mark(timing.latency_p99 <= timing.max_latency),
         ],
     ]
-    counts = [
+    counts: list[list[object]] = [
         [what, count, percent(count / ticks, ".3f"), f"≤ {percent(limit)}", mark(met)]
         for what, count, limit, met in (
             (
