@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.offline import run_offline
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import Progress, run_experiment
 from armimp_bringup.replay import replay_bags
@@ -105,15 +106,26 @@ def test_every_run_reports_its_timing_and_a_verdict_that_fits(finished: Finished
 def test_samples_have_the_stamps_of_a_thousand_each_second_and_take_as_long(
     finished: FinishedRun,
 ) -> None:
-    for trial, recorded in zip(finished.summary.trials, finished.trials(), strict=False):
-        names = finished.joint_names
-        stamps = {topic: recorded.stamps(topic, names) for topic in VALUE_FIELD}
-        for topic in VALUE_FIELD:
-            assert (np.diff(stamps[topic]) == PERIOD_NS).all()
-        if finished.summary.valid:
-            assert {len(recorded.streams[topic]) for topic in DATA_STREAMS} == {SECONDS * 1000}
-            # As long as it should, but for what was under way at both ends.
-            assert trial.rtf == pytest.approx(1.0, abs=0.1)
+    if not finished.summary.trials:
+        pytest.skip(f"the machine is too busy: {finished.summary.problems[0]}")
+    (trial,) = finished.summary.trials
+    (recorded,) = finished.trials()
+    names = finished.joint_names
+    stamps = {topic: recorded.stamps(topic, names) for topic in VALUE_FIELD}
+    for topic in VALUE_FIELD:
+        assert (np.diff(stamps[topic]) == PERIOD_NS).all()
+    if finished.summary.valid:
+        assert {len(recorded.streams[topic]) for topic in DATA_STREAMS} == {SECONDS * 1000}
+        # As long as it should, but for what was under way at both ends.
+        assert trial.rtf == pytest.approx(1.0, abs=0.1)
+
+
+def test_when_every_command_was_in_time_expect_the_bits_of_lockstep(finished: FinishedRun) -> None:
+    timing = finished.summary.timing
+    if not finished.summary.valid or timing is None or timing.missed:
+        pytest.skip("the machine is too busy: not every command was in time")
+    lockstep = config().model_copy(update={"mode": "lockstep", "priority": 0})
+    finished.assert_same_as_offline(run_offline([node_parameters(lockstep, None).rig()])[0])
 
 
 def test_bags_tell_the_timing_and_give_the_same_estimate(finished: FinishedRun) -> None:

@@ -39,6 +39,7 @@ WITH_ROS = {
     "armimp_bringup.display",
     "armimp_bringup.graph",
     "armimp_bringup.orchestrator",
+    "armimp_bringup.realtime_bench",
     "armimp_bringup.replay",
 }
 """Every other module must work where there is no ROS at all."""

@@ -5,24 +5,17 @@ import os
 from collections.abc import Callable, Mapping, Sized
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    JsonValue,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from armimp_common.errors import DataError
 from armimp_estimation.curve_checks import UNREADABLE, check_curve
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.sample_ledger import SampleLedger
 
@@ -30,23 +23,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def _nan_for_null(value: object) -> object:
-    return math.nan if value is None else value
-
-
-# JSON has no NaN or infinity: both are written as null, and null is read as NaN.
-Number = Annotated[float, BeforeValidator(_nan_for_null)]
-Vector = list[Number]
-Matrix = list[Vector]
-
-
-class _Model(BaseModel):
-    """Unknown keys are an error: they would be lost when the file is written again."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-class StreamSummary(_Model):
+class StreamSummary(JsonModel):
     """The messages of one stream within a trial, see `armimp_estimation.sample_ledger`."""
 
     expected: int
@@ -57,7 +34,7 @@ class StreamSummary(_Model):
     late: int
 
 
-class TrialSummary(_Model):
+class TrialSummary(JsonModel):
     """One trial: ``k`` is the perturbed joint, 1-based; ``lost`` the samples that are missing."""
 
     k: int
@@ -107,7 +84,7 @@ class TrialSummary(_Model):
         )
 
 
-class EstimatorSummary(_Model):
+class EstimatorSummary(JsonModel):
     """Result of one estimator; matrices are lists of rows, SI units, VAF in %."""
 
     M: Matrix
@@ -141,7 +118,7 @@ class EstimatorSummary(_Model):
         )
 
 
-class TruthSummary(_Model):
+class TruthSummary(JsonModel):
     """True matrices, SI units."""
 
     M: Matrix
@@ -158,7 +135,7 @@ class TruthSummary(_Model):
         return MBK(M=np.array(self.M), B=np.array(self.B), K=np.array(self.K))
 
 
-class TimingSummary(_Model):
+class TimingSummary(JsonModel):
     """Timing of a run in real time, and its limits; see `armimp_common.jitter`."""
 
     ticks: int
@@ -175,7 +152,7 @@ class TimingSummary(_Model):
     max_latency: float
 
 
-class Summary(_Model):
+class Summary(JsonModel):
     """Content of ``summary.json``."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -204,7 +181,7 @@ class Summary(_Model):
             self._check_length(f"trials.{number}.bias_bound", trial.bias_bound)
         return self
 
-    def _check_matrices(self, name: str, part: _Model) -> None:
+    def _check_matrices(self, name: str, part: JsonModel) -> None:
         for field, value in part:
             if field != "coherence_motion" and value is not None:
                 self._check_length(f"{name}.{field}", value)

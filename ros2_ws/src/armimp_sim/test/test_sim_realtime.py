@@ -22,8 +22,9 @@ from armimp_common.schema import Value
 from armimp_common.spin import Spinner
 from armimp_common.testing import PATIENCE, eventually, overrides
 from armimp_sim.node import ArmSimNode
-from armimp_sim.paced import WATCHDOG_TICKS
+from armimp_sim.paced import WATCHDOG_TICKS, PacedRig
 from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import IntegrationError
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
@@ -222,6 +223,19 @@ def test_torque_comes_and_goes_with_the_life_of_the_node(
 
     assert max(around.stamps[contract.TORQUE_SENSORS]) > before
     assert simulator.trigger_shutdown() is SUCCESS
+
+
+def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(
+    make: MakeRig, around: Surroundings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(paced: PacedRig, tick: int) -> None:
+        raise IntegrationError("the plant broke down")
+
+    monkeypatch.setattr(PacedRig, "advance", broken)
+    around.bring_up(make())
+
+    with pytest.raises(IntegrationError, match="the plant broke down"):
+        eventually(around.spinner, lambda: False, "the error")
 
 
 def test_a_core_that_does_not_exist_makes_activation_fail_with_one_line(
