@@ -62,12 +62,12 @@ def process_of(directory: Path, node: str) -> int:
 
 
 def run_held(directory: Path, node: str, seconds: float, times: int = 1) -> tuple[Summary, int]:
-    """Run, and hold a node up with SIGSTOP while it is perturbed; also tell how often."""
+    """Run, and hold a node up with SIGSTOP as soon as it works; also tell how often."""
     held = 0
 
     def on_progress(progress: Progress) -> None:
         nonlocal held
-        if held < times and progress.samples > 100:
+        if held < times:
             process = process_of(directory, node)
             os.kill(process, signal.SIGSTOP)
             time.sleep(seconds)

@@ -176,7 +176,7 @@ def run_experiment(
                 nodes = ComposedNodes(graph.context, spinner, parameter_file)
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
-                if config.mode == "realtime":
+                if config.mode == "realtime" and not config.priority:
                     # What it computes between trials must not take the processor from the others.
                     nodes.yield_precedence(contract.ESTIMATOR_NODE)
             try:

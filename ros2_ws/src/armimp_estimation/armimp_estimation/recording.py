@@ -193,7 +193,7 @@ class Recording:
         except ArmimpError as error:
             self._on_finished(None, str(error))
             return
-        duration = assembled.window.ticks * PERIOD_NS / NS_PER_S
+        duration = assembled.ledger.span * PERIOD_NS / NS_PER_S
         bag = None
         if self._bag is not None and self._directory is not None:
             bag = str(self._bag.relative_to(self._directory))
