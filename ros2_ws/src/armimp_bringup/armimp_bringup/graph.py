@@ -35,7 +35,6 @@ _MODULES = {
 _RANGE, _PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 _OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
 _PATIENCE = 5.0
-_NICE = 5
 
 
 class NodeGroup(Protocol):
@@ -249,10 +248,13 @@ class SeparateNodes:
                 sentences[name] = f"node {name} {how}" + (f": {lines[-1]}" if lines else "")
         return sentences
 
-    def yield_precedence(self, name: str) -> None:
-        """Let a process just started, and all threads that it makes, stand behind the others."""
-        with suppress(OSError):  # it has died; `dead` will tell
-            os.setpriority(os.PRIO_PROCESS, self.processes[name].pid, _NICE)
+    def renice(self, name: str, niceness: int) -> None:
+        """Set the niceness of a process just started, and of all threads that it makes.
+
+        Where the system does not permit that, nothing happens.
+        """
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, self.processes[name].pid, niceness)
 
     def crashed(self) -> list[str]:
         """Say which nodes died by a signal that did not come from here, at the very end too."""

@@ -43,6 +43,12 @@ GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_N
 LOGS = "logs"
 _STALL = 30.0
 _PERIOD = 0.05
+_NICE = {False: 5, True: -10}
+"""Niceness of the recorder in real time, by whether the others have precedence over everything.
+
+What it computes between trials must not take the processor from them; but other programs should not
+keep it from recording either.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,9 +182,8 @@ def run_experiment(
                 nodes = ComposedNodes(graph.context, spinner, parameter_file)
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
-                if config.mode == "realtime" and not config.priority:
-                    # What it computes between trials must not take the processor from the others.
-                    nodes.yield_precedence(contract.ESTIMATOR_NODE)
+                if config.mode == "realtime":
+                    nodes.renice(contract.ESTIMATOR_NODE, _NICE[config.priority > 0])
             try:
                 supervisor.impatient = config.mode == "realtime"
                 problems += lead(supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted)

@@ -238,8 +238,10 @@ class ImbicControllerNode(LifecycleNode):
         self._commands.publish(experiment.command)
 
     def _on_presence(self, watch: Watch) -> None:
-        # In lockstep time stands still with a simulator that is stalled; a rig goes on.
-        if watch.presence.lost or (watch.presence.mute and not self._lockstep):
+        # In lockstep time stands still with a simulator that is stalled; a rig goes on. Before
+        # the first sample there is no torque to take away from one that is only slow to start.
+        begun = self._experiment is not None and self._experiment.tick > 0
+        if watch.presence.lost or (watch.presence.mute and not self._lockstep and begun):
             self._take_away(watch.sentence)
 
     def _on_supervisor_presence(self, watch: Watch) -> None:

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import UInt64
 
-from armimp_common import contract, qos
+from armimp_common import contract, liveliness, qos
 from armimp_common.contract import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
@@ -149,6 +149,20 @@ def test_when_rig_or_recorder_falls_silent_in_real_time_expect_zero_torque(
     around.heard(name, alive=0, silent=1)
 
     around.assert_aborted(f"{name} gave no sign of life for 120 ms: it is dead or stopped")
+
+
+@pytest.mark.parametrize("mode", ["realtime"])
+def test_when_the_process_of_the_rig_is_stalled_before_the_first_sample_expect_patience(
+    around: Surroundings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(liveliness, "lives", lambda _: True)
+    assert around.controller.trigger_activate() is SUCCESS, around.controller.transition_error
+    around.driver.wait_for_controller()
+    around.heard(SIM_NODE, alive=1, silent=0)
+    around.heard(SIM_NODE, alive=0, silent=1)
+    a_moment(around.spinner)
+
+    assert not around.aborted()
 
 
 def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) -> None:
