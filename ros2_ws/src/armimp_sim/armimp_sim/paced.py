@@ -101,8 +101,8 @@ class PacedRig:
             self._sample(tick)
 
     def _sample(self, tick: int) -> None:
-        self._send()
         sent_ns = self._pacer.now()
+        self._send()
         self._ledger.sent(self._pacer.deadline_ns(tick), sent_ns)
         self._unanswered.append(sent_ns)
         self._stepped = False
