@@ -76,10 +76,11 @@ class Supervisor(Node):
         self._on_progress = on_progress
         self.problems: list[str] = []
         self.concluded = self.finished = False
-        self.impatient = False
-        """Whether a fault that a node reports ends the experiment."""
+        self.realtime = False
+        """Whether a fault ends the experiment at once; after the last trial none matters any more."""
         self.timing: TimingFigures | None = None
         """Last figures of a rig in real time."""
+        self._done = False
         self.last_news = time.monotonic()
         self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
@@ -114,10 +115,13 @@ class Supervisor(Node):
             self.concluded = True
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
-        if values_of(message).get("phase") in (Phase.DONE.value, Phase.ABORTED.value):
-            self.finished = True
+        phase = values_of(message).get("phase")
+        self._done = self._done or phase == Phase.DONE.value
+        self.finished = self.finished or phase in (Phase.DONE.value, Phase.ABORTED.value)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        if self.realtime and self._done:
+            return
         for status in message.status:
             if status.name == TIMING_NAME:
                 with suppress(MalformedMessageError):  # the estimator complains
@@ -185,7 +189,7 @@ def run_experiment(
                 if config.mode == "realtime":
                     nodes.renice(contract.ESTIMATOR_NODE, _NICE[config.priority > 0])
             try:
-                supervisor.impatient = config.mode == "realtime"
+                supervisor.realtime = config.mode == "realtime"
                 problems += lead(supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted)
             finally:
                 nodes.close()
@@ -325,7 +329,7 @@ def _watch(
             problems.extend(deaths)
         elif time.monotonic() - supervisor.last_news > _STALL:
             problems.append(f"nothing happened for {_STALL:g} s")
-        elif supervisor.impatient and supervisor.problems and not supervisor.finished:
+        elif supervisor.realtime and supervisor.problems and not supervisor.finished:
             return True
         return bool(problems) or (supervisor.concluded and supervisor.finished)
 
@@ -350,7 +354,7 @@ def settle(
     problems : sequence of str
         What the orchestrator saw go wrong.
     timing : TimingRecord, optional
-        Timing up to the very end, of which the estimator did not see the last samples.
+        Timing up to the end of the experiment, of which the estimator did not see the last samples.
     """
     finish_bags(directory)  # An estimator that was killed could not.
     path = directory / SUMMARY_FILE

@@ -161,6 +161,7 @@ class ArmSimNode(LifecycleNode):
         except GraphError:
             self._active, self._paced = False, None
             raise
+        self._told = self._timing_told = rig.tick
         self._paced.start()
 
     @property
