@@ -77,7 +77,7 @@ class Supervisor(Node):
         self.problems: list[str] = []
         self.concluded = self.finished = False
         self.realtime = False
-        """Whether a fault ends the experiment at once; after the last trial none matters any more."""
+        """Whether a fault ends the experiment at once, and does not matter after its last trial."""
         self.timing: TimingFigures | None = None
         """Last figures of a rig in real time."""
         self._done = False
