@@ -253,8 +253,11 @@ class SeparateNodes:
 
         Where the system does not permit that, nothing happens.
         """
+        number = self.processes[name].pid
         with suppress(OSError):
-            os.setpriority(os.PRIO_PROCESS, self.processes[name].pid, niceness)
+            os.setpriority(os.PRIO_PROCESS, number, niceness)
+            # Each session may be a group of its own, within which alone that counts.
+            Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
 
     def crashed(self) -> list[str]:
         """Say which nodes died by a signal that did not come from here, at the very end too."""
