@@ -41,6 +41,7 @@ WITH_ROS = {
     "armimp_bringup.graph",
     "armimp_bringup.health",
     "armimp_bringup.orchestrator",
+    "armimp_bringup.realtime_bench",
     "armimp_bringup.replay",
 }
 """Every other module must work where there is no ROS at all."""

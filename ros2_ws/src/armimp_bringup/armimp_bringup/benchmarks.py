@@ -55,7 +55,13 @@ def _study(tell: Callable[[str], None]) -> list[Measured]:
     return time_study(tell)
 
 
-_BENCHMARKS: dict[str, Benchmark] = {"study": _study}
+def _realtime(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.realtime_bench import time_realtime
+
+    return time_realtime(tell)
+
+
+_BENCHMARKS: dict[str, Benchmark] = {"study": _study, "realtime": _realtime}
 
 
 def benchmark_names() -> tuple[str, ...]:

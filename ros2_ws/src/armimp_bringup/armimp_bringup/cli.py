@@ -54,9 +54,12 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     perturbation: Annotated[int | None, typer.Option(help="Perturbation level, 1 to 3.")] = None,
     duration: Annotated[float | None, typer.Option(help="Length of each trial, s.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random signals.")] = None,
-    mode: Annotated[str | None, typer.Option(help="How time passes: lockstep.")] = None,
+    mode: Annotated[str | None, typer.Option(help="How time passes: lockstep or realtime.")] = None,
     processes: Annotated[
         str | None, typer.Option(help="Where the nodes live: composed, separate or external.")
+    ] = None,
+    priority: Annotated[
+        int | None, typer.Option(help="SCHED_FIFO priority of rig and controller in realtime.")
     ] = None,
     joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
     estimator: _Estimators = None,
@@ -83,6 +86,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             "seed": seed,
             "mode": mode,
             "processes": processes,
+            "priority": priority,
             "joints": joints,
             "estimators": tuple(estimator) if estimator else None,
         },

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -259,6 +260,17 @@ class SeparateNodes:
                 lines = self._logs[name].read_text(errors="replace").strip().splitlines()
                 sentences[name] = f"node {name} {how}" + (f": {lines[-1]}" if lines else "")
         return sentences
+
+    def renice(self, name: str, niceness: int) -> None:
+        """Set the niceness of a process just started, and of all threads that it makes.
+
+        Where the system does not permit that, nothing happens.
+        """
+        number = self.processes[name].pid
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, number, niceness)
+            # Each session may be a group of its own, within which alone that counts.
+            Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
 
     def crashed(self) -> list[str]:
         """Say which nodes died by a signal that did not come from here, at the very end too."""

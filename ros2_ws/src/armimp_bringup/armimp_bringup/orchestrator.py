@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
@@ -15,18 +17,26 @@ from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 from armimp_common import contract, qos
 from armimp_common.diagnostics import Level, values_of
-from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_common.errors import (
+    ArmimpError,
+    ConfigurationError,
+    GraphError,
+    MalformedMessageError,
+)
+from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.liveliness import SignOfLife
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
+from armimp_common.urgency import require_precedence
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary, write_summary
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
 PARAMETERS_FILE = "parameters.yaml"
 GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)
@@ -34,6 +44,12 @@ GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_N
 LOGS = "logs"
 _STALL = 30.0
 _PERIOD = 0.05
+_NICE = {False: 5, True: -10}
+"""Niceness of the recorder in real time, by whether the others have precedence over everything.
+
+What it computes between trials must not take the processor from them; but other programs should not
+keep it from recording either.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +77,11 @@ class Supervisor(Node):
         self._on_progress = on_progress
         self.problems: list[str] = []
         self.concluded = self.finished = False
+        self.realtime = False
+        """Whether a fault ends the experiment at once, and does not matter after its last trial."""
+        self.timing: TimingFigures | None = None
+        """Last figures of a rig in real time."""
+        self._done = False
         self.last_news = time.monotonic()
         self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
@@ -95,11 +116,17 @@ class Supervisor(Node):
             self.concluded = True
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
-        if values_of(message).get("phase") in (Phase.DONE.value, Phase.ABORTED.value):
-            self.finished = True
+        phase = values_of(message).get("phase")
+        self._done = self._done or phase == Phase.DONE.value
+        self.finished = self.finished or phase in (Phase.DONE.value, Phase.ABORTED.value)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        if self.realtime and self._done:
+            return
         for status in message.status:
+            if status.name == TIMING_NAME:
+                with suppress(MalformedMessageError):  # the estimator complains
+                    self.timing = TimingFigures.from_values(values_of(status))
             if status.level == bytes([Level.ERROR]):
                 problem = f"{status.name}: {status.message}"
                 if problem not in self.problems:
@@ -144,6 +171,7 @@ def run_experiment(
     """
     directory = directory.absolute()
     parameters = node_parameters(config, directory)
+    require_precedence(config.priority)
     prepare_directory(directory)
     ticks = round(parameters.controller.sequence.duration * contract.NS_PER_S / contract.PERIOD_NS)
     n = len(parameters.simulator.joints)
@@ -167,7 +195,10 @@ def run_experiment(
                 nodes = ComposedNodes(graph.context, spinner, parameter_file)
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
+                if config.mode == "realtime":
+                    nodes.renice(contract.ESTIMATOR_NODE, _NICE[config.priority > 0])
             try:
+                supervisor.realtime = config.mode == "realtime"
                 problems += lead(
                     supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted, care=care
                 )
@@ -178,7 +209,11 @@ def run_experiment(
             if isinstance(nodes, SeparateNodes):
                 problems += [crash for crash in nodes.crashed() if crash not in problems]
     problems += supervisor.problems
-    return settle(directory, parameters.estimator, problems)
+    timing = None
+    if supervisor.timing is not None:
+        limits = parameters.estimator.realtime.limits()
+        timing = TimingRecord(figures=supervisor.timing, limits=limits)
+    return settle(directory, parameters.estimator, problems, timing)
 
 
 def prepare_directory(directory: Path) -> None:
@@ -325,13 +360,20 @@ def _watch(
             problems.extend(deaths)
         elif time.monotonic() - supervisor.last_news > _STALL:
             problems.append(f"nothing happened for {_STALL:g} s")
+        elif supervisor.realtime and supervisor.problems and not supervisor.finished:
+            return True
         return bool(problems) or (supervisor.concluded and supervisor.finished)
 
     spinner.spin(over, period=_PERIOD)
     return problems
 
 
-def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[str]) -> Summary:
+def settle(
+    directory: Path,
+    estimator: EstimatorParameters,
+    problems: Sequence[str],
+    timing: TimingRecord | None = None,
+) -> Summary:
     """Bring together what the estimator stored and what the orchestrator saw.
 
     Parameters
@@ -342,13 +384,16 @@ def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[s
         Parameters of the estimator, for a run of which it left no summary.
     problems : sequence of str
         What the orchestrator saw go wrong.
+    timing : TimingRecord, optional
+        Timing up to the end of the experiment, of which the estimator did not see the last samples.
     """
     finish_bags(directory)  # An estimator that was killed could not.
     path = directory / SUMMARY_FILE
     if not path.exists():
+        metadata = estimator.bag_metadata()
         conclusion = conclude(
             [],
-            metadata=estimator.bag_metadata(),
+            metadata=metadata if timing is None else {**metadata, RECORD_KEY: timing.to_json()},
             joints=len(estimator.joints),
             estimators=estimator.estimators,
             problems=problems,
@@ -356,10 +401,16 @@ def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[s
         write_summary(path, conclusion.summary)
         return conclusion.summary
     summary = read_summary(path)
-    new = [problem for problem in problems if problem not in summary.problems]
-    if new:
-        update = {"valid": False, "problems": [*new, *summary.problems]}
-        summary = summary.model_copy(update=update)
+    update: dict[str, Any] = {}
+    known = summary.problems
+    if timing is not None:
+        before = [] if summary.timing is None else TimingRecord.of(summary.timing).problems
+        known = [*timing.problems, *(problem for problem in known if problem not in before)]
+        update["timing"] = timing.summary
+    new = [problem for problem in problems if problem not in known]
+    if update or new:
+        known = [*new, *known]
+        summary = summary.model_copy(update={**update, "valid": not known, "problems": known})
         path.unlink()
         write_summary(path, summary)
     return summary

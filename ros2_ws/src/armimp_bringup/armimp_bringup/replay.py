@@ -37,6 +37,7 @@ from armimp_estimation.bags import BagContent
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary
+from armimp_estimation.timing import latest_metadata
 from armimp_estimation.trial_windows import TrialWindow
 
 _CLASSES: dict[str, type[Any]] = {
@@ -198,7 +199,7 @@ def replay_bags(
             record=False,
             allow_gaps=allow_gaps,
             directory=str(directory.absolute()),
-            metadata=json.dumps(dict(contents[0].metadata)),
+            metadata=json.dumps(latest_metadata([content.metadata for content in contents])),
         )
         parameters.bag_metadata()
         parameter_file = directory / PARAMETERS_FILE

@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from armimp_estimation.results import EstimatorSummary, Summary
+from armimp_estimation.results import EstimatorSummary, Summary, TimingSummary
 
 _COUNTS = ("duplicated", "reordered", "late", "clipped", "excluded")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
@@ -24,6 +24,8 @@ def print_summary(summary: Summary, directory: Path | None, console: Console | N
         out.print(_quality_table(result, summary))
     if summary.trials:
         out.print(_trial_table(summary))
+    if summary.timing is not None:
+        out.print(_timing_table(summary.timing))
     out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
     if directory is not None:
         out.print(f"results in {directory}", highlight=False)
@@ -94,6 +96,21 @@ def _trial_table(summary: Summary) -> Table:
             "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
             "–" if trial.bag is None else trial.bag,
         )
+    return table
+
+
+def _timing_table(timing: TimingSummary) -> Table:
+    title = f"timing: {timing.ticks} samples, {timing.late} late, {timing.missed} commands missed"
+    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("")
+    for column in ("median", "99 %", "longest"):
+        table.add_column(f"{column}, ms", justify="right")
+    for label, durations in (
+        ("period", (timing.period_p50, timing.period_p99, timing.period_max)),
+        ("sample to command", (timing.latency_p50, timing.latency_p99, timing.latency_max)),
+    ):
+        cells = ("–" if math.isnan(one) else f"{1e3 * one:.3f}" for one in durations)
+        table.add_row(label, *cells)
     return table
 
 

@@ -54,6 +54,16 @@ class Experiment:
         self._start_ns: int | None = None
         self._last_stamp_ns: int | None = None
         self._signal: NDArray[np.float64] = np.zeros(0)
+        # In lockstep made when its trial begins, as memory is worth more there than time.
+        self._signals = (
+            {
+                one.trial: self._make_signal(one)
+                for one in self._segments
+                if one.phase is Phase.SETTLE
+            }
+            if parameters.mode == "realtime"
+            else {}
+        )
         self._theta, self._tau_h = np.zeros(n), np.zeros(n)
         self._tick = 0
         self._reason = self._malformed = ""
@@ -169,11 +179,15 @@ class Experiment:
         self._reason = ""
         self._clips = ClipLedger()
         self.lost = 0
-        self._signal = perturbation(
+        made = self._signals.get(settle.trial)
+        self._signal = self._make_signal(settle) if made is None else made
+
+    def _make_signal(self, segment: Segment) -> NDArray[np.float64]:
+        return perturbation(
             self._perturbation_config,
-            joint=settle.joint,
-            trial=settle.trial,
-            ticks=self._perturbed_ticks(settle.trial),
+            joint=segment.joint,
+            trial=segment.trial,
+            ticks=self._perturbed_ticks(segment.trial),
             seed=self._parameters.seed,
         )
 

@@ -27,20 +27,20 @@ from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.urgency import Urgency
 from armimp_control.experiment import Experiment
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.safety import Limit
 from armimp_control.watchdog import Watchdog
 
 _MATCH_TIMEOUT = 10.0
-_WATCHDOG_PERIOD = 0.005
+_WATCHDOG_PERIODS = {"lockstep": 0.005, "realtime": PERIOD}
+"""How often the watchdog looks (s)."""
 _DIAGNOSTICS_TICKS = 1000
 GATE_STATUS = f"{contract.CONTROLLER_NODE}: gate"
 """``name`` of the status on ``/diagnostics``."""
 _STOPPED = "emergency stop"
 _NO_SAMPLE = "no sensor sample arrived any more"
-_LOCKSTEP_TICK = 0.1
-"""A control period may last as long as this (s) only in lockstep."""
 
 
 class ImbicControllerNode(LifecycleNode):
@@ -59,6 +59,7 @@ class ImbicControllerNode(LifecycleNode):
         ]
         self._recorded = False
         self._fault = ""
+        self._urgency: Urgency | None = None
         self._clips_told = 0
         self._stamp_ns = 0
         self._diagnostics: Publisher | None = None
@@ -97,7 +98,8 @@ class ImbicControllerNode(LifecycleNode):
             self._on_torque,
             on_malformed=self._on_malformed,
         )
-        self._timer = self.create_timer(_WATCHDOG_PERIOD, self._on_watchdog, autostart=False)
+        period = _WATCHDOG_PERIODS[parameters.mode]
+        self._timer = self.create_timer(period, self._on_watchdog, autostart=False)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -120,8 +122,13 @@ class ImbicControllerNode(LifecycleNode):
                 raise GraphError(watch.sentence)
         if self._experiment is None:
             self._prepare()
-        safety = self._settings.safety
-        self._watchdog = Watchdog(safety.config(), slowest_tick=safety.slowest_tick, period=PERIOD)
+        self._watchdog = Watchdog(
+            self._settings.safety_config(),
+            slowest_tick=self._settings.patience_per_tick,
+            period=PERIOD,
+        )
+        if self._settings.mode == "realtime":
+            self._urgency = Urgency(self._settings.realtime)
         self._active = True
         self._timer.reset()
         return super().on_activate(state)
@@ -176,6 +183,9 @@ class ImbicControllerNode(LifecycleNode):
         """Leave the plant with zero torque and the world with an explanation."""
         self._active = False
         self._timer.cancel()
+        if self._urgency is not None:
+            self._urgency.give_back()
+            self._urgency = None
         if self._experiment is not None and not self._experiment.at_rest:
             self._experiment.abort(reason)
             self._commands.publish(self._experiment.command)
@@ -221,7 +231,11 @@ class ImbicControllerNode(LifecycleNode):
         for waiting in (self._positions, self._torques):
             for old in [stamp for stamp in waiting if stamp < stamp_ns]:
                 del waiting[old]
-        self._watchdog.feed(time.monotonic())
+        now = time.monotonic()
+        if not self._lockstep and self._watchdog.expired(now):
+            # The sample came before the timer, as after a stall of this process.
+            self._on_watchdog()
+        self._watchdog.feed(now)
         self._stamp_ns, self._garbled = stamp_ns, ""
         experiment.answer(stamp_ns, theta, tau_h)
         self._commands.publish(experiment.command)
@@ -242,8 +256,10 @@ class ImbicControllerNode(LifecycleNode):
         self._commands.publish(experiment.command)
 
     def _on_presence(self, watch: Watch) -> None:
-        # In lockstep time stands still with a simulator that is stalled; a rig goes on.
-        if watch.presence.lost or (watch.presence.mute and not self._lockstep):
+        # In lockstep time stands still with a simulator that is stalled; a rig goes on. Before
+        # the first sample there is no torque to take away from one that is only slow to start.
+        begun = self._experiment is not None and self._experiment.tick > 0
+        if watch.presence.lost or (watch.presence.mute and not self._lockstep and begun):
             self._take_away(watch.sentence)
 
     def _on_supervisor_presence(self, watch: Watch) -> None:
@@ -259,7 +275,7 @@ class ImbicControllerNode(LifecycleNode):
 
     @property
     def _lockstep(self) -> bool:
-        return self._active and self._settings.safety.slowest_tick >= _LOCKSTEP_TICK
+        return self._active and self._settings.mode == "lockstep"
 
     def _on_received(self, message: UInt64) -> None:
         """Hear from the recorder; without one a trial is of no use to anybody."""

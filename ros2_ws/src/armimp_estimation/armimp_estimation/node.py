@@ -11,6 +11,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
@@ -25,6 +26,7 @@ from armimp_common.errors import (
     GraphError,
     MalformedMessageError,
 )
+from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
@@ -41,6 +43,7 @@ from armimp_estimation.messages import (
 )
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.recording import Recording
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import only_missed_samples
 from armimp_estimation.welch import WelchSiso
@@ -209,10 +212,25 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
             return
+        if topic == contract.DIAGNOSTICS:
+            self._note_timing(message)
         try:
             self._recording.add_beside(topic, message)
         except ArmimpError as error:
             self._give_up(str(error))
+
+    def _note_timing(self, message: bytes) -> None:
+        """Keep what the rig tells of its timing in realtime."""
+        if TIMING_NAME.encode() not in message:
+            return
+        limits = self._settings.realtime.limits()
+        try:
+            for status in deserialize_message(message, DiagnosticArray).status:
+                if status.name == TIMING_NAME:
+                    figures = TimingFigures.from_values(values_of(status))
+                    self._recording.timing = TimingRecord(figures=figures, limits=limits)
+        except (MalformedMessageError, RuntimeError, ValueError) as error:
+            self._note(f"{contract.DIAGNOSTICS}: {error}")
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         if not self._active:
@@ -278,9 +296,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._result.publish(conclusion_message(conclusion))
 
     def _conclusion(self) -> Conclusion:
+        timing = self._recording.timing
+        told = {} if timing is None else {RECORD_KEY: timing.to_json()}
         return conclude(
             self._finished,
-            metadata=self._metadata,
+            metadata={**self._metadata, **told},
             joints=len(self._settings.joints),
             estimators=self._settings.estimators,
             gaps=self._settings.gaps(),

@@ -7,9 +7,30 @@ import json
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.jitter import TimingLimits
 from armimp_common.schema import Schema
 from armimp_estimation.gaps import GapConfig
 from armimp_estimation.registry import estimator_names
+
+
+class RealtimeParameters(Schema):
+    """Limits beyond which a run in real time is not valid."""
+
+    max_late_share: float = Field(
+        default=0.01, ge=0.0, le=1.0, description="largest share of samples sent late"
+    )
+    max_missed_share: float = Field(
+        default=0.01, ge=0.0, le=1.0, description="largest share of commands that missed their tick"
+    )
+    max_latency: float = Field(
+        default=0.001,
+        gt=0.0,
+        description="largest 99 % quantile of the time from sample to command (s)",
+    )
+
+    def limits(self) -> TimingLimits:
+        """The same as the verdict takes it."""
+        return TimingLimits(**self.model_dump())
 
 
 class EstimatorParameters(Schema):
@@ -42,6 +63,7 @@ class EstimatorParameters(Schema):
     progress_period: float = Field(
         default=0.2, ge=0.05, le=10.0, description="time between progress messages (s)"
     )
+    realtime: RealtimeParameters = RealtimeParameters()
 
     def gaps(self) -> GapConfig:
         """What to do with trials that have gaps."""

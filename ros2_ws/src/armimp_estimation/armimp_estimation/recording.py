@@ -16,6 +16,7 @@ from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.progress import RunningCoherence
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
 BAGS = "bags"
 LEDGER = "ledger"
@@ -58,6 +59,8 @@ class Recording:
         self._reserve: DiskReserve | None = None
         self._seen = 0
         self._latest_ns: dict[str, int] = {}
+        self.timing: TimingRecord | None = None
+        """Latest known timing of the run, which goes into the bag of each trial as it ends."""
         self.add = self._collector.add
 
     @property
@@ -183,13 +186,14 @@ class Recording:
                     self._write_statuses(collected.statuses, self._last_ns)
                 assembled = self._assemble(collected)
                 if self._writer is not None:
-                    self._writer.add_metadata({LEDGER: assembled.ledger.to_json()})
+                    timing = {} if self.timing is None else {RECORD_KEY: self.timing.to_json()}
+                    self._writer.add_metadata({LEDGER: assembled.ledger.to_json(), **timing})
             finally:
                 self.close()
         except ArmimpError as error:
             self._on_finished(None, str(error))
             return
-        duration = assembled.window.ticks * PERIOD_NS / NS_PER_S
+        duration = assembled.ledger.span * PERIOD_NS / NS_PER_S
         bag = None
         if self._bag is not None and self._directory is not None:
             bag = str(self._bag.relative_to(self._directory))
