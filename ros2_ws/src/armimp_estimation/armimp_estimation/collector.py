@@ -116,7 +116,9 @@ class TrialCollector:
         self._statuses.append(status)
         if status.phase is Phase.PERTURB and self._start_ns is None:
             self._begin(status)
-        elif status.phase is Phase.ABORTED:
+        elif self._start_ns is not None and status.ticks < self._ticks:
+            self._shorten(status.ticks)
+        if status.phase is Phase.ABORTED:
             self.finish()
         elif status.phase in (Phase.REST, Phase.DONE):
             self._left = True
@@ -169,6 +171,12 @@ class TrialCollector:
         for stamp_ns, topic, message in heapq.merge(*early.values(), key=lambda entry: entry[0]):
             self._accept(topic, message, stamp_ns)
 
+    def _shorten(self, ticks: int) -> None:
+        """End the trial earlier than planned; mostly told ahead of time."""
+        self._end_ns -= (self._ticks - ticks) * PERIOD_NS
+        self._ticks = ticks
+        self._finished = self._finished or len(self._messages[PERTURBATION]) >= ticks
+
     def _accept(self, topic: str, message: bytes, stamp_ns: int) -> None:
         if self._start_ns is None:
             self._early[topic].append((stamp_ns, topic, message))
@@ -195,7 +203,7 @@ class TrialCollector:
         for topic in _FOLLOWERS:
             self._release(topic)
         self._keep(PERTURBATION, message, stamp_ns)
-        self._finished = len(self._messages[PERTURBATION]) == self._ticks
+        self._finished = len(self._messages[PERTURBATION]) >= self._ticks
 
     def _release(self, topic: str) -> None:
         """Keep what has waited for the perturbation to come up to its stamp, in its order."""

@@ -54,6 +54,8 @@ class TrialWindow:
         Joint commands that the controller had to limit.
     clipped_intervals : tuple of (int, int)
         First and last tick of the trial, from 0, of each run of such commands.
+    saved : int
+        Samples that were planned beyond `ticks`, before the controller ended the trial earlier.
 
     Raises
     ------
@@ -72,6 +74,7 @@ class TrialWindow:
     missed: bool = False
     clipped: int = 0
     clipped_intervals: tuple[tuple[int, int], ...] = ()
+    saved: int = 0
 
     def __post_init__(self) -> None:
         if not 0 <= self.ticks <= MOST_TICKS:
@@ -124,6 +127,9 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
         elif not status.valid and (current.missed or not current.fault):
             current = replace(current, fault=f"not valid: {status.reason or 'no reason given'}")
             current = replace(current, missed=only_missed_samples(status))
+        if status.ticks < current.ticks:
+            saved = current.saved + current.ticks - status.ticks
+            current = replace(current, ticks=status.ticks, saved=saved)
         current = _with_clipping(current, status)
         if status.phase is not Phase.PERTURB:
             current = replace(current, ended=True)

@@ -9,7 +9,7 @@ from armimp_common import contract
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.contract import JOINT_STATES, PERTURBATION, TORQUE_SENSORS
 from armimp_estimation import scores
-from armimp_estimation.progress import RunningCoherence
+from armimp_estimation.progress import RunningTrial
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.testing import recorded_arm
 from armimp_estimation.trial import TrialData
@@ -44,8 +44,8 @@ def first(messages: Messages, count: int) -> Messages:
     return {topic: raws[:count] for topic, raws in messages.items()}
 
 
-def running(joint: int) -> RunningCoherence:
-    return RunningCoherence(NAMES, joint, rate=1000.0, planned=SAMPLES)
+def running(joint: int) -> RunningTrial:
+    return RunningTrial(NAMES, joint, rate=1000.0, planned=SAMPLES)
 
 
 def final(joint: int) -> tuple[float, float]:
@@ -116,6 +116,6 @@ def test_when_a_reading_is_not_finite_expect_silence() -> None:
 
 @pytest.mark.parametrize("planned", [0, 1, 100, 1500])
 def test_trial_too_short_for_spectra_is_endured(planned: int) -> None:
-    coherence = RunningCoherence(NAMES, 0, rate=1000.0, planned=planned)
+    coherence = RunningTrial(NAMES, 0, rate=1000.0, planned=planned)
 
     assert coherence.update(first(TRIALS[0], min(planned, 1000))) is None

@@ -31,6 +31,7 @@ _QOS: Final[dict[str, tuple[int, str, str]]] = {
     contract.TRIAL: _LATCHED,
     contract.RESULT: _LATCHED,
     contract.RECEIVED: _LATCHED,
+    contract.JUDGEMENT: _LATCHED,
     contract.PROGRESS: (10, "reliable", "volatile"),
     contract.CLOCK: (1, "best_effort", "volatile"),
     contract.DIAGNOSTICS: (10, "reliable", "volatile"),
