@@ -235,7 +235,8 @@ class LpmFull:
         """Responses of angles, torques and, if wanted, steps of the commands, by trial."""
         shortest = min(record.samples for record in records)
         rate = records[0].rate
-        f: FloatArray = bins_in_band(shortest, rate, *self.band) * float(rate / shortest)
+        bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
+        f = bins * float(rate / shortest)
         columns = []
         for record in records:
             outputs = [record.position, record.torque]
