@@ -161,6 +161,7 @@ class Experiment:
 
     def _end(self, reason: str) -> None:
         self.tau_delta[:] = 0.0
+        self._due = None
         if self.finished:
             return
         self.finished = True

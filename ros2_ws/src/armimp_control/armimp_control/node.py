@@ -223,11 +223,14 @@ class ImbicControllerNode(LifecycleNode):
                 del waiting[old]
         self._watchdog.feed(time.monotonic())
         self._stamp_ns, self._garbled = stamp_ns, ""
-        if experiment.awaits_judgement and self._lockstep:
+        held, self._held = self._held, None
+        if held is not None:
+            self._command(experiment, *held)  # whoever sends the next sample does not wait
+        elif experiment.awaits_judgement and self._lockstep:
             # So that a trial ends at the same sample however fast the machine is.
             self._held = (stamp_ns, theta, tau_h)
-        else:
-            self._command(experiment, stamp_ns, theta, tau_h)
+            return
+        self._command(experiment, stamp_ns, theta, tau_h)
 
     def _command(
         self,

@@ -176,6 +176,20 @@ class TrialCollector:
         self._end_ns -= (self._ticks - ticks) * PERIOD_NS
         self._ticks = ticks
         self._finished = self._finished or len(self._messages[PERTURBATION]) >= ticks
+        if len(self._messages[PERTURBATION]) > ticks:
+            self._give_back(ticks)
+
+    def _give_back(self, ticks: int) -> None:
+        """Let the next trial have what came before it was known that the present one was over."""
+        led = [stamp_of(message) for message in self._messages[PERTURBATION]]
+        self._up_to_ns = max(led[:ticks], default=-1)
+        for topic, messages in self._messages.items():
+            # Commands have no stamps, but those of the perturbations they came with.
+            stamps = led if topic == COMMANDS else [stamp_of(message) for message in messages]
+            timed = list(zip(stamps, messages, strict=False))
+            self._messages[topic] = [raw for ns, raw in timed if ns <= self._up_to_ns]
+            beyond = [(ns, topic, raw) for ns, raw in timed if ns > self._up_to_ns]
+            self._early[topic].extendleft(reversed(beyond))
 
     def _accept(self, topic: str, message: bytes, stamp_ns: int) -> None:
         if self._start_ns is None:
