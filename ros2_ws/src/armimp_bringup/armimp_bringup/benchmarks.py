@@ -55,7 +55,13 @@ def _study(tell: Callable[[str], None]) -> list[Measured]:
     return time_study(tell)
 
 
-_BENCHMARKS: dict[str, Benchmark] = {"study": _study}
+def _estimate(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.estimate_bench import time_estimate
+
+    return time_estimate(tell)
+
+
+_BENCHMARKS: dict[str, Benchmark] = {"study": _study, "estimate": _estimate}
 
 
 def benchmark_names() -> tuple[str, ...]:

@@ -24,6 +24,7 @@ BAGS = "bags"
 LEDGER = "ledger"
 """Metadata of a bag: the account of its samples, as JSON."""
 _RATE = NS_PER_S / PERIOD_NS
+_ROUND = 1000
 _COLUMN_PERIOD = 1.0
 """Wall time between two estimates of the running column (s); each takes some 20 ms."""
 
@@ -123,7 +124,9 @@ class Recording:
         """Column k as the present trial gives it so far, made anew at most once a second."""
         running = self._present()
         if running is not None and time.monotonic() - self._column_at >= _COLUMN_PERIOD:
-            self._keep_column(running.column(self._collector.messages))
+            # Round numbers: the Fourier transform of others may take several times as long.
+            samples = self.samples // _ROUND * _ROUND
+            self._keep_column(running.column(self._collector.messages, samples))
         return self._column
 
     def judge(self) -> Judgement | None:
