@@ -1,14 +1,17 @@
 """Trials that end once their standard errors are small enough, through the whole graph."""
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.tables import print_summary
 from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
@@ -87,6 +90,15 @@ def test_bags_estimate_and_replay_to_the_same_result(early: FinishedRun, tmp_pat
         assert [(one.ticks, one.saved) for one in summary.trials] == [
             (one.ticks, one.saved) for one in early.summary.trials
         ]
+
+
+def test_table_of_the_trials_tells_what_was_saved(early: FinishedRun) -> None:
+    output = io.StringIO()
+    print_summary(early.summary, None, Console(file=output, width=200))
+    text = output.getvalue()
+    assert "saved s" in text
+    for trial in early.summary.trials:
+        assert f"{trial.saved:.1f}" in text
 
 
 def test_separate_processes_end_at_the_same_sample_with_the_same_bits(

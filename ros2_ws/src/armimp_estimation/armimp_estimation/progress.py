@@ -22,6 +22,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialAccumulator
+from armimp_estimation.trial_streams import Stream, TrialStreams
 
 _STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
@@ -71,6 +72,7 @@ class RunningTrial:
         )
         self._used = 0
         self._values = {topic: _Rows(len(joint_names)) for topic in (*_STREAMS, COMMANDS)}
+        self._stamps: dict[str, list[NDArray[np.int64]]] = {topic: [] for topic in _STREAMS}
         self._last_ns: int | None = None
         self._in_step = True
 
@@ -138,6 +140,33 @@ class RunningTrial:
         except (MalformedMessageError, DataError):
             return None
 
+    def streams(self, messages: Messages) -> TrialStreams | None:
+        """The decoded messages of the whole trial, as `decode_streams` would return them.
+
+        Returns
+        -------
+        TrialStreams or None
+            None unless each message could be used and the streams with stamps have equally many.
+        """
+        try:
+            self._take(messages)
+        except (MalformedMessageError, DataError):
+            return None
+        taken = {topic: rows.count for topic, rows in self._values.items()}
+        if not self._used or {topic: len(messages[topic]) for topic in taken} != taken:
+            return None
+        values = {topic: rows.first(rows.count).copy() for topic, rows in self._values.items()}
+        return TrialStreams(
+            joint_names=self._names,
+            stamped={
+                # In the order of `decode_streams`, on which that of problems depends.
+                topic: Stream(stamps=np.concatenate(self._stamps[topic]), values=values[topic])
+                for topic in VALUE_FIELD
+            },
+            commands=taken[COMMANDS],
+            command_values=values[COMMANDS],
+        )
+
     def _take(self, messages: Messages) -> None:
         available = min(len(messages[topic]) for topic in _STREAMS)
         self._take_commands(messages.get(COMMANDS, []))
@@ -148,8 +177,9 @@ class RunningTrial:
             for topic in _STREAMS
         ]
         self._accumulator.push(blocks[0][1], blocks[1][1], blocks[2][1])
-        for topic, (_, values) in zip(_STREAMS, blocks, strict=True):
+        for topic, (stamps, values) in zip(_STREAMS, blocks, strict=True):
             self._values[topic].append(values)
+            self._stamps[topic].append(stamps)
         self._check_stamps([stamps for stamps, _ in blocks])
         self._used = available
 

@@ -250,7 +250,14 @@ class Recording:
         self._on_finished(FinishedTrial(assembled=assembled, bag=bag, rtf=duration / elapsed), "")
 
     def _assemble(self, collected: CollectedTrial) -> AssembledTrial:
-        trials = assemble_trials(self._joint_names, collected.messages, collected.statuses)
+        # Decoded while the trial was running, so that its end takes less time.
+        running = self._running
+        trials = assemble_trials(
+            self._joint_names,
+            collected.messages,
+            collected.statuses,
+            streams=None if running is None else running.streams(collected.messages),
+        )
         if len(trials) != 1:
             number = collected.statuses[0].trial
             raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")

@@ -17,6 +17,7 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.synthetic import TWO_JOINT_ARM as ARM
 from armimp_estimation.testing import recorded_arm
 from armimp_estimation.trial import TrialData
+from armimp_estimation.trial_streams import decode_streams
 
 STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 SAMPLES = 10_000
@@ -201,3 +202,63 @@ def test_when_a_sample_is_missing_expect_no_column_but_the_coherence(topic: str)
 def test_when_all_streams_lack_a_sample_expect_no_column() -> None:
     messages = {topic: [*raws[:100], *raws[101:]] for topic, raws in TRIALS[0].items()}
     assert running(0).column(messages) is None
+
+
+@settings(max_examples=10, deadline=None)
+@given(stops=st.lists(st.integers(0, SAMPLES), max_size=8))
+def test_streams_are_those_that_decoding_all_at_once_gives(stops: list[int]) -> None:
+    messages = with_commands(1)
+    trial = running(1)
+    for stop in sorted(stops):
+        trial.update(first(messages, stop))
+    found, expected = trial.streams(messages), decode_streams(NAMES, messages)
+
+    assert found is not None
+    assert (found.joint_names, found.commands) == (expected.joint_names, expected.commands)
+    assert found.command_values is not None
+    assert expected.command_values is not None
+    assert found.command_values.tobytes() == expected.command_values.tobytes()
+    assert list(found.stamped) == list(expected.stamped)
+    for topic, stream in found.stamped.items():
+        other = expected.stamped[topic]
+        assert stream.stamps.tobytes() == other.stamps.tobytes()
+        assert stream.values.tobytes() == other.values.tobytes()
+        assert stream.values.flags.c_contiguous
+        assert (stream.malformed, stream.defect) == (0, "")
+
+
+def test_a_missing_command_is_missing_in_the_streams() -> None:
+    messages = with_commands(0)
+    del messages[COMMANDS][500]
+    found, expected = running(0).streams(messages), decode_streams(NAMES, messages)
+    assert found is not None
+    assert found.commands == expected.commands == SAMPLES - 1
+    np.testing.assert_array_equal(found.command_values, expected.command_values)
+
+
+@pytest.mark.parametrize(
+    ("topic", "raws"),
+    [
+        (COMMANDS, [b"rubbish"]),
+        *((topic, raws) for topic in STREAMS for raws in ([], [b"rubbish"])),
+    ],
+)
+def test_when_a_message_is_missing_or_cannot_be_used_expect_no_streams(
+    topic: str, raws: list[bytes]
+) -> None:
+    messages = with_commands(0)
+    messages[topic] = [*messages[topic][:500], *raws, *messages[topic][501:]]
+    trial = running(0)
+    trial.update(first(messages, 300))
+    assert trial.streams(messages) is None
+
+
+def test_when_messages_were_given_back_expect_no_streams() -> None:
+    messages = with_commands(0)
+    trial = running(0)
+    trial.update(messages)
+    assert trial.streams(first(messages, SAMPLES - 1)) is None
+
+
+def test_without_samples_there_are_no_streams() -> None:
+    assert running(0).streams(first(with_commands(0), 0)) is None
