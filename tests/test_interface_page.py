@@ -20,12 +20,14 @@ from armimp_bringup.config import ExperimentConfig, bag_metadata, node_parameter
 from armimp_common import contract, qos
 from armimp_common.diagnostics import values_of
 from armimp_common.jitter import LATE_NS, TIMING_NAME, TimingFigures
+from armimp_common.judgement import JUDGEMENT_NAME, NOTICE_TICKS, Judgement
 from armimp_common.schema import defaults, flatten, leaves
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion
 from armimp_estimation.identify import Identification, identify
+from armimp_estimation.lpm import FittedColumn
 from armimp_estimation.messages import (
     CONCLUSION_NAME,
     PROGRESS_NAME,
@@ -229,38 +231,44 @@ def test_the_page_names_all_estimators_that_exist() -> None:
 # --- messages ----------------------------------------------------------------------------------
 
 
+STATUS = TrialStatus(
+    phase=Phase.SETTLE,
+    trial=1,
+    trials=2,
+    joint=0,
+    joint_name="shoulder",
+    tick=0,
+    start_ns=None,
+    ticks=10,
+    seed=1,
+    valid=True,
+)
+
+
 def test_the_keys_of_the_trial_status_are_those_of_the_code() -> None:
-    status = TrialStatus(
-        phase=Phase.SETTLE,
-        trial=1,
-        trials=2,
-        joint=0,
-        joint_name="shoulder",
-        tick=0,
-        start_ns=None,
-        ticks=10,
-        seed=1,
-        valid=True,
-    )
     rows = _table("Trial status", "key")
-    assert list(rows) == list(status.to_values())
+    assert list(rows) == list(STATUS.to_values())
     assert re.findall(r"`(\w+)`", rows["phase"]["value"]) == [phase.value for phase in Phase]
     assert f"`{STATUS_NAME}`" in PAGE
 
 
 def test_the_keys_of_progress_are_those_of_the_code() -> None:
     message = progress_message(
-        trial=1,
-        trials=2,
-        joint=0,
-        phase="perturb",
+        STATUS,
         samples=1,
-        planned=2,
         rate=1.0,
         coherence=(1.0, 1.0),
+        column=FittedColumn(joint=0, values=np.ones((3, 2)), errors=np.ones((3, 2))),
     )
     assert list(_table("Progress", "key")) == list(values_of(message))
     assert f"`{PROGRESS_NAME}`" in PAGE
+
+
+def test_the_keys_of_a_judgement_are_those_of_the_code() -> None:
+    judgement = Judgement(trial=1, samples=0, enough=False, due=1, bound=0.02)
+    assert list(_table("Judgement", "key")) == list(judgement.to_values())
+    assert f"`{JUDGEMENT_NAME}`" in PAGE
+    assert f"{NOTICE_TICKS} samples" in PAGE
 
 
 @pytest.fixture(scope="module")

@@ -61,7 +61,17 @@ def _realtime(tell: Callable[[str], None]) -> list[Measured]:
     return time_realtime(tell)
 
 
-_BENCHMARKS: dict[str, Benchmark] = {"study": _study, "realtime": _realtime}
+def _estimate(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.estimate_bench import time_estimate
+
+    return time_estimate(tell)
+
+
+_BENCHMARKS: dict[str, Benchmark] = {
+    "study": _study,
+    "estimate": _estimate,
+    "realtime": _realtime,
+}
 
 
 def benchmark_names() -> tuple[str, ...]:

@@ -5,6 +5,7 @@ Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupt
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from datetime import datetime
@@ -63,6 +64,10 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     ] = None,
     joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
     estimator: _Estimators = None,
+    until_error: Annotated[
+        str | None,
+        typer.Option(help="End a trial once the standard errors of M, B, K are below: 2% or 0.02."),
+    ] = None,
     out: _Out = None,
     domain_id: Annotated[
         int | None,
@@ -89,6 +94,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             "priority": priority,
             "joints": joints,
             "estimators": tuple(estimator) if estimator else None,
+            "until_error": None if until_error is None else _share(until_error),
         },
     )
     directory = out if out is not None else _new_directory("run")
@@ -307,6 +313,25 @@ def _present(
     for problem in summary.problems:
         _say(f"armimp: not valid: {problem}")
     return 0 if summary.valid and complete else 1
+
+
+def _share(text: str) -> float:
+    """A share such as ``2%`` or ``0.02``.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is none, or as large as the whole.
+    """
+    percent = text.rstrip().endswith("%")
+    try:
+        share = float(text.rstrip().removesuffix("%")) / (100.0 if percent else 1.0)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share < 1.0:
+        hint = "" if percent or not share >= 1.0 else f"; did you mean {text.strip()}%?"
+        raise ConfigurationError(f"--until-error: {text!r} is no share such as 2% or 0.02{hint}")
+    return share
 
 
 def _new_directory(what: str) -> Path:

@@ -51,6 +51,12 @@ class ExperimentConfig(BaseModel):
     estimators: tuple[str, ...] = Field(
         default=("welch_siso", "lpm_full"), description="estimators of the result"
     )
+    until_error: float = Field(
+        default=0.0,
+        ge=0.0,
+        lt=1.0,
+        description="relative standard error of M, B and K below which a trial ends; 0: never",
+    )
     arm_sim: Overrides = Field(default={}, description="parameters of that node to override")
     imbic_controller: Overrides = Field(default={}, description="likewise")
     impedance_estimator: Overrides = Field(default={}, description="likewise")
@@ -203,6 +209,7 @@ def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePar
     estimator = EstimatorParameters(
         joints=simulator.joints,
         estimators=config.estimators,
+        until_error=config.until_error,
         directory="" if directory is None else str(directory),
         metadata=json.dumps(bag_metadata(config, simulator, controller)),
     )

@@ -65,6 +65,10 @@ class Progress:
     rate: float
     coherence_motion: float | None
     coherence_torque: float | None
+    column: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None = None
+    """Values and standard errors of M, B and K in the column of the perturbed joint, SI units."""
+    largest_error: float | None = None
+    """Largest relative one of these standard errors."""
 
 
 class Supervisor(Node):
@@ -105,6 +109,8 @@ class Supervisor(Node):
             rate=float(values["rate"]),
             coherence_motion=_optional(values.get("coherence_motion")),
             coherence_torque=_optional(values.get("coherence_torque")),
+            column=_column(values),
+            largest_error=_optional(values.get("largest_error")),
         )
         if progress.samples:
             self.last_news = time.monotonic()
@@ -414,6 +420,18 @@ def settle(
         path.unlink()
         write_summary(path, summary)
     return summary
+
+
+def _column(
+    values: dict[str, str],
+) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None:
+    if "K_se" not in values:
+        return None
+
+    def row(key: str) -> tuple[float, ...]:
+        return tuple(float(text) for text in values[key].split())
+
+    return tuple((row(letter), row(f"{letter}_se")) for letter in "MBK")
 
 
 def _optional(text: str | None) -> float | None:

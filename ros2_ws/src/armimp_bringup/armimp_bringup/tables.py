@@ -82,6 +82,8 @@ def _trial_table(summary: Summary) -> Table:
     counts = [kind for kind in _COUNTS if any(getattr(one, kind) for one in summary.trials)]
     for kind in counts:
         table.add_column(kind, justify="right")
+    if saved := any(one.saved for one in summary.trials):
+        table.add_column("saved s", justify="right")
     table.add_column("lock ratio", justify="right")
     table.add_column("x real time", justify="right")
     table.add_column("bag", overflow="fold")
@@ -92,6 +94,7 @@ def _trial_table(summary: Summary) -> Table:
             str(trial.ticks),
             str(trial.lost),
             *(_count(kind, getattr(trial, kind)) for kind in counts),
+            *([f"{trial.saved:.1f}"] if saved else []),
             _largest(others),
             "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
             "–" if trial.bag is None else trial.bag,

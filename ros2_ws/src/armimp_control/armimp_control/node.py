@@ -20,8 +20,15 @@ from armimp_common.channels import (
     JointStateSubscription,
     wait_until_matched,
 )
-from armimp_common.diagnostics import Level, make_array, make_status, trial_status_message
-from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.diagnostics import (
+    Level,
+    make_array,
+    make_status,
+    trial_status_message,
+    values_of,
+)
+from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
+from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
@@ -41,6 +48,7 @@ GATE_STATUS = f"{contract.CONTROLLER_NODE}: gate"
 """``name`` of the status on ``/diagnostics``."""
 _STOPPED = "emergency stop"
 _NO_SAMPLE = "no sensor sample arrived any more"
+_NO_JUDGEMENT = "the estimator does not say whether the trial is over"
 
 
 class ImbicControllerNode(LifecycleNode):
@@ -66,6 +74,9 @@ class ImbicControllerNode(LifecycleNode):
         self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
         self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
+        self.create_subscription(
+            DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
+        )
         declare(self, ControllerParameters)
         guard(self, lambda: "a trial is running" if self._active else None)
 
@@ -175,6 +186,7 @@ class ImbicControllerNode(LifecycleNode):
         # Readings of the two sensor topics that still wait for their partner, by stamp.
         self._positions: dict[int, tuple[float, ...]] = {}
         self._torques: dict[int, tuple[float, ...]] = {}
+        self._held: tuple[int, tuple[float, ...], tuple[float, ...]] | None = None
         self._garbled = ""
         self._clips_told = 0
         return self._experiment
@@ -192,6 +204,8 @@ class ImbicControllerNode(LifecycleNode):
 
     def _announce(self, status: TrialStatus) -> None:
         self._trial.publish(trial_status_message(status))
+        if status.phase is Phase.ABORTED:
+            self._held = None  # answered by the command that ends the experiment
         # Without being active: the node was told to end the experiment, which is no fault.
         if status.phase is Phase.ABORTED and self._active:
             self._latch(status.reason)
@@ -237,6 +251,22 @@ class ImbicControllerNode(LifecycleNode):
             self._on_watchdog()
         self._watchdog.feed(now)
         self._stamp_ns, self._garbled = stamp_ns, ""
+        held, self._held = self._held, None
+        if held is not None:
+            self._command(experiment, *held)  # whoever sends the next sample does not wait
+        elif experiment.awaits_judgement and self._lockstep:
+            # So that a trial ends at the same sample however fast the machine is.
+            self._held = (stamp_ns, theta, tau_h)
+            return
+        self._command(experiment, stamp_ns, theta, tau_h)
+
+    def _command(
+        self,
+        experiment: Experiment,
+        stamp_ns: int,
+        theta: tuple[float, ...],
+        tau_h: tuple[float, ...],
+    ) -> None:
         experiment.answer(stamp_ns, theta, tau_h)
         self._commands.publish(experiment.command)
         self._perturbation.publish(stamp_ns, experiment.tau_delta)
@@ -283,6 +313,19 @@ class ImbicControllerNode(LifecycleNode):
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
 
+    def _on_judgement(self, message: DiagnosticStatus) -> None:
+        """Hear from the estimator how good the trial is already."""
+        experiment = self._experiment
+        if not self._active or experiment is None:
+            return
+        try:
+            experiment.judge(Judgement.from_values(values_of(message)))
+        except MalformedMessageError as error:
+            self.get_logger().warning(str(error))
+        if self._held is not None and not experiment.awaits_judgement:
+            held, self._held = self._held, None
+            self._command(experiment, *held)
+
     def _take_away(self, reason: str) -> None:
         """End a running experiment with zero torque, for a reason outside of this node."""
         experiment = self._experiment
@@ -296,7 +339,7 @@ class ImbicControllerNode(LifecycleNode):
         if experiment is None or not self._watchdog.expired(now):
             return
         if not experiment.finished:
-            experiment.stop(_NO_SAMPLE)
+            experiment.stop(_NO_SAMPLE if self._held is None else _NO_JUDGEMENT)
         experiment.fall(self._watchdog.ticks_due(now))
         self._commands.publish(experiment.command)
         if experiment.at_rest:

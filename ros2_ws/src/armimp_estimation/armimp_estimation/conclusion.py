@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from armimp_common.contract import PERTURBATION
+from armimp_common.contract import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_common.errors import ArmimpError, DataError
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
@@ -278,6 +278,7 @@ def _ledger(trial: FinishedTrial) -> TrialLedger:
         ticks=ledger.streams[PERTURBATION].received,
         lost=ledger.lost,
         rtf=trial.rtf,
+        saved=trial.assembled.window.saved * PERIOD_NS / NS_PER_S,
         samples=ledger,
     )
 

@@ -18,7 +18,7 @@ from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import contract, qos
 from armimp_common.channels import RawSubscription, wait_until_matched
-from armimp_common.diagnostics import values_of
+from armimp_common.diagnostics import judgement_message, values_of
 from armimp_common.errors import (
     ArmimpError,
     ConfigurationError,
@@ -33,8 +33,9 @@ from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, truth_of
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, timing_of, truth_of
 from armimp_estimation.gaps import segments_for
+from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.messages import (
     column_message,
     conclusion_message,
@@ -84,6 +85,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
         self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        self._judgement = self.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
         self._streams = [
             RawSubscription(
                 self,
@@ -137,6 +139,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
         self.destroy_publisher(self._received)
+        self.destroy_publisher(self._judgement)
         self.destroy_publisher(self._progress)
         self.destroy_publisher(self._result)
         return TransitionCallbackReturn.SUCCESS
@@ -167,6 +170,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._directory if self._settings.record else None,
             self._metadata,
             self._on_finished,
+            lpm=LpmConfig(timing=timing_of(self._metadata)),
+            goal=self._settings.goal(),
         )
 
     def _check_metadata(self) -> None:
@@ -207,6 +212,9 @@ class ImpedanceEstimatorNode(LifecycleNode):
             samples = min(counts.values()) // contract.RECEIVED_EVERY * contract.RECEIVED_EVERY
             if samples > self._acknowledged:
                 self._acknowledged = samples
+                # First, so that in lockstep the judgement is there before the samples go on.
+                if (judgement := self._recording.judge()) is not None:
+                    self._judgement.publish(judgement_message(judgement))
                 self._received.publish(UInt64(data=samples))
 
     def _on_beside(self, topic: str, message: bytes) -> None:
@@ -339,14 +347,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
             return
         self._progress.publish(
             progress_message(
-                trial=status.trial,
-                trials=status.trials,
-                joint=status.joint,
-                phase=status.phase.value,
+                status,
                 samples=self._recording.samples,
-                planned=status.ticks,
                 rate=self._recording.rate,
                 coherence=self._recording.update(),
+                column=self._recording.column(),
             )
         )
 

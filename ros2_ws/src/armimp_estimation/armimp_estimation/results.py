@@ -53,6 +53,8 @@ class TrialSummary(JsonModel):
     """Share of the samples that the estimates leave out, from 0 to 1."""
     stretches: int = 1
     """Runs of samples between those."""
+    saved: Number = 0.0
+    """Time (s) by which the trial was shorter than planned, as its errors were small enough."""
     streams: dict[str, StreamSummary] = Field(default_factory=dict)
     """By topic of the contract; empty if there are no messages behind the trial."""
 
@@ -79,6 +81,7 @@ class TrialSummary(JsonModel):
                 "lock_ratio": lock_ratio,
                 "bias_bound": bias_bound,
                 "rtf": ledger.rtf,
+                "saved": ledger.saved,
                 **about,
             }
         )
@@ -207,6 +210,8 @@ class TrialLedger:
         Samples found missing.
     rtf : float
         Times real time at which it ran; NaN if it was not run live.
+    saved : float
+        Time by which it ended earlier than planned, s.
     samples : SampleLedger or None
         The account of its messages, if it was made from messages.
     """
@@ -215,6 +220,7 @@ class TrialLedger:
     ticks: int
     lost: int = 0
     rtf: float = math.nan
+    saved: float = 0.0
     samples: SampleLedger | None = None
 
 
