@@ -55,7 +55,13 @@ def _study(tell: Callable[[str], None]) -> list[Measured]:
     return time_study(tell)
 
 
-_BENCHMARKS: dict[str, Benchmark] = {"study": _study}
+def _graph(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.graph_bench import time_graph
+
+    return time_graph(tell)
+
+
+_BENCHMARKS: dict[str, Benchmark] = {"study": _study, "graph": _graph}
 
 
 def benchmark_names() -> tuple[str, ...]:
