@@ -39,8 +39,10 @@ WITH_ROS = {
     "armimp_bringup.display",
     "armimp_bringup.external",
     "armimp_bringup.graph",
+    "armimp_bringup.graph_bench",
     "armimp_bringup.health",
     "armimp_bringup.orchestrator",
+    "armimp_bringup.ping_pong",
     "armimp_bringup.realtime_bench",
     "armimp_bringup.replay",
 }

@@ -55,6 +55,12 @@ def _study(tell: Callable[[str], None]) -> list[Measured]:
     return time_study(tell)
 
 
+def _graph(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.graph_bench import time_graph
+
+    return time_graph(tell)
+
+
 def _realtime(tell: Callable[[str], None]) -> list[Measured]:
     from armimp_bringup.realtime_bench import time_realtime
 
@@ -69,6 +75,7 @@ def _estimate(tell: Callable[[str], None]) -> list[Measured]:
 
 _BENCHMARKS: dict[str, Benchmark] = {
     "study": _study,
+    "graph": _graph,
     "estimate": _estimate,
     "realtime": _realtime,
 }
