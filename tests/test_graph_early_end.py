@@ -10,7 +10,8 @@ from rich.console import Console
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
 from armimp_bringup.tables import print_summary
 from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.trial_status import Phase

@@ -16,7 +16,8 @@ from armimp_bringup.config import ExperimentConfig, NodeParameters, node_paramet
 from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.health import main as health
 from armimp_bringup.health import state_of
-from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.domain import DomainClaim

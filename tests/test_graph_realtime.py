@@ -19,8 +19,9 @@ import pytest
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import run_offline
 from armimp_bringup.offline_estimate import estimate_bags
-from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.replay import replay_bags
+from armimp_bringup.supervisor import Progress
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import CONTROLLER_NODE, DATA_STREAMS, PERIOD_NS, SIM_NODE, VALUE_FIELD
 from armimp_common.errors import ConfigurationError

@@ -45,6 +45,7 @@ WITH_ROS = {
     "armimp_bringup.ping_pong",
     "armimp_bringup.realtime_bench",
     "armimp_bringup.replay",
+    "armimp_bringup.supervisor",
 }
 """Every other module must work where there is no ROS at all."""
 

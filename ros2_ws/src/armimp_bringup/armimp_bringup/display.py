@@ -8,7 +8,7 @@ from types import TracebackType
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from armimp_bringup.orchestrator import Progress as Snapshot
+from armimp_bringup.supervisor import Progress as Snapshot
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 
 _RATE = NS_PER_S / PERIOD_NS

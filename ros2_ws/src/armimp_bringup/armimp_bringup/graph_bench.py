@@ -135,9 +135,11 @@ def bare_tick(processes: Processes, exchanges: int = 20_000) -> float:
     with tempfile.TemporaryDirectory() as folder, GraphContext() as graph:
         took: list[int] = []
         watcher = Node("watcher", context=graph.context, use_global_arguments=False)
-        watcher.create_subscription(
-            UInt64, ping_pong.TOOK, lambda message: took.append(message.data), qos.LATCHED
-        )
+
+        def on_result(message: UInt64) -> None:
+            took.append(message.data)
+
+        watcher.create_subscription(UInt64, ping_pong.TOOK, on_result, qos.LATCHED)
         parameters = {"joints": 2, "exchanges": exchanges}
         with Spinner([watcher]) as spinner:
             nodes = _bare_nodes(processes, graph.context, spinner, parameters, Path(folder))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from rclpy.node import Node
@@ -137,7 +137,7 @@ class TapNode(_Bare):
             self._received.publish(UInt64(data=self._heard // 4))
 
 
-CLASSES: Final[Mapping[str, type[_Bare]]] = {PING: PingNode, PONG: PongNode, TAP: TapNode}
+CLASSES: Final[Mapping[str, Callable[..., Node]]] = {PING: PingNode, PONG: PongNode, TAP: TapNode}
 
 
 def main() -> int:

@@ -19,12 +19,11 @@ from armimp_bringup.graph import ComposedNodes, GraphContext
 from armimp_bringup.offline_estimate import read_bags
 from armimp_bringup.orchestrator import (
     PARAMETERS_FILE,
-    Progress,
-    Supervisor,
     lead,
     prepare_directory,
     settle,
 )
+from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract, qos
 from armimp_common.cdr import stamp_of
 from armimp_common.channels import RawSubscription

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from armimp_bringup.display import LiveDisplay, describe, describe_column
-from armimp_bringup.orchestrator import Progress
+from armimp_bringup.supervisor import Progress
 
 SNAPSHOT = Progress(
     trial=1,
