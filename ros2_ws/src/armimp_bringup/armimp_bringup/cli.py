@@ -99,13 +99,6 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             on_progress=display.show,
             interrupted=stopped,
         )
-        if settings.until_error:
-            for trial in summary.trials:
-                if not trial.saved:
-                    _say(
-                        f"note: the trial of joint {trial.k} lasted as planned: its standard "
-                        f"errors were not below {100.0 * settings.until_error:g} % before"
-                    )
         status = _present(summary, directory, json)
     return _unless_stopped(status, stopped, directory)
 

@@ -24,6 +24,8 @@ def print_summary(summary: Summary, directory: Path | None, console: Console | N
         out.print(_quality_table(result, summary))
     if summary.trials:
         out.print(_trial_table(summary))
+    for line in _without_precision(summary):
+        out.print(line, highlight=False)
     out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
     if directory is not None:
         out.print(f"results in {directory}", highlight=False)
@@ -98,6 +100,19 @@ def _trial_table(summary: Summary) -> Table:
             "–" if trial.bag is None else trial.bag,
         )
     return table
+
+
+def _without_precision(summary: Summary) -> list[str]:
+    """Which trials lasted as planned, as their errors did not become as small as was asked for."""
+    experiment = summary.config.get("experiment")
+    bound = experiment.get("until_error") if isinstance(experiment, dict) else None
+    if not isinstance(bound, float) or not bound:
+        return []
+    return [
+        f"joint {trial.k}: planned length, standard errors not below {100.0 * bound:g} % before"
+        for trial in summary.trials
+        if not trial.saved
+    ]
 
 
 def _count(kind: str, value: float) -> str:
