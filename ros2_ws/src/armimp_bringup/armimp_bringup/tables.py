@@ -24,11 +24,11 @@ def print_summary(summary: Summary, directory: Path | None, console: Console | N
         out.print(_quality_table(result, summary))
     if summary.trials:
         out.print(_trial_table(summary))
-    for line in _without_precision(summary):
-        out.print(line, highlight=False)
     out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
     if directory is not None:
         out.print(f"results in {directory}", highlight=False)
+    for line in _without_precision(summary):
+        out.print(line, highlight=False)
 
 
 def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:
@@ -102,6 +102,15 @@ def _trial_table(summary: Summary) -> Table:
     return table
 
 
+def _count(kind: str, value: float) -> str:
+    return f"{100.0 * value:.3g} %" if kind == "excluded" else str(value)
+
+
+def _largest(values: Sequence[float]) -> str:
+    worst = max(values, default=math.nan)
+    return "–" if math.isnan(worst) else f"{worst:.4f}"
+
+
 def _without_precision(summary: Summary) -> list[str]:
     """Which trials lasted as planned, as their errors did not become as small as was asked for."""
     experiment = summary.config.get("experiment")
@@ -113,15 +122,6 @@ def _without_precision(summary: Summary) -> list[str]:
         for trial in summary.trials
         if not trial.saved
     ]
-
-
-def _count(kind: str, value: float) -> str:
-    return f"{100.0 * value:.3g} %" if kind == "excluded" else str(value)
-
-
-def _largest(values: Sequence[float]) -> str:
-    worst = max(values, default=math.nan)
-    return "–" if math.isnan(worst) else f"{worst:.4f}"
 
 
 def _relative(value: float, true: float) -> str:
