@@ -100,6 +100,7 @@ def test_table_of_the_trials_tells_what_was_saved(early: FinishedRun) -> None:
     assert "saved s" in text
     for trial in early.summary.trials:
         assert f"{trial.saved:.1f}" in text
+    assert "planned length" not in text
 
 
 def test_separate_processes_end_at_the_same_sample_with_the_same_bits(
@@ -135,3 +136,8 @@ def test_when_the_bound_is_out_of_reach_expect_trials_as_planned(
     assert [trial.saved for trial in strict.summary.trials] == [0.0, 0.0]
     strict.assert_same_streams(composed)
     assert strict.summary.estimators == composed.summary.estimators
+    output = io.StringIO()
+    print_summary(strict.summary, None, Console(file=output, width=200))
+    for k in (1, 2):
+        told = f"joint {k}: planned length, standard errors not below 0.0001 % before"
+        assert told in output.getvalue()

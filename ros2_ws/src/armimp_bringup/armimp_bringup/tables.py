@@ -29,6 +29,8 @@ def print_summary(summary: Summary, directory: Path | None, console: Console | N
     out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
     if directory is not None:
         out.print(f"results in {directory}", highlight=False)
+    for line in _without_precision(summary):
+        out.print(line, highlight=False)
 
 
 def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:
@@ -124,6 +126,19 @@ def _count(kind: str, value: float) -> str:
 def _largest(values: Sequence[float]) -> str:
     worst = max(values, default=math.nan)
     return "–" if math.isnan(worst) else f"{worst:.4f}"
+
+
+def _without_precision(summary: Summary) -> list[str]:
+    """Which trials lasted as planned, as their errors did not become as small as was asked for."""
+    experiment = summary.config.get("experiment")
+    bound = experiment.get("until_error") if isinstance(experiment, dict) else None
+    if not isinstance(bound, float) or not bound:
+        return []
+    return [
+        f"joint {trial.k}: planned length, standard errors not below {100.0 * bound:g} % before"
+        for trial in summary.trials
+        if not trial.saved
+    ]
 
 
 def _relative(value: float, true: float) -> str:
