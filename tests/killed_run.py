@@ -23,6 +23,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from armimp_bringup import orchestrator
 from armimp_bringup.cli import main
 from armimp_bringup.graph import GraphContext, SeparateNodes
+from armimp_bringup.supervisor import Supervisor
 from armimp_common.contract import SUPERVISOR_NODE
 from armimp_common.diagnostics import values_of
 from armimp_common.lifecycle import LifecycleManager, TransitionName
@@ -82,7 +83,7 @@ def install(killer: Killer) -> None:
             killer.reach(transition, node=name)
             super().change(name, transition)
 
-    class Listener(orchestrator.Supervisor):
+    class Listener(Supervisor):
         def _on_trial(self, message: DiagnosticStatus) -> None:
             values = values_of(message)
             killer.reach(f"{values['phase']} {values['trial']}")

@@ -8,7 +8,8 @@ import pytest
 
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import CONTROLLER_NODE
 from armimp_common.errors import ConfigurationError

@@ -15,7 +15,8 @@ from rclpy.signals import SignalHandlerOptions
 from std_msgs.msg import Float64MultiArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
 from armimp_bringup.testing import FinishedRun
 from armimp_common import contract, qos
 from armimp_common.contract import COMMANDS, RESULT, TRIAL

@@ -19,12 +19,15 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from armimp_bringup.config import ExperimentConfig, bag_metadata, node_parameters
 from armimp_common import contract, qos
 from armimp_common.diagnostics import values_of
+from armimp_common.jitter import LATE_NS, TIMING_NAME, TimingFigures
+from armimp_common.judgement import JUDGEMENT_NAME, NOTICE_TICKS, Judgement
 from armimp_common.schema import defaults, flatten, leaves
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion
 from armimp_estimation.identify import Identification, identify
+from armimp_estimation.lpm import FittedColumn
 from armimp_estimation.messages import (
     CONCLUSION_NAME,
     PROGRESS_NAME,
@@ -37,6 +40,7 @@ from armimp_estimation.registry import estimator_names
 from armimp_estimation.results import (
     EstimatorSummary,
     Summary,
+    TimingSummary,
     TrialLedger,
     TrialSummary,
     summarise,
@@ -48,6 +52,7 @@ from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import TrialWindow
 from armimp_estimation.welch import WelchSiso
 from armimp_sim.backlog import LIMIT
+from armimp_sim.paced import RAMP_TICKS, WATCHDOG_TICKS
 from armimp_sim.parameters import SimulatorParameters
 
 Row = dict[str, str]
@@ -209,7 +214,7 @@ def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(
     )
 
 
-@pytest.mark.parametrize("page", ["interfaces.md", "theory.md"])
+@pytest.mark.parametrize("page", ["interfaces.md", "theory.md", "realtime.md"])
 def test_every_dotted_name_on_a_page_that_looks_like_a_parameter_is_one(page: str) -> None:
     known = {name for model in SCHEMAS.values() for name in leaves(model)}
     groups = {name.split(".")[0] for name in known if "." in name}
@@ -226,38 +231,44 @@ def test_the_page_names_all_estimators_that_exist() -> None:
 # --- messages ----------------------------------------------------------------------------------
 
 
+STATUS = TrialStatus(
+    phase=Phase.SETTLE,
+    trial=1,
+    trials=2,
+    joint=0,
+    joint_name="shoulder",
+    tick=0,
+    start_ns=None,
+    ticks=10,
+    seed=1,
+    valid=True,
+)
+
+
 def test_the_keys_of_the_trial_status_are_those_of_the_code() -> None:
-    status = TrialStatus(
-        phase=Phase.SETTLE,
-        trial=1,
-        trials=2,
-        joint=0,
-        joint_name="shoulder",
-        tick=0,
-        start_ns=None,
-        ticks=10,
-        seed=1,
-        valid=True,
-    )
     rows = _table("Trial status", "key")
-    assert list(rows) == list(status.to_values())
+    assert list(rows) == list(STATUS.to_values())
     assert re.findall(r"`(\w+)`", rows["phase"]["value"]) == [phase.value for phase in Phase]
     assert f"`{STATUS_NAME}`" in PAGE
 
 
 def test_the_keys_of_progress_are_those_of_the_code() -> None:
     message = progress_message(
-        trial=1,
-        trials=2,
-        joint=0,
-        phase="perturb",
+        STATUS,
         samples=1,
-        planned=2,
         rate=1.0,
         coherence=(1.0, 1.0),
+        column=FittedColumn(joint=0, values=np.ones((3, 2)), errors=np.ones((3, 2))),
     )
     assert list(_table("Progress", "key")) == list(values_of(message))
     assert f"`{PROGRESS_NAME}`" in PAGE
+
+
+def test_the_keys_of_a_judgement_are_those_of_the_code() -> None:
+    judgement = Judgement(trial=1, samples=0, enough=False, due=1, bound=0.02)
+    assert list(_table("Judgement", "key")) == list(judgement.to_values())
+    assert f"`{JUDGEMENT_NAME}`" in PAGE
+    assert f"{NOTICE_TICKS} samples" in PAGE
 
 
 @pytest.fixture(scope="module")
@@ -305,6 +316,15 @@ def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identi
     assert f"`{CONCLUSION_NAME}`" in PAGE
 
 
+def test_the_keys_of_the_timing_are_those_of_the_code() -> None:
+    figures = TimingFigures(ticks=0, late=0, missed=0)
+    assert list(_table("Timing in real time", "key")) == list(figures.to_values())
+    assert f"`{TIMING_NAME}`" in PAGE
+    assert f"more than {LATE_NS / 1e6:g} ms after" in PAGE
+    assert f"after {WATCHDOG_TICKS} periods without any command" in PAGE
+    assert f"straight line within {RAMP_TICKS} ms" in PAGE
+
+
 # --- bags and files ----------------------------------------------------------------------------
 
 
@@ -318,7 +338,8 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "model"), [(0, Summary), (1, TrialSummary), (2, EstimatorSummary)]
+    ("place", "model"),
+    [(0, Summary), (1, TrialSummary), (2, EstimatorSummary), (3, TimingSummary)],
 )
 def test_the_keys_of_summary_json_are_those_of_its_model(
     place: int, model: type[BaseModel]
@@ -346,7 +367,7 @@ def _anchors(page: str) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
 
 
-@pytest.mark.parametrize("page", ["interfaces.md", "theory.md"])
+@pytest.mark.parametrize("page", ["interfaces.md", "theory.md", "realtime.md"])
 def test_every_link_on_a_page_leads_somewhere(page: str) -> None:
     text = (DOCS / page).read_text(encoding="utf-8")
     links = re.findall(r"\]\(([^)]+)\)", text)

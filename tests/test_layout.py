@@ -37,9 +37,15 @@ WITH_ROS = {
     "armimp_estimation.node",
     "armimp_sim.node",
     "armimp_bringup.display",
+    "armimp_bringup.external",
     "armimp_bringup.graph",
+    "armimp_bringup.graph_bench",
+    "armimp_bringup.health",
     "armimp_bringup.orchestrator",
+    "armimp_bringup.ping_pong",
+    "armimp_bringup.realtime_bench",
     "armimp_bringup.replay",
+    "armimp_bringup.supervisor",
 }
 """Every other module must work where there is no ROS at all."""
 

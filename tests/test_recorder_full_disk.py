@@ -13,7 +13,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
 from armimp_common.contract import TRIAL
 from armimp_common.errors import BagError
 from armimp_estimation.bags import BagWriter, iterate_messages

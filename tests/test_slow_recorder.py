@@ -7,7 +7,8 @@ import time
 from pathlib import Path
 
 from armimp_bringup.config import load_config
-from armimp_bringup.orchestrator import Progress, run_experiment
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
 
 HELD_UP = 1.5
 """Seconds, in which the simulator could send several thousand samples."""

@@ -19,6 +19,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),
         (f"share/{NAME}/config", sorted(glob("config/*.*"))),
+        (f"share/{NAME}/layouts", sorted(glob("layouts/*.*"))),
     ],
     zip_safe=False,
     python_requires=">=3.10",

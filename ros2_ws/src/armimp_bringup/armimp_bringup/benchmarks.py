@@ -55,7 +55,30 @@ def _study(tell: Callable[[str], None]) -> list[Measured]:
     return time_study(tell)
 
 
-_BENCHMARKS: dict[str, Benchmark] = {"study": _study}
+def _graph(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.graph_bench import time_graph
+
+    return time_graph(tell)
+
+
+def _realtime(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.realtime_bench import time_realtime
+
+    return time_realtime(tell)
+
+
+def _estimate(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.estimate_bench import time_estimate
+
+    return time_estimate(tell)
+
+
+_BENCHMARKS: dict[str, Benchmark] = {
+    "study": _study,
+    "graph": _graph,
+    "estimate": _estimate,
+    "realtime": _realtime,
+}
 
 
 def benchmark_names() -> tuple[str, ...]:

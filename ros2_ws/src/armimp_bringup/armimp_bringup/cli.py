@@ -5,6 +5,7 @@ Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupt
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from datetime import datetime
@@ -54,14 +55,24 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     perturbation: Annotated[int | None, typer.Option(help="Perturbation level, 1 to 3.")] = None,
     duration: Annotated[float | None, typer.Option(help="Length of each trial, s.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of all random signals.")] = None,
-    mode: Annotated[str | None, typer.Option(help="How time passes: lockstep.")] = None,
+    mode: Annotated[str | None, typer.Option(help="How time passes: lockstep or realtime.")] = None,
     processes: Annotated[
-        str | None, typer.Option(help="Where the nodes live: composed or separate.")
+        str | None, typer.Option(help="Where the nodes live: composed, separate or external.")
+    ] = None,
+    priority: Annotated[
+        int | None, typer.Option(help="SCHED_FIFO priority of rig and controller in realtime.")
     ] = None,
     joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
     estimator: _Estimators = None,
+    until_error: Annotated[
+        str | None,
+        typer.Option(help="End a trial once the standard errors of M, B, K are below: 2% or 0.02."),
+    ] = None,
     out: _Out = None,
-    domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
+    domain_id: Annotated[
+        int | None,
+        typer.Option(help="ROS domain; default: a free one; of external nodes: ROS_DOMAIN_ID."),
+    ] = None,
     json: _Json = False,
 ) -> int:
     """Run the experiment through the node graph: one trial for each joint, then the result."""
@@ -80,8 +91,10 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             "seed": seed,
             "mode": mode,
             "processes": processes,
+            "priority": priority,
             "joints": joints,
             "estimators": tuple(estimator) if estimator else None,
+            "until_error": None if until_error is None else _share(until_error),
         },
     )
     directory = out if out is not None else _new_directory("run")
@@ -300,6 +313,25 @@ def _present(
     for problem in summary.problems:
         _say(f"armimp: not valid: {problem}")
     return 0 if summary.valid and complete else 1
+
+
+def _share(text: str) -> float:
+    """A share such as ``2%`` or ``0.02``.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is none, or as large as the whole.
+    """
+    percent = text.rstrip().endswith("%")
+    try:
+        share = float(text.rstrip().removesuffix("%")) / (100.0 if percent else 1.0)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share < 1.0:
+        hint = "" if percent or not share >= 1.0 else f"; did you mean {text.strip()}%?"
+        raise ConfigurationError(f"--until-error: {text!r} is no share such as 2% or 0.02{hint}")
+    return share
 
 
 def _new_directory(what: str) -> Path:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from armimp_bringup.offline import Rig
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
@@ -39,16 +39,35 @@ class ExperimentConfig(BaseModel):
     perturbation: int = Field(default=3, ge=1, le=3, description="perturbation level, Table III")
     duration: float = Field(default=50.0, ge=10.0, le=9000.0, description="of each trial (s)")
     seed: int = Field(default=1, ge=0, lt=2**63, description="of all random signals")
-    mode: Literal["lockstep"] = Field(default="lockstep", description="how time passes")
-    processes: Literal["composed", "separate"] = Field(
-        default="composed", description="all nodes in one process, or one process for each"
+    mode: Literal["lockstep", "realtime"] = Field(default="lockstep", description="how time passes")
+    processes: Literal["composed", "separate", "external"] = Field(
+        default="composed",
+        description="all nodes in one process, one process for each, or started by others; "
+        "separate in realtime",
+    )
+    priority: int = Field(
+        default=0, ge=0, le=99, description="SCHED_FIFO priority of rig and controller in realtime"
     )
     estimators: tuple[str, ...] = Field(
         default=("welch_siso", "lpm_full"), description="estimators of the result"
     )
+    until_error: float = Field(
+        default=0.0,
+        ge=0.0,
+        lt=1.0,
+        description="relative standard error of M, B and K below which a trial ends; 0: never",
+    )
     arm_sim: Overrides = Field(default={}, description="parameters of that node to override")
     imbic_controller: Overrides = Field(default={}, description="likewise")
     impedance_estimator: Overrides = Field(default={}, description="likewise")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _separate_in_realtime(cls, values: Any) -> Any:
+        """What an estimator in the same process computes would hold the controller up."""
+        if isinstance(values, Mapping) and values.get("mode") == "realtime":
+            return {"processes": "separate", **values}
+        return values
 
 
 class _Loader(yaml.SafeLoader):
@@ -146,42 +165,68 @@ def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePar
     ConfigurationError
         If an override names no parameter, or a value is wrong, or the loop would be unstable.
     """
+    time = _time_of(config)
     simulator = _overridden(
-        SimulatorParameters.preset(
-            joints=config.joints,
-            friction=config.friction,
-            resolution=config.resolution,
-            seed=config.seed,
+        _overridden(
+            SimulatorParameters.preset(
+                joints=config.joints,
+                friction=config.friction,
+                resolution=config.resolution,
+                seed=config.seed,
+            ),
+            SIM_NODE,
+            time,
         ),
         SIM_NODE,
         config.arm_sim,
     )
     plant = simulator.plant_config()
     controller = _overridden(
-        ControllerParameters.preset(
-            joints=simulator.joints,
-            posture=plant.arm.posture,
-            robot_inertia=plant.robot.mass_matrix(plant.arm.posture),
-            arm_inertia=plant.arm.inertia,
-            perturbation=config.perturbation,
-            duration=config.duration,
-            seed=config.seed,
-            encoder_resolution=plant.sensors.encoder_resolution,
+        _overridden(
+            ControllerParameters.preset(
+                joints=simulator.joints,
+                posture=plant.arm.posture,
+                robot_inertia=plant.robot.mass_matrix(plant.arm.posture),
+                arm_inertia=plant.arm.inertia,
+                perturbation=config.perturbation,
+                duration=config.duration,
+                seed=config.seed,
+                encoder_resolution=plant.sensors.encoder_resolution,
+            ),
+            CONTROLLER_NODE,
+            time,
         ),
         CONTROLLER_NODE,
         config.imbic_controller,
     )
     controller.check()
     controller.perturbation_config()
+    if simulator.mode != controller.mode:
+        raise ConfigurationError(
+            f"{SIM_NODE}: parameter 'mode' is {simulator.mode!r}, that of {CONTROLLER_NODE} "
+            f"{controller.mode!r}: they must be the same"
+        )
     estimator = EstimatorParameters(
         joints=simulator.joints,
         estimators=config.estimators,
+        until_error=config.until_error,
         directory="" if directory is None else str(directory),
         metadata=json.dumps(bag_metadata(config, simulator, controller)),
     )
     estimator = _overridden(estimator, ESTIMATOR_NODE, config.impedance_estimator)
     estimator.bag_metadata()
     return NodeParameters(simulator=simulator, controller=controller, estimator=estimator)
+
+
+def _time_of(config: ExperimentConfig) -> Overrides:
+    """Parameters of simulator and controller that say how time passes."""
+    if config.mode == "lockstep":
+        if config.priority:
+            raise ConfigurationError(
+                f"priority = {config.priority} is for mode realtime; in lockstep nothing is urgent"
+            )
+        return {}
+    return {"mode": config.mode, "realtime.priority": config.priority}
 
 
 def bag_metadata(

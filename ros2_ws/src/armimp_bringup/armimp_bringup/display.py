@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from armimp_bringup.orchestrator import Progress as Snapshot
+from armimp_bringup.supervisor import Progress as Snapshot
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 
 _RATE = NS_PER_S / PERIOD_NS
+_UNITS = ("kg·m²", "N·m·s/rad", "N·m/rad")
 
 
 class LiveDisplay:
-    """Trial, joint, speed against real time, running coherence and time left, on one line.
+    """Trial, joint, speed against real time, running coherence, time left; running M, B and K.
 
     Written to standard error; where that is no terminal, only the beginning of each trial is told.
     """
@@ -44,7 +46,12 @@ class LiveDisplay:
         if self._task is None or self._told != snapshot.trial:
             self._task = self._progress.add_task(label, total=snapshot.planned, text=text)
             self._told = snapshot.trial
-        self._progress.update(self._task, completed=snapshot.samples, text=text)
+        self._progress.update(
+            self._task,
+            total=snapshot.planned,  # less than at first where a trial ends early
+            completed=snapshot.samples,
+            text="\n".join([text, *describe_column(snapshot)]),
+        )
         self._progress.refresh()
 
     def __enter__(self) -> LiveDisplay:
@@ -77,3 +84,25 @@ def describe(snapshot: Snapshot) -> str:
         left = snapshot.planned * (1 + waiting) - snapshot.samples
         parts.append(f"{left / snapshot.rate:.0f} s left")
     return "  ".join(parts)
+
+
+def describe_column(snapshot: Snapshot) -> list[str]:
+    """Running M, B and K of the column that is measured, with standard errors, a line for each."""
+    lines = []
+    for letter, (values, errors), unit in zip("MBK", snapshot.column or (), _UNITS, strict=False):
+        elements = [
+            f"{letter}{row}{snapshot.joint} {_with_error(value, error)}"
+            for row, (value, error) in enumerate(zip(values, errors, strict=True), 1)
+        ]
+        lines.append(f"{'   '.join(elements)} {unit}")
+    if snapshot.largest_error is not None:
+        lines.append(f"standard errors up to {100.0 * snapshot.largest_error:.2g} %")
+    return lines
+
+
+def _with_error(value: float, error: float) -> str:
+    """A value with as many digits as two of its standard error take."""
+    digits = 3
+    if 0.0 < error < math.inf:
+        digits = min(max(1 - math.floor(math.log10(error)), 0), 9)
+    return f"{value:.{digits}f} ± {error:.{digits}f}"

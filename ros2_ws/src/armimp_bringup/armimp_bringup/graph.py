@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Protocol
@@ -27,11 +28,12 @@ from armimp_common.sockets import reachable_from_outside
 from armimp_common.spin import Spinner
 
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
-_MODULES = {
-    SIM_NODE: "armimp_sim.node",
-    CONTROLLER_NODE: "armimp_control.node",
-    ESTIMATOR_NODE: "armimp_estimation.node",
+MODULES: Mapping[str, Sequence[str]] = {
+    SIM_NODE: ("armimp_sim.node",),
+    CONTROLLER_NODE: ("armimp_control.node",),
+    ESTIMATOR_NODE: ("armimp_estimation.node",),
 }
+"""Module of each node, with the first arguments of its process."""
 _RANGE, _PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 _OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
 _PATIENCE = 5.0
@@ -211,7 +213,7 @@ class SeparateNodes:
         ROS parameter file for all of them.
     log_directory : Path
         Where their output goes, one file for each.
-    names : which nodes
+    modules : module of each node, with the first arguments of its process
 
     Raises
     ------
@@ -219,16 +221,21 @@ class SeparateNodes:
         If a process can't be started.
     """
 
-    def __init__(self, parameters: Path, log_directory: Path, names: Sequence[str] = NODES) -> None:
-        self._logs = {name: log_directory / f"{name}.log" for name in names}
+    def __init__(
+        self,
+        parameters: Path,
+        log_directory: Path,
+        modules: Mapping[str, Sequence[str]] = MODULES,
+    ) -> None:
+        self._logs = {name: log_directory / f"{name}.log" for name in modules}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._forced: set[str] = set()
         self._lifeline: Lifeline | None = Lifeline()
         environment = self._lifeline.environment()
         try:
             log_directory.mkdir(parents=True, exist_ok=True)
-            for name in names:
-                command = [sys.executable, "-m", _MODULES[name], "--ros-args"]
+            for name, module in modules.items():
+                command = [sys.executable, "-m", *module, "--ros-args"]
                 command += ["--params-file", str(parameters)]
                 with self._logs[name].open("wb") as log:
                     self.processes[name] = subprocess.Popen(
@@ -259,6 +266,17 @@ class SeparateNodes:
                 lines = self._logs[name].read_text(errors="replace").strip().splitlines()
                 sentences[name] = f"node {name} {how}" + (f": {lines[-1]}" if lines else "")
         return sentences
+
+    def renice(self, name: str, niceness: int) -> None:
+        """Set the niceness of a process just started, and of all threads that it makes.
+
+        Where the system does not permit that, nothing happens.
+        """
+        number = self.processes[name].pid
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, number, niceness)
+            # Each session may be a group of its own, within which alone that counts.
+            Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
 
     def crashed(self) -> list[str]:
         """Say which nodes died by a signal that did not come from here, at the very end too."""

@@ -12,6 +12,7 @@ from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, understand
 from armimp_estimation.gaps import GapConfig
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.timing import latest_metadata
 
 
 def estimate_bags(
@@ -57,7 +58,7 @@ def estimate_bags(
             trials.append(FinishedTrial(assembled=trial, bag=str(content.path)))
     conclusion = conclude(
         trials,
-        metadata=contents[0].metadata,
+        metadata=latest_metadata([content.metadata for content in contents]),
         joints=len(names),
         estimators=estimators or EstimatorParameters().estimators,
         gaps=GapConfig(allow=allow_gaps),
@@ -87,7 +88,8 @@ def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[Bag
                 f"{', '.join(contents[0].joint_names)} of {contents[0].path}"
             )
     try:
-        understand(contents[0].metadata, len(contents[0].joint_names))
+        for content in contents:
+            understand(content.metadata, len(content.joint_names))
     except DataError as error:
-        raise DataError(f"{contents[0].path}: {error}") from None
+        raise DataError(f"{content.path}: {error}") from None
     return contents

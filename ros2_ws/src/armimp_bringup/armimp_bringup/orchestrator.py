@@ -6,26 +6,28 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.node import Node
+from typing import Any
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
-from armimp_common import contract, qos
-from armimp_common.diagnostics import Level, values_of
-from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_bringup.supervisor import Progress, Supervisor
+from armimp_common import contract
+from armimp_common.errors import (
+    ArmimpError,
+    ConfigurationError,
+    GraphError,
+)
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.liveliness import SignOfLife
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
-from armimp_common.trial_status import Phase
+from armimp_common.urgency import require_precedence
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.conclusion import SUMMARY_FILE, conclude
-from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary, write_summary
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
 PARAMETERS_FILE = "parameters.yaml"
 GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)
@@ -33,76 +35,12 @@ GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_N
 LOGS = "logs"
 _STALL = 30.0
 _PERIOD = 0.05
+_NICE = {False: 5, True: -10}
+"""Niceness of the recorder in real time, by whether the others have precedence over everything.
 
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Where an experiment stands, for display; see ``impedance_estimator/progress``."""
-
-    trial: int
-    trials: int
-    joint: int
-    phase: str
-    samples: int
-    planned: int
-    rate: float
-    coherence_motion: float | None
-    coherence_torque: float | None
-
-
-class Supervisor(Node):
-    """Listens to everything that tells how the experiment goes."""
-
-    def __init__(self, graph: GraphContext, on_progress: Callable[[Progress], None]) -> None:
-        super().__init__(
-            contract.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False
-        )
-        self._on_progress = on_progress
-        self.problems: list[str] = []
-        self.concluded = self.finished = False
-        self.last_news = time.monotonic()
-        self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
-        self.create_subscription(
-            DiagnosticStatus, contract.PROGRESS, self._on_progress_message, qos.PROGRESS
-        )
-        self.create_subscription(DiagnosticStatus, contract.RESULT, self._on_result, qos.LATCHED)
-        self.create_subscription(DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED)
-        self.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-        )
-
-    def _on_progress_message(self, message: DiagnosticStatus) -> None:
-        values = values_of(message)
-        progress = Progress(
-            trial=int(values["trial"]),
-            trials=int(values["trials"]),
-            joint=int(values["joint"]),
-            phase=values["phase"],
-            samples=int(values["samples"]),
-            planned=int(values["planned"]),
-            rate=float(values["rate"]),
-            coherence_motion=_optional(values.get("coherence_motion")),
-            coherence_torque=_optional(values.get("coherence_torque")),
-        )
-        if progress.samples:
-            self.last_news = time.monotonic()
-        self._on_progress(progress)
-
-    def _on_result(self, message: DiagnosticStatus) -> None:
-        self.last_news = time.monotonic()
-        if message.name == CONCLUSION_NAME:
-            self.concluded = True
-
-    def _on_trial(self, message: DiagnosticStatus) -> None:
-        if values_of(message).get("phase") in (Phase.DONE.value, Phase.ABORTED.value):
-            self.finished = True
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.level == bytes([Level.ERROR]):
-                problem = f"{status.name}: {status.message}"
-                if problem not in self.problems:
-                    self.problems.append(problem)
+What it computes between trials must not take the processor from them; but other programs should not
+keep it from recording either.
+"""
 
 
 def run_experiment(
@@ -121,7 +59,7 @@ def run_experiment(
     directory : Path
         New directory for bags and results.
     domain_id : int, optional
-        ROS domain; by default a free one.
+        ROS domain; by default a free one, or where nodes are external that of the environment.
     on_progress : callable
         Called a few times per second.
     interrupted : callable
@@ -143,6 +81,7 @@ def run_experiment(
     """
     directory = directory.absolute()
     parameters = node_parameters(config, directory)
+    require_precedence(config.priority)
     prepare_directory(directory)
     ticks = round(parameters.controller.sequence.duration * contract.NS_PER_S / contract.PERIOD_NS)
     n = len(parameters.simulator.joints)
@@ -150,16 +89,29 @@ def run_experiment(
     parameter_file = directory / PARAMETERS_FILE
     parameter_file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
     problems: list[str] = []
-    with GraphContext(domain_id) as graph:
+    external = config.processes == "external"
+    with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
         supervisor = Supervisor(graph, on_progress)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
-            if config.processes == "composed":
+            care = Care()
+            if external:
+                nodes = guests = ExternalNodes(supervisor, GRAPH_ORDER)
+                care = Care(
+                    prepare=lambda manager: guests.prepare(manager, spinner, parameters.by_node()),
+                    retire=guests.retire,
+                )
+            elif config.processes == "composed":
                 nodes = ComposedNodes(graph.context, spinner, parameter_file)
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
+                if config.mode == "realtime":
+                    nodes.renice(contract.ESTIMATOR_NODE, _NICE[config.priority > 0])
             try:
-                problems += lead(supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted)
+                supervisor.realtime = config.mode == "realtime"
+                problems += lead(
+                    supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted, care=care
+                )
             finally:
                 nodes.close()
                 spinner.remove_node(supervisor)
@@ -167,7 +119,11 @@ def run_experiment(
             if isinstance(nodes, SeparateNodes):
                 problems += [crash for crash in nodes.crashed() if crash not in problems]
     problems += supervisor.problems
-    return settle(directory, parameters.estimator, problems)
+    timing = None
+    if supervisor.timing is not None:
+        limits = parameters.estimator.realtime.limits()
+        timing = TimingRecord(figures=supervisor.timing, limits=limits)
+    return settle(directory, parameters.estimator, problems, timing)
 
 
 def prepare_directory(directory: Path) -> None:
@@ -186,6 +142,20 @@ def prepare_directory(directory: Path) -> None:
         raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
 
 
+@dataclass(frozen=True, kw_only=True)
+class Care:
+    """What is done with nodes before they are configured, and when they are needed no more.
+
+    Attributes
+    ----------
+    prepare : called once, when all nodes are there
+    retire : called for each node that was configured and lives, at the end
+    """
+
+    prepare: Callable[[LifecycleManager], None] = lambda _: None
+    retire: Callable[[LifecycleManager, str], None] = LifecycleManager.shutdown
+
+
 def lead(
     supervisor: Supervisor,
     spinner: Spinner,
@@ -194,8 +164,9 @@ def lead(
     *,
     interrupted: Callable[[], bool],
     drive: Callable[[], None] = lambda: None,
+    care: Care | None = None,
 ) -> list[str]:
-    """Lead nodes through their life, from unconfigured to finalized.
+    """Lead nodes through their life, by default from unconfigured to finalized.
 
     Parameters
     ----------
@@ -204,6 +175,7 @@ def lead(
     names : their names, in the order of activation
     interrupted : asked often; once true, the nodes are taken down
     drive : called once all nodes are active
+    care : what is done before and after
 
     Returns
     -------
@@ -211,6 +183,7 @@ def lead(
         What went wrong.
     """
     roll = _Roll(nodes)
+    care = care or Care()
     manager = LifecycleManager(
         supervisor, names, spin_until=spinner.spin_until, timeout=60.0, check=roll.check
     )
@@ -218,6 +191,7 @@ def lead(
     begun: list[str] = []
     try:
         manager.wait_for_nodes()
+        care.prepare(manager)
         for name in names:
             begun.append(name)
             manager.configure(name)
@@ -230,7 +204,7 @@ def lead(
         # From the graph itself or, where nodes live in this process, from one of their callbacks.
         problems += roll.deaths() or [str(error)]
     # Those that were never asked for anything have nothing to close.
-    return problems + _shut_down(manager, roll, begun)
+    return problems + _shut_down(manager, roll, begun, care)
 
 
 class _Roll:
@@ -264,8 +238,10 @@ class _Roll:
             raise GraphError("a node died")
 
 
-def _shut_down(manager: LifecycleManager, roll: _Roll, names: Sequence[str]) -> list[str]:
-    """Finalise the nodes that live, whatever has happened to the others."""
+def _shut_down(
+    manager: LifecycleManager, roll: _Roll, names: Sequence[str], care: Care
+) -> list[str]:
+    """Retire the nodes that live, whatever has happened to the others."""
     problems: list[str] = []
     for name in reversed(names):
         problems += roll.deaths()
@@ -273,7 +249,7 @@ def _shut_down(manager: LifecycleManager, roll: _Roll, names: Sequence[str]) -> 
             continue
         roll.awaited = name
         try:
-            manager.shutdown(name)
+            care.retire(manager, name)
         except ArmimpError as error:
             problems += roll.deaths() or [str(error)]
     return problems + roll.deaths()
@@ -294,13 +270,20 @@ def _watch(
             problems.extend(deaths)
         elif time.monotonic() - supervisor.last_news > _STALL:
             problems.append(f"nothing happened for {_STALL:g} s")
+        elif supervisor.realtime and supervisor.problems and not supervisor.finished:
+            return True
         return bool(problems) or (supervisor.concluded and supervisor.finished)
 
     spinner.spin(over, period=_PERIOD)
     return problems
 
 
-def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[str]) -> Summary:
+def settle(
+    directory: Path,
+    estimator: EstimatorParameters,
+    problems: Sequence[str],
+    timing: TimingRecord | None = None,
+) -> Summary:
     """Bring together what the estimator stored and what the orchestrator saw.
 
     Parameters
@@ -311,13 +294,16 @@ def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[s
         Parameters of the estimator, for a run of which it left no summary.
     problems : sequence of str
         What the orchestrator saw go wrong.
+    timing : TimingRecord, optional
+        Timing up to the end of the experiment, of which the estimator did not see the last samples.
     """
     finish_bags(directory)  # An estimator that was killed could not.
     path = directory / SUMMARY_FILE
     if not path.exists():
+        metadata = estimator.bag_metadata()
         conclusion = conclude(
             [],
-            metadata=estimator.bag_metadata(),
+            metadata=metadata if timing is None else {**metadata, RECORD_KEY: timing.to_json()},
             joints=len(estimator.joints),
             estimators=estimator.estimators,
             problems=problems,
@@ -325,14 +311,16 @@ def settle(directory: Path, estimator: EstimatorParameters, problems: Sequence[s
         write_summary(path, conclusion.summary)
         return conclusion.summary
     summary = read_summary(path)
-    new = [problem for problem in problems if problem not in summary.problems]
-    if new:
-        update = {"valid": False, "problems": [*new, *summary.problems]}
-        summary = summary.model_copy(update=update)
+    update: dict[str, Any] = {}
+    known = summary.problems
+    if timing is not None:
+        before = [] if summary.timing is None else TimingRecord.of(summary.timing).problems
+        known = [*timing.problems, *(problem for problem in known if problem not in before)]
+        update["timing"] = timing.summary
+    new = [problem for problem in problems if problem not in known]
+    if update or new:
+        known = [*new, *known]
+        summary = summary.model_copy(update={**update, "valid": not known, "problems": known})
         path.unlink()
         write_summary(path, summary)
     return summary
-
-
-def _optional(text: str | None) -> float | None:
-    return None if text is None else float(text)

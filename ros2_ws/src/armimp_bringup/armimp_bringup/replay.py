@@ -19,12 +19,11 @@ from armimp_bringup.graph import ComposedNodes, GraphContext
 from armimp_bringup.offline_estimate import read_bags
 from armimp_bringup.orchestrator import (
     PARAMETERS_FILE,
-    Progress,
-    Supervisor,
     lead,
     prepare_directory,
     settle,
 )
+from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract, qos
 from armimp_common.cdr import stamp_of
 from armimp_common.channels import RawSubscription
@@ -37,6 +36,7 @@ from armimp_estimation.bags import BagContent
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary
+from armimp_estimation.timing import latest_metadata
 from armimp_estimation.trial_windows import TrialWindow
 
 _CLASSES: dict[str, type[Any]] = {
@@ -198,7 +198,7 @@ def replay_bags(
             record=False,
             allow_gaps=allow_gaps,
             directory=str(directory.absolute()),
-            metadata=json.dumps(dict(contents[0].metadata)),
+            metadata=json.dumps(latest_metadata([content.metadata for content in contents])),
         )
         parameters.bag_metadata()
         parameter_file = directory / PARAMETERS_FILE

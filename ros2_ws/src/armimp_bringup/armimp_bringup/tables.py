@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from armimp_estimation.results import EstimatorSummary, Summary
+from armimp_estimation.results import EstimatorSummary, Summary, TimingSummary
 
 _COUNTS = ("duplicated", "reordered", "late", "clipped", "excluded")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
@@ -24,9 +24,13 @@ def print_summary(summary: Summary, directory: Path | None, console: Console | N
         out.print(_quality_table(result, summary))
     if summary.trials:
         out.print(_trial_table(summary))
+    if summary.timing is not None:
+        out.print(_timing_table(summary.timing))
     out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
     if directory is not None:
         out.print(f"results in {directory}", highlight=False)
+    for line in _without_precision(summary):
+        out.print(line, highlight=False)
 
 
 def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:
@@ -80,6 +84,8 @@ def _trial_table(summary: Summary) -> Table:
     counts = [kind for kind in _COUNTS if any(getattr(one, kind) for one in summary.trials)]
     for kind in counts:
         table.add_column(kind, justify="right")
+    if saved := any(one.saved for one in summary.trials):
+        table.add_column("saved s", justify="right")
     table.add_column("lock ratio", justify="right")
     table.add_column("x real time", justify="right")
     table.add_column("bag", overflow="fold")
@@ -90,10 +96,26 @@ def _trial_table(summary: Summary) -> Table:
             str(trial.ticks),
             str(trial.lost),
             *(_count(kind, getattr(trial, kind)) for kind in counts),
+            *([f"{trial.saved:.1f}"] if saved else []),
             _largest(others),
             "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
             "–" if trial.bag is None else trial.bag,
         )
+    return table
+
+
+def _timing_table(timing: TimingSummary) -> Table:
+    title = f"timing: {timing.ticks} samples, {timing.late} late, {timing.missed} commands missed"
+    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("")
+    for column in ("median", "99 %", "longest"):
+        table.add_column(f"{column}, ms", justify="right")
+    for label, durations in (
+        ("period", (timing.period_p50, timing.period_p99, timing.period_max)),
+        ("sample to command", (timing.latency_p50, timing.latency_p99, timing.latency_max)),
+    ):
+        cells = ("–" if math.isnan(one) else f"{1e3 * one:.3f}" for one in durations)
+        table.add_row(label, *cells)
     return table
 
 
@@ -104,6 +126,19 @@ def _count(kind: str, value: float) -> str:
 def _largest(values: Sequence[float]) -> str:
     worst = max(values, default=math.nan)
     return "–" if math.isnan(worst) else f"{worst:.4f}"
+
+
+def _without_precision(summary: Summary) -> list[str]:
+    """Which trials lasted as planned, as their errors did not become as small as was asked for."""
+    experiment = summary.config.get("experiment")
+    bound = experiment.get("until_error") if isinstance(experiment, dict) else None
+    if not isinstance(bound, float) or not bound:
+        return []
+    return [
+        f"joint {trial.k}: planned length, standard errors not below {100.0 * bound:g} % before"
+        for trial in summary.trials
+        if not trial.saved
+    ]
 
 
 def _relative(value: float, true: float) -> str:

@@ -30,6 +30,7 @@ TRIAL: Final = "imbic_controller/trial"
 PROGRESS: Final = "impedance_estimator/progress"
 RESULT: Final = "impedance_estimator/result"
 RECEIVED: Final = "impedance_estimator/received"
+JUDGEMENT: Final = "impedance_estimator/judgement"
 CLOCK: Final = "/clock"
 DIAGNOSTICS: Final = "/diagnostics"
 
@@ -45,6 +46,7 @@ MESSAGE_TYPES: Final[dict[str, str]] = {
     PROGRESS: "diagnostic_msgs/msg/DiagnosticStatus",
     RESULT: "diagnostic_msgs/msg/DiagnosticStatus",
     RECEIVED: "std_msgs/msg/UInt64",
+    JUDGEMENT: "diagnostic_msgs/msg/DiagnosticStatus",
     CLOCK: "rosgraph_msgs/msg/Clock",
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
 }

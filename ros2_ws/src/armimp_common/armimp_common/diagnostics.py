@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, TypeAlias
 
+from armimp_common.judgement import JUDGEMENT_NAME, Judgement
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 
 if TYPE_CHECKING:
@@ -90,6 +91,11 @@ def make_array(stamp_ns: int, statuses: Iterable["DiagnosticStatus"]) -> "Diagno
 def values_of(status: "DiagnosticStatus") -> dict[str, str]:
     """Return the key-values of a ``DiagnosticStatus`` message."""
     return {item.key: item.value for item in status.values}
+
+
+def judgement_message(judgement: Judgement) -> "DiagnosticStatus":
+    """Return the message that carries a judgement."""
+    return make_status(JUDGEMENT_NAME, Level.OK, judgement.sentence, judgement.to_values())
 
 
 def trial_status_message(trial: TrialStatus) -> "DiagnosticStatus":

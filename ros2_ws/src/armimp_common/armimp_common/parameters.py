@@ -16,10 +16,18 @@ from rclpy.parameter import Parameter
 
 from armimp_common import schema
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Leaf, Schema, Value, build, leaves, to_params_yaml
+from armimp_common.schema import Leaf, Schema, build, leaves, to_params_yaml
 from armimp_common.schema import flatten as to_ros_parameters
 
-__all__ = ["Schema", "declare", "guard", "load", "to_params_yaml", "to_ros_parameters"]
+__all__ = [
+    "Schema",
+    "as_parameters",
+    "declare",
+    "guard",
+    "load",
+    "to_params_yaml",
+    "to_ros_parameters",
+]
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -88,13 +96,20 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
         [(leaf.name, _TYPES[leaf.item, leaf.array], _descriptor(leaf)) for leaf in known.values()],
         ignore_override=True,
     )
-    result = node.set_parameters_atomically(
-        [_parameter(known[name], value) for name, value in to_ros_parameters(instance).items()]
-    )
+    result = node.set_parameters_atomically(as_parameters(instance))
     if not result.successful:
         raise ConfigurationError(result.reason)
     _schemas[node] = model
     return instance
+
+
+def as_parameters(instance: BaseModel) -> list[Parameter]:
+    """Return all values of a schema as ROS parameters, each of its declared type."""
+    known = leaves(type(instance))
+    return [
+        Parameter(name, _TYPES[known[name].item, known[name].array], value)
+        for name, value in to_ros_parameters(instance).items()
+    ]
 
 
 def load(node: Node, model: type[ModelT]) -> ModelT:
@@ -149,10 +164,6 @@ def guard(
 def _present(node: Node, model: type[BaseModel]) -> dict[str, object]:
     parameters: Iterable[Parameter] = node.get_parameters(list(leaves(model)))
     return {parameter.name: parameter.value for parameter in parameters}
-
-
-def _parameter(leaf: Leaf, value: Value) -> Parameter:
-    return Parameter(leaf.name, _TYPES[leaf.item, leaf.array], value)
 
 
 def _descriptor(leaf: Leaf) -> ParameterDescriptor:

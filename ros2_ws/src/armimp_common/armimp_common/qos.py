@@ -67,6 +67,7 @@ PROFILES: Final[dict[str, QoSProfile]] = {
     contract.TRIAL: LATCHED,
     contract.RESULT: LATCHED,
     contract.RECEIVED: LATCHED,
+    contract.JUDGEMENT: LATCHED,
     contract.PROGRESS: PROGRESS,
     contract.CLOCK: CLOCK,
     contract.DIAGNOSTICS: DIAGNOSTICS,

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS
+from armimp_common.judgement import NOTICE_TICKS, Judgement
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.clips import ClipLedger
 from armimp_control.law import Controller
@@ -51,9 +53,21 @@ class Experiment:
         self._segments = timetable(parameters.sequence_config(), joints=n, period=PERIOD)
         self._next_segment = 0
         self._segment: Segment | None = None
+        self._ticks = self._perturbed_ticks(1)
+        self._due: int | None = None
         self._start_ns: int | None = None
         self._last_stamp_ns: int | None = None
         self._signal: NDArray[np.float64] = np.zeros(0)
+        # In lockstep made when its trial begins, as memory is worth more there than time.
+        self._signals = (
+            {
+                one.trial: self._make_signal(one)
+                for one in self._segments
+                if one.phase is Phase.SETTLE
+            }
+            if parameters.mode == "realtime"
+            else {}
+        )
         self._theta, self._tau_h = np.zeros(n), np.zeros(n)
         self._tick = 0
         self._reason = self._malformed = ""
@@ -108,6 +122,36 @@ class Experiment:
         """What was wrong with the last sample, in words; else empty."""
         return self._malformed or self._law.present_fault
 
+    @property
+    def awaits_judgement(self) -> bool:
+        """Whether the estimator has announced a judgement that decides on the next sample."""
+        return self._due is not None and self._place >= self._due + NOTICE_TICKS
+
+    def judge(self, judgement: Judgement) -> None:
+        """Take what the estimator makes of the present trial; if that is enough, end it early.
+
+        The perturbation then ends :data:`NOTICE_TICKS` samples after those that were judged, or as
+        many from now on if it is too late for that. Its end is announced at once.
+        """
+        segment = self._segment
+        if self.finished or segment is None or segment.phase is not Phase.PERTURB:
+            return
+        if judgement.trial != segment.trial or judgement.samples > self._place:
+            return  # it is of another experiment
+        self._due = judgement.due
+        end = judgement.samples + NOTICE_TICKS
+        if end < self._place:
+            end = self._place + NOTICE_TICKS
+        if judgement.enough and end < segment.ticks:
+            self._segment = replace(segment, ticks=end)
+            self._ticks = end
+            self._announce(self._status(Phase.PERTURB))
+
+    @property
+    def _place(self) -> int:
+        """Number of samples of the present phase that were answered."""
+        return 0 if self._segment is None else self._tick - self._segment.first
+
     def abort(self, reason: str) -> None:
         """End the experiment with zero torque at once. The first reason stays."""
         self._law.cut()
@@ -127,6 +171,7 @@ class Experiment:
 
     def _end(self, reason: str) -> None:
         self.tau_delta[:] = 0.0
+        self._due = None
         if self.finished:
             return
         self.finished = True
@@ -149,12 +194,14 @@ class Experiment:
         """Enter the next phase when its first tick has come."""
         if self._segment is not None and self._tick < self._segment.end:
             return
+        self._due = None
         if self._next_segment == len(self._segments):
             self.finished = True
             self._law.release()
             self._announce(self._status(Phase.DONE))
             return
-        segment = self._segment = self._segments[self._next_segment]
+        # A trial that ended early brings forward all that follows.
+        segment = self._segment = replace(self._segments[self._next_segment], first=self._tick)
         self._next_segment += 1
         self.tau_delta[:] = 0.0
         if segment.phase is Phase.SETTLE:
@@ -169,11 +216,16 @@ class Experiment:
         self._reason = ""
         self._clips = ClipLedger()
         self.lost = 0
-        self._signal = perturbation(
+        self._ticks = self._perturbed_ticks(settle.trial)
+        made = self._signals.get(settle.trial)
+        self._signal = self._make_signal(settle) if made is None else made
+
+    def _make_signal(self, segment: Segment) -> NDArray[np.float64]:
+        return perturbation(
             self._perturbation_config,
-            joint=settle.joint,
-            trial=settle.trial,
-            ticks=self._perturbed_ticks(settle.trial),
+            joint=segment.joint,
+            trial=segment.trial,
+            ticks=self._perturbed_ticks(segment.trial),
             seed=self._parameters.seed,
         )
 
@@ -215,7 +267,7 @@ class Experiment:
             joint_name=self._parameters.joints[segment.joint],
             tick=self._tick,
             start_ns=self._start_ns,
-            ticks=self._perturbed_ticks(segment.trial),
+            ticks=self._ticks,
             seed=self._parameters.seed,
             valid=not self._reason,
             reason=self._reason,

@@ -20,27 +20,35 @@ from armimp_common.channels import (
     JointStateSubscription,
     wait_until_matched,
 )
-from armimp_common.diagnostics import Level, make_array, make_status, trial_status_message
-from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.diagnostics import (
+    Level,
+    make_array,
+    make_status,
+    trial_status_message,
+    values_of,
+)
+from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
+from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.urgency import Urgency
 from armimp_control.experiment import Experiment
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.safety import Limit
 from armimp_control.watchdog import Watchdog
 
 _MATCH_TIMEOUT = 10.0
-_WATCHDOG_PERIOD = 0.005
+_WATCHDOG_PERIODS = {"lockstep": 0.005, "realtime": PERIOD}
+"""How often the watchdog looks (s)."""
 _DIAGNOSTICS_TICKS = 1000
 GATE_STATUS = f"{contract.CONTROLLER_NODE}: gate"
 """``name`` of the status on ``/diagnostics``."""
 _STOPPED = "emergency stop"
 _NO_SAMPLE = "no sensor sample arrived any more"
-_LOCKSTEP_TICK = 0.1
-"""A control period may last as long as this (s) only in lockstep."""
+_NO_JUDGEMENT = "the estimator does not say whether the trial is over"
 
 
 class ImbicControllerNode(LifecycleNode):
@@ -59,12 +67,16 @@ class ImbicControllerNode(LifecycleNode):
         ]
         self._recorded = False
         self._fault = ""
+        self._urgency: Urgency | None = None
         self._clips_told = 0
         self._stamp_ns = 0
         self._diagnostics: Publisher | None = None
         self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
         self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
+        self.create_subscription(
+            DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
+        )
         declare(self, ControllerParameters)
         guard(self, lambda: "a trial is running" if self._active else None)
 
@@ -97,7 +109,8 @@ class ImbicControllerNode(LifecycleNode):
             self._on_torque,
             on_malformed=self._on_malformed,
         )
-        self._timer = self.create_timer(_WATCHDOG_PERIOD, self._on_watchdog, autostart=False)
+        period = _WATCHDOG_PERIODS[parameters.mode]
+        self._timer = self.create_timer(period, self._on_watchdog, autostart=False)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -120,8 +133,13 @@ class ImbicControllerNode(LifecycleNode):
                 raise GraphError(watch.sentence)
         if self._experiment is None:
             self._prepare()
-        safety = self._settings.safety
-        self._watchdog = Watchdog(safety.config(), slowest_tick=safety.slowest_tick, period=PERIOD)
+        self._watchdog = Watchdog(
+            self._settings.safety_config(),
+            slowest_tick=self._settings.patience_per_tick,
+            period=PERIOD,
+        )
+        if self._settings.mode == "realtime":
+            self._urgency = Urgency(self._settings.realtime)
         self._active = True
         self._timer.reset()
         return super().on_activate(state)
@@ -168,6 +186,7 @@ class ImbicControllerNode(LifecycleNode):
         # Readings of the two sensor topics that still wait for their partner, by stamp.
         self._positions: dict[int, tuple[float, ...]] = {}
         self._torques: dict[int, tuple[float, ...]] = {}
+        self._held: tuple[int, tuple[float, ...], tuple[float, ...]] | None = None
         self._garbled = ""
         self._clips_told = 0
         return self._experiment
@@ -176,12 +195,17 @@ class ImbicControllerNode(LifecycleNode):
         """Leave the plant with zero torque and the world with an explanation."""
         self._active = False
         self._timer.cancel()
+        if self._urgency is not None:
+            self._urgency.give_back()
+            self._urgency = None
         if self._experiment is not None and not self._experiment.at_rest:
             self._experiment.abort(reason)
             self._commands.publish(self._experiment.command)
 
     def _announce(self, status: TrialStatus) -> None:
         self._trial.publish(trial_status_message(status))
+        if status.phase is Phase.ABORTED:
+            self._held = None  # answered by the command that ends the experiment
         # Without being active: the node was told to end the experiment, which is no fault.
         if status.phase is Phase.ABORTED and self._active:
             self._latch(status.reason)
@@ -221,8 +245,28 @@ class ImbicControllerNode(LifecycleNode):
         for waiting in (self._positions, self._torques):
             for old in [stamp for stamp in waiting if stamp < stamp_ns]:
                 del waiting[old]
-        self._watchdog.feed(time.monotonic())
+        now = time.monotonic()
+        if not self._lockstep and self._watchdog.expired(now):
+            # The sample came before the timer, as after a stall of this process.
+            self._on_watchdog()
+        self._watchdog.feed(now)
         self._stamp_ns, self._garbled = stamp_ns, ""
+        held, self._held = self._held, None
+        if held is not None:
+            self._command(experiment, *held)  # whoever sends the next sample does not wait
+        elif experiment.awaits_judgement and self._lockstep:
+            # So that a trial ends at the same sample however fast the machine is.
+            self._held = (stamp_ns, theta, tau_h)
+            return
+        self._command(experiment, stamp_ns, theta, tau_h)
+
+    def _command(
+        self,
+        experiment: Experiment,
+        stamp_ns: int,
+        theta: tuple[float, ...],
+        tau_h: tuple[float, ...],
+    ) -> None:
         experiment.answer(stamp_ns, theta, tau_h)
         self._commands.publish(experiment.command)
         self._perturbation.publish(stamp_ns, experiment.tau_delta)
@@ -242,8 +286,10 @@ class ImbicControllerNode(LifecycleNode):
         self._commands.publish(experiment.command)
 
     def _on_presence(self, watch: Watch) -> None:
-        # In lockstep time stands still with a simulator that is stalled; a rig goes on.
-        if watch.presence.lost or (watch.presence.mute and not self._lockstep):
+        # In lockstep time stands still with a simulator that is stalled; a rig goes on. Before
+        # the first sample there is no torque to take away from one that is only slow to start.
+        begun = self._experiment is not None and self._experiment.tick > 0
+        if watch.presence.lost or (watch.presence.mute and not self._lockstep and begun):
             self._take_away(watch.sentence)
 
     def _on_supervisor_presence(self, watch: Watch) -> None:
@@ -259,13 +305,26 @@ class ImbicControllerNode(LifecycleNode):
 
     @property
     def _lockstep(self) -> bool:
-        return self._active and self._settings.safety.slowest_tick >= _LOCKSTEP_TICK
+        return self._active and self._settings.mode == "lockstep"
 
     def _on_received(self, message: UInt64) -> None:
         """Hear from the recorder; without one a trial is of no use to anybody."""
         recorded, self._recorded = self._recorded, message.data != contract.RECORDER_GONE
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
+
+    def _on_judgement(self, message: DiagnosticStatus) -> None:
+        """Hear from the estimator how good the trial is already."""
+        experiment = self._experiment
+        if not self._active or experiment is None:
+            return
+        try:
+            experiment.judge(Judgement.from_values(values_of(message)))
+        except MalformedMessageError as error:
+            self.get_logger().warning(str(error))
+        if self._held is not None and not experiment.awaits_judgement:
+            held, self._held = self._held, None
+            self._command(experiment, *held)
 
     def _take_away(self, reason: str) -> None:
         """End a running experiment with zero torque, for a reason outside of this node."""
@@ -280,7 +339,7 @@ class ImbicControllerNode(LifecycleNode):
         if experiment is None or not self._watchdog.expired(now):
             return
         if not experiment.finished:
-            experiment.stop(_NO_SAMPLE)
+            experiment.stop(_NO_SAMPLE if self._held is None else _NO_JUDGEMENT)
         experiment.fall(self._watchdog.ticks_due(now))
         self._commands.publish(experiment.command)
         if experiment.at_rest:

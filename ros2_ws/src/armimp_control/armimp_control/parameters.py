@@ -12,6 +12,7 @@ from pydantic import Field
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
+from armimp_common.urgency import UrgencyParameters
 from armimp_control import presets
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import LawConfig
@@ -116,7 +117,8 @@ class SafetyParameters(Schema):
         default=1.0,
         gt=0.0,
         le=10.0,
-        description="wall time that counts as one period in lockstep, which has no pace (s)",
+        description="wall time that counts as one period in lockstep, which has no pace (s); in "
+        "realtime it is the period",
     )
     ramp_time: float = Field(
         default=0.01, ge=0.0, le=0.05, description="time in which a stop takes the torque away (s)"
@@ -142,6 +144,11 @@ class ControllerParameters(Schema):
 
     joints: tuple[str, ...] = Field(description="names of the joints, in the order of commands")
     seed: int = Field(default=1, ge=0, description="seed of the perturbation")
+    mode: Literal["lockstep", "realtime"] = Field(
+        default="lockstep",
+        description="lockstep: time waits for commands; realtime: it does not, as on every rig",
+    )
+    realtime: UrgencyParameters = UrgencyParameters()
     target: TargetParameters
     law: LawParameters
     known: KnownParameters
@@ -252,6 +259,11 @@ class ControllerParameters(Schema):
     def safety_config(self) -> SafetyConfig:
         """The gate."""
         return self.safety.config()
+
+    @property
+    def patience_per_tick(self) -> float:
+        """Longest wall time that may count as one period for the watchdog, s."""
+        return PERIOD if self.mode == "realtime" else self.safety.slowest_tick
 
     def check(self) -> StabilityMargins:
         """Check that everything fits together and is stable when sampled.

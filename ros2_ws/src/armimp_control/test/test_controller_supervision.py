@@ -11,8 +11,9 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import UInt64
 
-from armimp_common import contract, qos
+from armimp_common import contract, liveliness, qos
 from armimp_common.contract import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
+from armimp_common.schema import Value
 from armimp_common.spin import Spinner
 from armimp_common.testing import ScriptedDriver, a_moment, eventually, overrides
 from armimp_common.trial_status import Phase
@@ -23,8 +24,6 @@ NAMES = ("shoulder", "elbow")
 POSTURE = (1.09446, 1.34844)
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
 SUCCESS = TransitionCallbackReturn.SUCCESS
-LOCKSTEP, RIG = 10.0, 0.05
-"""Values of slowest_tick (s); that of the rig is long, so that no test sees the watchdog."""
 PARAMETERS = ControllerParameters.preset(
     joints=NAMES,
     posture=np.array(POSTURE),
@@ -36,11 +35,16 @@ PARAMETERS = ControllerParameters.preset(
 class Surroundings:
     """Stands for rig and recorder, with a controller under torque between them."""
 
-    def __init__(self, context: Context, node: Node, spinner: Spinner, tick: float) -> None:
+    def __init__(self, context: Context, node: Node, spinner: Spinner, mode: str) -> None:
         self.spinner = spinner
         self.driver = ScriptedDriver(node, NAMES)
         self.received: Publisher = node.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
-        changes = {"safety.slowest_tick": tick, "safety.watchdog_ticks": 100}
+        # So patient in lockstep that no test sees the watchdog.
+        changes: dict[str, Value] = {
+            "mode": mode,
+            "safety.slowest_tick": 10.0,
+            "safety.watchdog_ticks": 100,
+        }
         self.controller = ImbicControllerNode(
             context=context, parameter_overrides=overrides(PARAMETERS, changes)
         )
@@ -73,14 +77,14 @@ class Surroundings:
 
 
 @pytest.fixture
-def tick() -> float:
-    return LOCKSTEP
+def mode() -> str:
+    return "lockstep"
 
 
 @pytest.fixture
-def around(context: Context, node: Node, tick: float) -> Iterator[Surroundings]:
+def around(context: Context, node: Node, mode: str) -> Iterator[Surroundings]:
     with Spinner([node]) as spinner:
-        surroundings = Surroundings(context, node, spinner, tick)
+        surroundings = Surroundings(context, node, spinner, mode)
         yield surroundings
         spinner.remove_node(surroundings.controller)
         surroundings.controller.destroy_node()
@@ -132,16 +136,33 @@ def test_when_the_recorder_falls_silent_in_lockstep_expect_patience_until_it_is_
     around.assert_aborted("impedance_estimator is dead")
 
 
-@pytest.mark.parametrize("tick", [RIG])
-def test_when_the_recorder_falls_silent_on_a_rig_expect_zero_torque(around: Surroundings) -> None:
-    around.activate()
-    around.heard(ESTIMATOR_NODE, alive=1, silent=0)
+@pytest.mark.parametrize("mode", ["realtime"])
+@pytest.mark.parametrize("name", [ESTIMATOR_NODE, SIM_NODE])
+def test_when_rig_or_recorder_falls_silent_in_real_time_expect_zero_torque(
+    around: Surroundings, name: str
+) -> None:
+    # Before the first sample, so that no watchdog over samples comes first.
+    assert around.controller.trigger_activate() is SUCCESS, around.controller.transition_error
+    around.driver.wait_for_controller()
+    around.heard(name, alive=1, silent=0)
 
-    around.heard(ESTIMATOR_NODE, alive=0, silent=1)
+    around.heard(name, alive=0, silent=1)
 
-    around.assert_aborted(
-        "impedance_estimator gave no sign of life for 120 ms: it is dead or stopped"
-    )
+    around.assert_aborted(f"{name} gave no sign of life for 120 ms: it is dead or stopped")
+
+
+@pytest.mark.parametrize("mode", ["realtime"])
+def test_when_the_process_of_the_rig_is_stalled_before_the_first_sample_expect_patience(
+    around: Surroundings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(liveliness, "lives", lambda _: True)
+    assert around.controller.trigger_activate() is SUCCESS, around.controller.transition_error
+    around.driver.wait_for_controller()
+    around.heard(SIM_NODE, alive=1, silent=0)
+    around.heard(SIM_NODE, alive=0, silent=1)
+    a_moment(around.spinner)
+
+    assert not around.aborted()
 
 
 def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) -> None:

@@ -133,6 +133,7 @@ def assemble_trials(
     statuses: Sequence[TrialStatus],
     *,
     source: str = "",
+    streams: TrialStreams | None = None,
 ) -> tuple[AssembledTrial, ...]:
     """Assemble every trial in a recording, or in what a node has received.
 
@@ -148,6 +149,8 @@ def assemble_trials(
         as `infer_windows` says.
     source : str
         Where the messages come from, for the messages of errors.
+    streams : TrialStreams, optional
+        The same messages decoded already, if they are.
 
     Returns
     -------
@@ -160,7 +163,8 @@ def assemble_trials(
     DataError
         If a stream is missing or foreign, or the trials cannot be inferred.
     """
-    streams = decode_streams(joint_names, messages)
+    if streams is None:
+        streams = decode_streams(joint_names, messages)
     if statuses:
         windows = windows_from_statuses(statuses)
     else:

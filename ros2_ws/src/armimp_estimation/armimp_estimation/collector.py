@@ -116,7 +116,9 @@ class TrialCollector:
         self._statuses.append(status)
         if status.phase is Phase.PERTURB and self._start_ns is None:
             self._begin(status)
-        elif status.phase is Phase.ABORTED:
+        elif self._start_ns is not None and status.ticks < self._ticks:
+            self._shorten(status.ticks)
+        if status.phase is Phase.ABORTED:
             self.finish()
         elif status.phase in (Phase.REST, Phase.DONE):
             self._left = True
@@ -169,6 +171,26 @@ class TrialCollector:
         for stamp_ns, topic, message in heapq.merge(*early.values(), key=lambda entry: entry[0]):
             self._accept(topic, message, stamp_ns)
 
+    def _shorten(self, ticks: int) -> None:
+        """End the trial earlier than planned; mostly told ahead of time."""
+        self._end_ns -= (self._ticks - ticks) * PERIOD_NS
+        self._ticks = ticks
+        self._finished = self._finished or len(self._messages[PERTURBATION]) >= ticks
+        if len(self._messages[PERTURBATION]) > ticks:
+            self._give_back(ticks)
+
+    def _give_back(self, ticks: int) -> None:
+        """Let the next trial have what came before it was known that the present one was over."""
+        led = [stamp_of(message) for message in self._messages[PERTURBATION]]
+        self._up_to_ns = max(led[:ticks], default=-1)
+        for topic, messages in self._messages.items():
+            # Commands have no stamps, but those of the perturbations they came with.
+            stamps = led if topic == COMMANDS else [stamp_of(message) for message in messages]
+            timed = list(zip(stamps, messages, strict=False))
+            self._messages[topic] = [raw for ns, raw in timed if ns <= self._up_to_ns]
+            beyond = [(ns, topic, raw) for ns, raw in timed if ns > self._up_to_ns]
+            self._early[topic].extendleft(reversed(beyond))
+
     def _accept(self, topic: str, message: bytes, stamp_ns: int) -> None:
         if self._start_ns is None:
             self._early[topic].append((stamp_ns, topic, message))
@@ -195,7 +217,7 @@ class TrialCollector:
         for topic in _FOLLOWERS:
             self._release(topic)
         self._keep(PERTURBATION, message, stamp_ns)
-        self._finished = len(self._messages[PERTURBATION]) == self._ticks
+        self._finished = len(self._messages[PERTURBATION]) >= self._ticks
 
     def _release(self, topic: str) -> None:
         """Keep what has waited for the perturbation to come up to its stamp, in its order."""

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from armimp_common.contract import PERTURBATION
+from armimp_common.contract import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_common.errors import ArmimpError, DataError
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
@@ -28,6 +28,7 @@ from armimp_estimation.results import (
     write_summary,
 )
 from armimp_estimation.settings import IdentifyConfig
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 from armimp_estimation.trial import TrialData
 
 SUMMARY_FILE = "summary.json"
@@ -106,7 +107,8 @@ def conclude(
     trials : sequence of FinishedTrial
         One for each joint.
     metadata : mapping of str to str
-        That of the bags: configuration, seed and, from a simulator, the truth.
+        That of the bags: configuration, seed, from a simulator the truth, and the timing of a run
+        in real time.
     joints : int
         Number of joints n.
     estimators : sequence of str
@@ -131,6 +133,7 @@ def conclude(
     identification = None
     told = understand(metadata, joints)
     truth, seed = told.truth, told.seed
+    found += [] if told.timing is None else told.timing.problems
     if seed is None and trials:
         seed = trials[0].assembled.window.seed
     try:
@@ -155,6 +158,7 @@ def conclude(
                 trials=[_bare(trial, joints) for trial in trials],
                 estimators={},
                 truth=None if truth is None else TruthSummary.of(truth),
+                timing=None if told.timing is None else told.timing.summary,
             ),
             identification=None,
         )
@@ -165,6 +169,7 @@ def conclude(
         config=told.config,
         seed=seed,
         problems=tuple(found),
+        timing=None if told.timing is None else told.timing.summary,
     )
     return Conclusion(summary=summary, identification=identification)
 
@@ -181,11 +186,14 @@ class Told:
         True matrices, as far as there are any.
     seed : int or None
         Of all random signals.
+    timing : TimingRecord or None
+        Of a run in real time.
     """
 
     config: dict[str, Any]
     truth: MBK | None
     seed: int | None
+    timing: TimingRecord | None = None
 
 
 def understand(metadata: Mapping[str, str], joints: int) -> Told:
@@ -211,7 +219,8 @@ def understand(metadata: Mapping[str, str], joints: int) -> Told:
         raise DataError(f"metadata: truth is of {truth.joints} joints, the data of {joints}")
     seed = _parsed(metadata, "seed", None)
     whole = isinstance(seed, int) and not isinstance(seed, bool)
-    return Told(config=config, truth=truth, seed=seed if whole else None)
+    timing = TimingRecord.from_json(metadata[RECORD_KEY]) if RECORD_KEY in metadata else None
+    return Told(config=config, truth=truth, seed=seed if whole else None, timing=timing)
 
 
 def truth_of(metadata: Mapping[str, str]) -> MBK | None:
@@ -269,6 +278,7 @@ def _ledger(trial: FinishedTrial) -> TrialLedger:
         ticks=ledger.streams[PERTURBATION].received,
         lost=ledger.lost,
         rtf=trial.rtf,
+        saved=trial.assembled.window.saved * PERIOD_NS / NS_PER_S,
         samples=ledger,
     )
 

@@ -146,6 +146,49 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
     )
 
 
+def fit_column(
+    f: FloatArray,
+    impedance: ComplexArray,
+    variance: FloatArray,
+    systematic: ComplexArray,
+    correlation: FloatArray,
+    config: FitConfig,
+) -> tuple[FloatArray, FloatArray]:
+    """Fit the elements of one column as :func:`fit_mbk` does those of a matrix.
+
+    Parameters
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    impedance, variance, systematic : ndarray, shape (n, n_freq)
+        As those of an :class:`ImpedanceEstimate`.
+    correlation : ndarray, shape (lags,)
+        Of the errors of neighbouring frequencies.
+    config : FitConfig
+        Options.
+
+    Returns
+    -------
+    values, errors : ndarray, shape (3, n)
+        M, B, K of each element, and their standard errors, SI units.
+
+    Raises
+    ------
+    DataError
+        As :func:`fit_mbk`.
+    """
+    if f.size < 3:
+        raise DataError(f"{f.size} frequencies are too few to fit M, B and K")
+    if not (np.isfinite(impedance).all() and np.isfinite(variance).all()):
+        raise DataError("impedance or its variance is not finite")
+    fits = [
+        _fit_element(f, Z, total - np.abs(common) ** 2, common, correlation, config)
+        for Z, total, common in zip(impedance, variance, systematic, strict=True)
+    ]
+    values = np.stack([value for value, _ in fits], axis=1)
+    return values, np.stack([error for _, error in fits], axis=1)
+
+
 def _fit_element(
     f: FloatArray,
     impedance: ComplexArray,

@@ -134,7 +134,7 @@ class LocalResponse:
             shift = self.first[lag:] - self.first[:-lag]
             for apart in np.unique(shift):
                 rows = shift == apart
-                products = lower[rows, apart:] * upper[rows, : window - apart]
+                products = lower[rows, apart:] * upper[rows, : max(window - apart, 0)]
                 sums[rows] = np.sum(products, axis=1).real
             correlation[lag] = np.mean(sums / (deviation[lag:] * deviation[:-lag]))
         return correlation
@@ -157,6 +157,7 @@ def local_response(
     rate: float,
     band: tuple[float, float],
     config: LocalPolynomialConfig,
+    f: FloatArray | None = None,
 ) -> LocalResponse:
     """Estimate the responses of outputs to one input at every bin of a band.
 
@@ -172,6 +173,8 @@ def local_response(
         Lowest and highest frequency, Hz.
     config : LocalPolynomialConfig
         Bins and degree.
+    f : ndarray, shape (n_freq,), optional
+        Frequencies, Hz, in place of the bins of the band; they need not be bins of the record.
 
     Raises
     ------
@@ -180,13 +183,18 @@ def local_response(
     """
     samples, window = source.size, config.window
     bins = bins_in_band(samples, rate, *band)
+    centres: FloatArray | NDArray[np.intp] = bins
+    if f is not None:
+        centres = f * (samples / rate)
+        bins = np.rint(centres).astype(np.intp)
     highest = (samples - 1) // 2
     if bins.size == 0 or highest < window:
         raise DataError(
             f"{samples} samples are too few for local polynomials over {window} bins "
             f"between {band[0]:.4g} and {band[1]:.4g} Hz"
         )
-    f = bins.astype(np.float64) * float(rate / samples)
+    if f is None:
+        f = bins.astype(np.float64) * float(rate / samples)
     first = np.clip(bins - config.half_width, 1, highest - window + 1)
     places = first[:, None] + np.arange(window)
 
@@ -194,7 +202,7 @@ def local_response(
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2, axis=1))
     if not (scale > 0.0).all():
         raise DataError(f"no perturbation at {f[~(scale > 0.0)][0]:.4g} Hz")
-    distance = (places - bins[:, None]) / config.half_width
+    distance = (places - centres[:, None]) / config.half_width
     powers = distance[:, :, None] ** np.arange(config.order + 1)
     regressors = np.concatenate(((inputs / scale[:, None])[:, :, None] * powers, powers), axis=2)
     basis, triangle = np.linalg.qr(regressors)

@@ -7,12 +7,14 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.fit import FitConfig, fit_column
 from armimp_estimation.frf import order_trials
 from armimp_estimation.local_polynomial import (
     LocalPolynomialConfig,
     LocalResponse,
+    bins_in_band,
     local_response,
 )
 from armimp_estimation.record import TrialRecord
@@ -89,6 +91,25 @@ class LpmConfig:
         return replace(self.local, half_width=min(self.local.half_width, max(fewest, within)))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FittedColumn:
+    """Column k of the fitted matrices, from the trial of joint k alone.
+
+    Attributes
+    ----------
+    joint : int
+        Joint k, 0-based.
+    values : ndarray, shape (3, n)
+        M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque.
+    errors : ndarray, shape (3, n)
+        Their standard errors, in the same units.
+    """
+
+    joint: int
+    values: FloatArray
+    errors: FloatArray
+
+
 @dataclass(frozen=True, kw_only=True)
 class LpmFull:
     """``Z = T R⁻¹`` from local polynomials, at every bin of the record.
@@ -115,7 +136,7 @@ class LpmFull:
         the noise moves the joints and the torques. So the variance of ``Z = (T + S C) R⁻¹`` is that
         of ``(δT + S δC - Z δR) R⁻¹``, from the joint covariance of all channels of each trial.
 
-        Trials of different length are cut to that of the shortest.
+        Trials may differ in length: all are estimated at the frequencies of the shortest.
 
         Raises
         ------
@@ -131,16 +152,7 @@ class LpmFull:
         R = stacked[:n]
         inverse = invert(R, f)
 
-        # Coefficients of torques, and of steps if there are any, in the torque without skew.
-        rate = records[0].rate
-        skew = np.zeros((n, len(stacked) - n, f.size), dtype=np.complex128)
-        diagonal = np.arange(n)
-        # Jumps account for half a sample of the delay.
-        delay = options.torque_delay - (0.0 if jump is None else 0.5)
-        skew[diagonal, diagonal] = 1.0
-        if jump is not None:
-            skew[:, n:] = jump.missing(f, rate)
-        skew *= np.exp(2j * np.pi * f * delay / rate)
+        skew = self._skew(jump, f, records[0].rate, n)
         torque = multiply(skew, stacked[n:])
         impedance = multiply(torque, inverse)
         systematic = options.skew_uncertainty * multiply(torque - stacked[n : 2 * n], inverse)
@@ -156,13 +168,61 @@ class LpmFull:
             f=f,
             Z=impedance,
             variance=variance,
-            bin_correlation=np.mean([column.bin_correlation() for column in columns], axis=0),
-            averages=columns[0].freedom + 1.0,
+            bin_correlation=_mean([column.bin_correlation() for column in columns]),
+            averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
             R=R,
             systematic=systematic,
             weight_floor=options.weight_floor,
         )
+
+    def column(self, record: TrialRecord, fit: FitConfig | None = None) -> FittedColumn:
+        """Column k of M, B and K from the trial of joint k alone, with locked joints at rest.
+
+        As :meth:`estimate` with ``R`` diagonal: ``Z_ik = (T + S C)_ik / R_kk``. What locked joints
+        move nonetheless is in the values, which are for watching a trial; the standard errors are
+        those of the whole estimate as far as the joints are locked.
+
+        Raises
+        ------
+        DataError
+            If the record is too short, or joint k does not move.
+        """
+        n, k = record.joints, record.perturbed_joint
+        jump = self._jump([record])
+        (response,) = self._columns([record], with_steps=jump is not None)
+        f, stacked = response.f, response.response
+        if not (np.abs(stacked[k]) > 0.0).all():
+            raise DataError(f"trial {record.trial}: joint {k + 1} does not move")
+        skew = self._skew(jump, f, record.rate, n)
+        torque = multiply(skew, stacked[n:, None])[:, 0]
+        impedance = torque / stacked[k]
+        systematic = self.config.skew_uncertainty * (torque - stacked[n : 2 * n]) / stacked[k]
+        variance = np.abs(systematic) ** 2
+        for i in range(n):
+            coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
+            coefficients[k] = -impedance[i]
+            coefficients[n:] = skew[i]
+            variance[i] += response.combined_variance(coefficients) / np.abs(stacked[k]) ** 2
+        options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
+        correlation = response.bin_correlation()
+        values, errors = fit_column(f, impedance, variance, systematic, correlation, options)
+        return FittedColumn(joint=k, values=values, errors=errors)
+
+    def _skew(
+        self, jump: UpdateJump | None, f: FloatArray, rate: float, joints: int
+    ) -> ComplexArray:
+        """Coefficients of torques, and of steps if they count, in the torque without skew."""
+        steps = 0 if jump is None else joints
+        skew = np.zeros((joints, joints + steps, f.size), dtype=np.complex128)
+        diagonal = np.arange(joints)
+        # Jumps account for half a sample of the delay.
+        delay = self.config.torque_delay - (0.0 if jump is None else 0.5)
+        skew[diagonal, diagonal] = 1.0
+        if jump is not None:
+            skew[:, joints:] = jump.missing(f, rate)
+        skew *= np.exp(2j * np.pi * f * delay / rate)
+        return skew
 
     def _jump(self, records: Sequence[TrialRecord]) -> UpdateJump | None:
         """Jump of torques with the commands, if that is what is late and can be known."""
@@ -173,15 +233,31 @@ class LpmFull:
 
     def _columns(self, records: Sequence[TrialRecord], *, with_steps: bool) -> list[LocalResponse]:
         """Responses of angles, torques and, if wanted, steps of the commands, by trial."""
-        samples = min(record.samples for record in records)
-        local = self.config.local_for(samples / records[0].rate)
+        shortest = min(record.samples for record in records)
+        rate = records[0].rate
+        bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
+        f = bins * float(rate / shortest)
         columns = []
         for record in records:
-            outputs = [record.position[:, :samples], record.torque[:, :samples]]
+            outputs = [record.position, record.torque]
             if with_steps:
-                outputs.append(command_steps(record, samples))
-            source = record.perturbation[record.perturbed_joint, :samples]
+                outputs.append(command_steps(record, record.samples))
             columns.append(
-                local_response(source, np.concatenate(outputs), record.rate, self.band, local)
+                local_response(
+                    record.perturbation[record.perturbed_joint],
+                    np.concatenate(outputs),
+                    rate,
+                    self.band,
+                    self.config.local_for(record.duration),
+                    None if record.samples == shortest else f,
+                )
             )
         return columns
+
+
+def _mean(correlations: Sequence[FloatArray]) -> FloatArray:
+    """Mean of correlations, those that end earlier being 0 from there on."""
+    longest = max(one.size for one in correlations)
+    padded = [np.pad(one, (0, longest - one.size)) for one in correlations]
+    mean: FloatArray = np.mean(padded, axis=0)
+    return mean

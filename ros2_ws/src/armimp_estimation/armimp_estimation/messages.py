@@ -6,10 +6,13 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from armimp_common.contract import ESTIMATOR_NODE
 from armimp_common.diagnostics import Level, make_status
+from armimp_common.trial_status import TrialStatus
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion
 from armimp_estimation.estimate import ImpedanceColumn
 from armimp_estimation.identify import Identification
+from armimp_estimation.lpm import FittedColumn
+from armimp_estimation.precision import largest_error
 from armimp_estimation.trial import TrialSpectra
 
 CONCLUSION_NAME = f"{ESTIMATOR_NODE}: impedance"
@@ -82,31 +85,31 @@ def conclusion_message(conclusion: Conclusion) -> DiagnosticStatus:
 
 
 def progress_message(
+    status: TrialStatus,
     *,
-    trial: int,
-    trials: int,
-    joint: int,
-    phase: str,
     samples: int,
-    planned: int,
     rate: float,
     coherence: tuple[float, float] | None,
+    column: FittedColumn | None = None,
 ) -> DiagnosticStatus:
     """Where the recording stands; ``rate`` in samples per second of wall time."""
-    values: dict[str, str | int | float] = {
-        "trial": trial,
-        "trials": trials,
-        "joint": joint + 1,
-        "phase": phase,
+    values: dict[str, str | int | float | list[float]] = {
+        "trial": status.trial,
+        "trials": status.trials,
+        "joint": status.joint + 1,
+        "phase": status.phase.value,
         "samples": samples,
-        "planned": planned,
+        "planned": status.ticks,
         "rate": rate,
     }
     if coherence is not None:
         values["coherence_motion"], values["coherence_torque"] = coherence
-    return make_status(
-        PROGRESS_NAME, Level.OK, f"trial {trial} of {trials}: {samples} of {planned}", values
-    )
+    if column is not None:
+        for letter, found, error in zip("MBK", column.values, column.errors, strict=True):
+            values[letter], values[f"{letter}_se"] = found.tolist(), error.tolist()
+        values["largest_error"] = largest_error(column)[0]
+    text = f"trial {status.trial} of {status.trials}: {samples} of {status.ticks}"
+    return make_status(PROGRESS_NAME, Level.OK, text, values)
 
 
 def _curves(identification: Identification) -> dict[str, str | bool | list[float]]:

@@ -11,13 +11,14 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import contract, qos
 from armimp_common.channels import RawSubscription, wait_until_matched
-from armimp_common.diagnostics import values_of
+from armimp_common.diagnostics import judgement_message, values_of
 from armimp_common.errors import (
     ArmimpError,
     ConfigurationError,
@@ -25,14 +26,16 @@ from armimp_common.errors import (
     GraphError,
     MalformedMessageError,
 )
+from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, truth_of
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, timing_of, truth_of
 from armimp_estimation.gaps import segments_for
+from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.messages import (
     column_message,
     conclusion_message,
@@ -41,6 +44,7 @@ from armimp_estimation.messages import (
 )
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.recording import Recording
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import only_missed_samples
 from armimp_estimation.welch import WelchSiso
@@ -81,6 +85,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
         self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        self._judgement = self.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
         self._streams = [
             RawSubscription(
                 self,
@@ -134,6 +139,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
         self.destroy_publisher(self._received)
+        self.destroy_publisher(self._judgement)
         self.destroy_publisher(self._progress)
         self.destroy_publisher(self._result)
         return TransitionCallbackReturn.SUCCESS
@@ -164,6 +170,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._directory if self._settings.record else None,
             self._metadata,
             self._on_finished,
+            lpm=LpmConfig(timing=timing_of(self._metadata)),
+            goal=self._settings.goal(),
         )
 
     def _check_metadata(self) -> None:
@@ -204,15 +212,33 @@ class ImpedanceEstimatorNode(LifecycleNode):
             samples = min(counts.values()) // contract.RECEIVED_EVERY * contract.RECEIVED_EVERY
             if samples > self._acknowledged:
                 self._acknowledged = samples
+                # First, so that in lockstep the judgement is there before the samples go on.
+                if (judgement := self._recording.judge()) is not None:
+                    self._judgement.publish(judgement_message(judgement))
                 self._received.publish(UInt64(data=samples))
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
             return
+        if topic == contract.DIAGNOSTICS:
+            self._note_timing(message)
         try:
             self._recording.add_beside(topic, message)
         except ArmimpError as error:
             self._give_up(str(error))
+
+    def _note_timing(self, message: bytes) -> None:
+        """Keep what the rig tells of its timing in realtime."""
+        if TIMING_NAME.encode() not in message:
+            return
+        limits = self._settings.realtime.limits()
+        try:
+            for status in deserialize_message(message, DiagnosticArray).status:
+                if status.name == TIMING_NAME:
+                    figures = TimingFigures.from_values(values_of(status))
+                    self._recording.timing = TimingRecord(figures=figures, limits=limits)
+        except (MalformedMessageError, RuntimeError, ValueError) as error:
+            self._note(f"{contract.DIAGNOSTICS}: {error}")
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         if not self._active:
@@ -278,9 +304,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._result.publish(conclusion_message(conclusion))
 
     def _conclusion(self) -> Conclusion:
+        timing = self._recording.timing
+        told = {} if timing is None else {RECORD_KEY: timing.to_json()}
         return conclude(
             self._finished,
-            metadata=self._metadata,
+            metadata={**self._metadata, **told},
             joints=len(self._settings.joints),
             estimators=self._settings.estimators,
             gaps=self._settings.gaps(),
@@ -319,14 +347,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
             return
         self._progress.publish(
             progress_message(
-                trial=status.trial,
-                trials=status.trials,
-                joint=status.joint,
-                phase=status.phase.value,
+                status,
                 samples=self._recording.samples,
-                planned=status.ticks,
                 rate=self._recording.rate,
                 coherence=self._recording.update(),
+                column=self._recording.column(),
             )
         )
 

@@ -7,9 +7,31 @@ import json
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.jitter import TimingLimits
 from armimp_common.schema import Schema
 from armimp_estimation.gaps import GapConfig
+from armimp_estimation.precision import PrecisionGoal
 from armimp_estimation.registry import estimator_names
+
+
+class RealtimeParameters(Schema):
+    """Limits beyond which a run in real time is not valid."""
+
+    max_late_share: float = Field(
+        default=0.01, ge=0.0, le=1.0, description="largest share of samples sent late"
+    )
+    max_missed_share: float = Field(
+        default=0.01, ge=0.0, le=1.0, description="largest share of commands that missed their tick"
+    )
+    max_latency: float = Field(
+        default=0.001,
+        gt=0.0,
+        description="largest 99 % quantile of the time from sample to command (s)",
+    )
+
+    def limits(self) -> TimingLimits:
+        """The same as the verdict takes it."""
+        return TimingLimits(**self.model_dump())
 
 
 class EstimatorParameters(Schema):
@@ -42,6 +64,23 @@ class EstimatorParameters(Schema):
     progress_period: float = Field(
         default=0.2, ge=0.05, le=10.0, description="time between progress messages (s)"
     )
+    realtime: RealtimeParameters = RealtimeParameters()
+    until_error: float = Field(
+        default=0.0,
+        ge=0.0,
+        lt=1.0,
+        description="relative standard error below which a trial ends early; 0: never",
+    )
+    least_duration: float = Field(
+        default=20.0,
+        ge=5.0,
+        le=9000.0,
+        description="length of a trial that ends early, at least (s)",
+    )
+
+    def goal(self) -> PrecisionGoal:
+        """When trials may end before their time."""
+        return PrecisionGoal(bound=self.until_error, least=self.least_duration)
 
     def gaps(self) -> GapConfig:
         """What to do with trials that have gaps."""

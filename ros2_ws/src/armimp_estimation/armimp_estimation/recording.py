@@ -8,18 +8,26 @@ from pathlib import Path
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS, TRIAL
 from armimp_common.errors import ArmimpError, DataError
-from armimp_common.trial_status import TrialStatus
+from armimp_common.judgement import Judgement
+from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
 from armimp_estimation.bags.reserve import DiskReserve, reserve_bytes
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.conclusion import FinishedTrial
-from armimp_estimation.progress import RunningCoherence
+from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.precision import Judge, PrecisionGoal
+from armimp_estimation.progress import RunningTrial
+from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
 BAGS = "bags"
 LEDGER = "ledger"
 """Metadata of a bag: the account of its samples, as JSON."""
+_RATE = NS_PER_S / PERIOD_NS
+_ROUND = 1000
+_COLUMN_PERIOD = 1.0
+"""Wall time between two estimates of the running column (s); each takes some 20 ms."""
 
 
 class Recording:
@@ -35,6 +43,10 @@ class Recording:
         Stored in every bag.
     on_finished : callable
         Called with each trial, and with the reason if no trial could be made of it.
+    lpm : LpmConfig, optional
+        Options of the running column.
+    goal : PrecisionGoal, optional
+        When trials may end before their time; by default never.
     """
 
     def __init__(
@@ -43,6 +55,9 @@ class Recording:
         directory: Path | None,
         metadata: Mapping[str, str],
         on_finished: Callable[[FinishedTrial | None, str], None],
+        *,
+        lpm: LpmConfig | None = None,
+        goal: PrecisionGoal | None = None,
     ) -> None:
         self._joint_names = joint_names
         self._directory = directory
@@ -51,13 +66,20 @@ class Recording:
         self._collector = TrialCollector(self._write, self._on_complete, self._open)
         self._writer: BagWriter | None = None
         self._bag: Path | None = None
-        self._running: RunningCoherence | None = None
+        self._lpm = LpmFull() if lpm is None else LpmFull(config=lpm)
+        self._goal = goal if goal is not None else PrecisionGoal()
+        self._running: RunningTrial | None = None
+        self._judge: Judge | None = None
+        self._column: FittedColumn | None = None
+        self._column_at = 0.0
         self._began = 0.0
         self._last_ns = 0
         self._statuses_written = 0
         self._reserve: DiskReserve | None = None
         self._seen = 0
         self._latest_ns: dict[str, int] = {}
+        self.timing: TimingRecord | None = None
+        """Latest known timing of the run, which goes into the bag of each trial as it ends."""
         self.add = self._collector.add
 
     @property
@@ -97,16 +119,51 @@ class Recording:
             self._writer.write(topic, message, self._last_ns)
 
     def update(self) -> tuple[float, float] | None:
-        """Running coherence (motion, torque) of the present trial, see `RunningCoherence`."""
+        """Running coherence (motion, torque) of the present trial, see `RunningTrial`."""
+        running = self._present()
+        return None if running is None else running.update(self._collector.messages)
+
+    def column(self) -> FittedColumn | None:
+        """Column k as the present trial gives it so far, made anew at most once a second."""
+        running = self._present()
+        if running is not None and time.monotonic() - self._column_at >= _COLUMN_PERIOD:
+            # Round numbers: the Fourier transform of others may take several times as long.
+            samples = self.samples // _ROUND * _ROUND
+            self._keep_column(running.column(self._collector.messages, samples))
+        return self._column
+
+    def judge(self) -> Judgement | None:
+        """Judge the present trial if it is time, see `Judge`."""
         status = self._collector.status
-        if status is None:
+        if not self._goal.bound or status is None or status.phase is not Phase.PERTURB:
             return None
-        if self._running is None:
-            rate = NS_PER_S / PERIOD_NS
-            self._running = RunningCoherence(
-                self._joint_names, status.joint, rate=rate, planned=status.ticks
+        if self._judge is None:
+            self._judge = Judge(self._goal, trial=status.trial, planned=status.ticks, rate=_RATE)
+        return self._judge.judge(self.samples, self._column_of)
+
+    def _column_of(self, samples: int) -> FittedColumn | None:
+        running = self._present()
+        if running is None:
+            return None
+        self._keep_column(running.column(self._collector.messages, samples))
+        return self._column
+
+    def _keep_column(self, column: FittedColumn | None) -> None:
+        # From its end on, so that a slow machine does not do nothing else.
+        self._column, self._column_at = column, time.monotonic()
+
+    def _present(self) -> RunningTrial | None:
+        status = self._collector.status
+        if status is not None and self._running is None:
+            self._running = RunningTrial(
+                self._joint_names,
+                status.joint,
+                rate=_RATE,
+                planned=status.ticks,
+                trial=status.trial,
+                lpm=self._lpm,
             )
-        return self._running.update(self._collector.messages)
+        return self._running
 
     def stop(self) -> None:
         """Finish all trials that have begun with what there is, and close the bag."""
@@ -144,8 +201,8 @@ class Recording:
 
     def _open(self, status: TrialStatus) -> None:
         self.close()
-        self._running = None
-        self._began = 0.0
+        self._running = self._judge = self._column = None
+        self._began = self._column_at = 0.0
         self._statuses_written = 0
         self._latest_ns.clear()
         if self._directory is not None:
@@ -183,20 +240,28 @@ class Recording:
                     self._write_statuses(collected.statuses, self._last_ns)
                 assembled = self._assemble(collected)
                 if self._writer is not None:
-                    self._writer.add_metadata({LEDGER: assembled.ledger.to_json()})
+                    timing = {} if self.timing is None else {RECORD_KEY: self.timing.to_json()}
+                    self._writer.add_metadata({LEDGER: assembled.ledger.to_json(), **timing})
             finally:
                 self.close()
         except ArmimpError as error:
             self._on_finished(None, str(error))
             return
-        duration = assembled.window.ticks * PERIOD_NS / NS_PER_S
+        duration = assembled.ledger.span * PERIOD_NS / NS_PER_S
         bag = None
         if self._bag is not None and self._directory is not None:
             bag = str(self._bag.relative_to(self._directory))
         self._on_finished(FinishedTrial(assembled=assembled, bag=bag, rtf=duration / elapsed), "")
 
     def _assemble(self, collected: CollectedTrial) -> AssembledTrial:
-        trials = assemble_trials(self._joint_names, collected.messages, collected.statuses)
+        # Decoded while the trial was running, so that its end takes less time.
+        running = self._running
+        trials = assemble_trials(
+            self._joint_names,
+            collected.messages,
+            collected.statuses,
+            streams=None if running is None else running.streams(collected.messages),
+        )
         if len(trials) != 1:
             number = collected.statuses[0].trial
             raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")

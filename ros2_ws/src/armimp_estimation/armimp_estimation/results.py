@@ -5,24 +5,17 @@ import os
 from collections.abc import Callable, Mapping, Sized
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import (
-    BaseModel,
-    BeforeValidator,
-    ConfigDict,
-    Field,
-    JsonValue,
-    ValidationError,
-    model_validator,
-)
+from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from armimp_common.errors import DataError
 from armimp_estimation.curve_checks import UNREADABLE, check_curve
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.sample_ledger import SampleLedger
 
@@ -30,23 +23,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-def _nan_for_null(value: object) -> object:
-    return math.nan if value is None else value
-
-
-# JSON has no NaN or infinity: both are written as null, and null is read as NaN.
-Number = Annotated[float, BeforeValidator(_nan_for_null)]
-Vector = list[Number]
-Matrix = list[Vector]
-
-
-class _Model(BaseModel):
-    """Unknown keys are an error: they would be lost when the file is written again."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-class StreamSummary(_Model):
+class StreamSummary(JsonModel):
     """The messages of one stream within a trial, see `armimp_estimation.sample_ledger`."""
 
     expected: int
@@ -57,7 +34,7 @@ class StreamSummary(_Model):
     late: int
 
 
-class TrialSummary(_Model):
+class TrialSummary(JsonModel):
     """One trial: ``k`` is the perturbed joint, 1-based; ``lost`` the samples that are missing."""
 
     k: int
@@ -76,6 +53,8 @@ class TrialSummary(_Model):
     """Share of the samples that the estimates leave out, from 0 to 1."""
     stretches: int = 1
     """Runs of samples between those."""
+    saved: Number = 0.0
+    """Time (s) by which the trial was shorter than planned, as its errors were small enough."""
     streams: dict[str, StreamSummary] = Field(default_factory=dict)
     """By topic of the contract; empty if there are no messages behind the trial."""
 
@@ -102,12 +81,13 @@ class TrialSummary(_Model):
                 "lock_ratio": lock_ratio,
                 "bias_bound": bias_bound,
                 "rtf": ledger.rtf,
+                "saved": ledger.saved,
                 **about,
             }
         )
 
 
-class EstimatorSummary(_Model):
+class EstimatorSummary(JsonModel):
     """Result of one estimator; matrices are lists of rows, SI units, VAF in %."""
 
     M: Matrix
@@ -141,7 +121,7 @@ class EstimatorSummary(_Model):
         )
 
 
-class TruthSummary(_Model):
+class TruthSummary(JsonModel):
     """True matrices, SI units."""
 
     M: Matrix
@@ -158,7 +138,24 @@ class TruthSummary(_Model):
         return MBK(M=np.array(self.M), B=np.array(self.B), K=np.array(self.K))
 
 
-class Summary(_Model):
+class TimingSummary(JsonModel):
+    """Timing of a run in real time, and its limits; see `armimp_common.jitter`."""
+
+    ticks: int
+    late: int
+    missed: int
+    period_p50: Number
+    period_p99: Number
+    period_max: Number
+    latency_p50: Number
+    latency_p99: Number
+    latency_max: Number
+    max_late_share: float
+    max_missed_share: float
+    max_latency: float
+
+
+class Summary(JsonModel):
     """Content of ``summary.json``."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
@@ -170,6 +167,8 @@ class Summary(_Model):
     trials: list[TrialSummary]
     estimators: dict[str, EstimatorSummary]
     truth: TruthSummary | None
+    timing: TimingSummary | None = None
+    """Of a run in real time."""
 
     @model_validator(mode="after")
     def _check_shapes(self) -> "Summary":
@@ -185,7 +184,7 @@ class Summary(_Model):
             self._check_length(f"trials.{number}.bias_bound", trial.bias_bound)
         return self
 
-    def _check_matrices(self, name: str, part: _Model) -> None:
+    def _check_matrices(self, name: str, part: JsonModel) -> None:
         for field, value in part:
             if field != "coherence_motion" and value is not None:
                 self._check_length(f"{name}.{field}", value)
@@ -211,6 +210,8 @@ class TrialLedger:
         Samples found missing.
     rtf : float
         Times real time at which it ran; NaN if it was not run live.
+    saved : float
+        Time by which it ended earlier than planned, s.
     samples : SampleLedger or None
         The account of its messages, if it was made from messages.
     """
@@ -219,6 +220,7 @@ class TrialLedger:
     ticks: int
     lost: int = 0
     rtf: float = math.nan
+    saved: float = 0.0
     samples: SampleLedger | None = None
 
 
@@ -229,6 +231,7 @@ def summarise(
     config: Mapping[str, JsonValue],
     seed: int | None,
     problems: tuple[str, ...] = (),
+    timing: TimingSummary | None = None,
 ) -> Summary:
     """Put an identification into the form of ``summary.json``.
 
@@ -244,6 +247,8 @@ def summarise(
         Seed of the run.
     problems : tuple of str
         Problems of the run itself, which come first and make the result invalid.
+    timing : TimingSummary, optional
+        Of a run in real time.
 
     Raises
     ------
@@ -274,6 +279,7 @@ def summarise(
             name: EstimatorSummary.of(result) for name, result in identification.estimators.items()
         },
         truth=None if identification.truth is None else TruthSummary.of(identification.truth),
+        timing=timing,
     )
 
 

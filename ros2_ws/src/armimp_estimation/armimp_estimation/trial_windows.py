@@ -58,6 +58,8 @@ class TrialWindow:
         Joint commands that the controller had to limit.
     clipped_intervals : tuple of (int, int)
         First and last tick of the trial, from 0, of each run of such commands.
+    saved : int
+        Samples that were planned beyond `ticks`, before the controller ended the trial earlier.
 
     Raises
     ------
@@ -77,6 +79,7 @@ class TrialWindow:
     aborted: bool = False
     clipped: int = 0
     clipped_intervals: tuple[tuple[int, int], ...] = ()
+    saved: int = 0
 
     @property
     def told_again(self) -> str:
@@ -136,6 +139,9 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
         elif not status.valid and (current.missed or not current.fault):
             fault = f"{_NOT_VALID}{status.reason or 'no reason given'}"
             current = replace(current, fault=fault, missed=only_missed_samples(status))
+        if status.ticks < current.ticks:
+            saved = current.saved + current.ticks - status.ticks
+            current = replace(current, ticks=status.ticks, saved=saved)
         current = _with_clipping(current, status)
         if status.phase is not Phase.PERTURB:
             current = replace(current, ended=True)

@@ -121,6 +121,49 @@ def test_in_every_interleaving_each_trial_has_exactly_its_messages_in_order(
         assert {status.trial for status in trial.statuses} == {number}
 
 
+def ended_early(*, announced: bool) -> list[TrialStatus]:
+    """Statuses of trials that were planned to be twice as long."""
+    told: list[TrialStatus] = []
+    for status in statuses_of(RECORDING):
+        planned = status.phase in (Phase.SETTLE, Phase.PERTURB)
+        told.append(replace(status, ticks=2 * TICKS) if planned else status)
+        if announced and status.phase is Phase.PERTURB:
+            told.append(status)
+    return told
+
+
+@settings(max_examples=300, deadline=None)
+@given(turns=turns_of_any_kind, order=st.permutations(TOPICS), announced=st.booleans())
+def test_in_every_interleaving_trials_that_end_early_have_exactly_their_messages(
+    turns: Turns, order: Sequence[str], announced: bool
+) -> None:
+    desk = Desk()
+
+    desk.feed(
+        RECORDING.by_topic(),
+        ended_early(announced=announced),
+        [*turns, *((topic, 1000) for topic in order)],
+    )
+    desk.collector.finish()
+
+    assert [what for what, _ in desk.events] == ["begin", "complete"] * 3
+    for number, trial in enumerate(desk.trials, 1):
+        assert trial.messages == own_messages(RECORDING, number)
+
+
+def test_when_the_end_is_announced_in_time_expect_nothing_beyond_it_in_the_bag() -> None:
+    desk = Desk()
+    phases = iter([Phase.SETTLE, Phase.PERTURB, Phase.REST] * 3)
+    turns: list[tuple[str, int]] = []
+    for topic, count in natural_turns():
+        announces = topic == TRIAL and next(phases) is Phase.PERTURB
+        turns.append((topic, count + announces))
+
+    desk.feed(RECORDING.by_topic(), ended_early(announced=True), turns)
+
+    desk.assert_orderly(3)
+
+
 def test_in_natural_order_a_trial_is_complete_with_its_first_sample_of_rest() -> None:
     desk = Desk()
     topics = RECORDING.by_topic()

@@ -161,6 +161,33 @@ def test_at_the_edges_of_the_spectrum_windows_are_shifted_not_cut() -> None:
     np.testing.assert_allclose(found.response, 3.0, rtol=1e-9)
 
 
+def test_at_bins_that_are_asked_for_the_response_is_that_of_the_band() -> None:
+    source, output = white(5), white(6) + 2.0 * white(5)
+    found = estimate(source, output)
+    some = found.f[100:400:7]
+    asked = local_response(source, np.stack((output,)), RATE, BAND, CONFIG, some)
+    np.testing.assert_array_equal(asked.f, some)
+    np.testing.assert_allclose(asked.response[0], found.response[0, 100:400:7], rtol=1e-9)
+    np.testing.assert_allclose(asked.gain, found.gain[100:400:7], rtol=1e-9)
+    # Windows that are further apart than they are wide have nothing in common.
+    far = local_response(source, np.stack((output,)), RATE, BAND, CONFIG, found.f[60:600:30])
+    np.testing.assert_allclose(far.bin_correlation()[1:], 0.0)
+
+
+def test_between_two_bins_polynomials_are_evaluated_in_between() -> None:
+    source, output, _ = polynomials(2)
+    found = estimate(source, output)
+    between = 0.5 * (found.f[200:210] + found.f[201:211])
+    asked = local_response(source, np.stack((output,)), RATE, BAND, CONFIG, between)
+    # A polynomial of degree 2 follows from its values at three places.
+    three = [
+        np.polyfit(found.f[k - 1 : k + 2], found.response[0, k - 1 : k + 2], 2)
+        for k in range(200, 210)
+    ]
+    expected = [np.polyval(p, f) for p, f in zip(three, between, strict=True)]
+    np.testing.assert_allclose(asked.response[0], expected, rtol=1e-7)
+
+
 def test_scale_and_offset_of_signals_do_not_matter() -> None:
     source, output, _ = resonance(4)
     one = estimate(source, output)

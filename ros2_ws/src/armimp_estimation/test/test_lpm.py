@@ -197,23 +197,54 @@ def test_in_short_records_fewer_bins_take_part() -> None:
     assert relative_error(estimate, TWO_JOINT_ARM) < 0.5 * relative_error(wide, TWO_JOINT_ARM)
 
 
-def test_trials_of_different_length_are_cut_to_the_shortest() -> None:
-    data = trials()
-    shorter = [data[0], *trials(dataclasses.replace(LOOP, samples=5000))[1:]]
-    cut = synthetic_trial(TWO_JOINT_ARM, 0, LOOP, 1)
-    cut = dataclasses.replace(
-        cut,
-        perturbation=cut.perturbation[:, :5000],
-        position=cut.position[:, :5000],
-        torque=cut.torque[:, :5000],
-    )
-    estimate = LPM.estimate(shorter)
-    assert (
-        estimate.Z.tobytes()
-        == LPM.estimate([TrialData.from_record(cut, WELCH), shorter[1]]).Z.tobytes()
-    )
-    # The first trial has lost its periodicity; that is no more than leakage.
-    assert relative_error(estimate, TWO_JOINT_ARM) < 0.01
+def cut_to(record: TrialRecord, samples: int) -> TrialRecord:
+    arrays = {
+        name: getattr(record, name)[:, :samples] for name in ("perturbation", "position", "torque")
+    }
+    return dataclasses.replace(record, **arrays)
+
+
+def test_of_trials_of_different_length_each_is_used_whole_at_frequencies_of_the_shortest() -> None:
+    loop = dataclasses.replace(LOOP, voluntary=0.3)
+    whole = trials(loop)
+    shorter = [TrialData.from_record(cut_to(trial.record, 3072), WELCH) for trial in whole]
+    mixed = LPM.estimate([whole[0], shorter[1]])
+    both_short = LPM.estimate(shorter)
+
+    assert mixed.f.tobytes() == both_short.f.tobytes()
+    assert relative_error(mixed, TWO_JOINT_ARM) < 0.1
+    # The longer trial has the smaller errors; the other column stays as it was.
+    errors, before = (fit_mbk(one) for one in (mixed, both_short))
+    for name in ("M_se", "B_se", "K_se"):
+        ratio = getattr(errors, name) / getattr(before, name)
+        assert (ratio[:, 0] < 0.9).all()
+        np.testing.assert_allclose(ratio[:, 1], 1.0, rtol=0.05)
+
+
+def locked(record: TrialRecord) -> TrialRecord:
+    """The same with joints at rest that were not perturbed."""
+    perturbed = np.arange(record.joints)[:, None] == record.perturbed_joint
+    return dataclasses.replace(record, position=np.where(perturbed, record.position, 0.0))
+
+
+def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_locked() -> None:
+    data = trials(dataclasses.replace(LOOP, voluntary=0.3))
+    data = [dataclasses.replace(trial, record=locked(trial.record)) for trial in data]
+    whole = fit_mbk(LPM.estimate(data))
+    for k, trial in enumerate(data):
+        column = LPM.column(trial.record)
+        assert column.joint == k
+        for row, name in enumerate("MBK"):
+            np.testing.assert_allclose(column.values[row], getattr(whole.mbk, name)[:, k])
+            # The whole estimate takes the mean correlation of bins of all trials.
+            errors = getattr(whole, f"{name}_se")[:, k]
+            np.testing.assert_allclose(column.errors[row], errors, rtol=0.01)
+
+
+def test_when_the_joint_does_not_move_expect_its_number() -> None:
+    record = trials()[1].record
+    with pytest.raises(DataError, match="joint 2 does not move"):
+        LPM.column(dataclasses.replace(record, position=np.zeros_like(record.position)))
 
 
 def test_neither_order_of_trials_nor_place_in_memory_changes_a_bit() -> None:

@@ -11,11 +11,14 @@ import pytest
 from armimp_common import contract
 from armimp_common.contract import DATA_STREAMS, TRIAL
 from armimp_common.errors import BagError
+from armimp_common.judgement import NOTICE_TICKS, Judgement
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
 from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import FinishedTrial
+from armimp_estimation.lpm import LpmFull
+from armimp_estimation.precision import PrecisionGoal, largest_error
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recording import Recording
 from armimp_estimation.testing import recorded_arm
@@ -36,9 +39,13 @@ class Desk:
     names: tuple[str, ...] = NAMES
     finished: list[FinishedTrial] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
+    goal: PrecisionGoal | None = None
+    judgements: list[Judgement] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.recording = Recording(self.names, self.directory, METADATA, self.on_finished)
+        self.recording = Recording(
+            self.names, self.directory, METADATA, self.on_finished, goal=self.goal
+        )
 
     def on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
         if trial is None:
@@ -52,6 +59,8 @@ class Desk:
                 self.recording.add_status(decode_trial_status(raw))
             else:
                 self.recording.add(topic, raw)
+                if (judgement := self.recording.judge()) is not None:
+                    self.judgements.append(judgement)
 
     @property
     def bags(self) -> list[Path]:
@@ -262,3 +271,47 @@ def test_when_nothing_comes_any_more_expect_all_of_it_in_the_file(tmp_path: Path
 
     assert_equal(read_bag(desk.bags[0]).records()[0], MADE_UP.records[0], 7)
     desk.recording.stop()
+
+
+def test_each_trial_is_judged_by_its_first_samples_alone() -> None:
+    recording = recorded_arm()
+    judged = 6000 - NOTICE_TICKS
+    desk = Desk(None, recording.records[0].joint_names, goal=PrecisionGoal(bound=0.5, least=6.0))
+
+    desk.feed(recording.messages)
+
+    told = [(one.trial, one.samples, one.enough) for one in desk.judgements]
+    assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, judged)]
+    for judgement, record in zip(desk.judgements[1::2], recording.records, strict=True):
+        cut = {
+            name: getattr(record, name)[:, :judged]
+            for name in ("position", "torque", "perturbation")
+        }
+        column = LpmFull().column(replace(record, **cut, command=cut["perturbation"]))
+        assert (judgement.largest, judgement.element) == largest_error(column)
+
+
+def test_without_a_goal_nothing_is_judged() -> None:
+    desk = Desk(None)
+    desk.feed(MADE_UP.messages)
+    assert desk.judgements == []
+
+
+def test_column_is_made_anew_at_most_once_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 100.0
+    monkeypatch.setattr("armimp_estimation.recording.time.monotonic", lambda: now)
+    recording = recorded_arm()
+    desk = Desk(None, recording.records[0].joint_names)
+    messages = iter(recording.messages)
+    assert desk.recording.column() is None
+    desk.feed(next(messages) for _ in range(20_000))
+
+    first = desk.recording.column()
+    desk.feed(next(messages) for _ in range(4000))
+    now += 0.9
+    assert first is not None
+    assert desk.recording.column() is first
+    now += 0.2
+    second = desk.recording.column()
+    assert second is not None
+    assert second is not first

@@ -5,6 +5,7 @@ import hashlib
 import json
 import re
 import shutil
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,9 @@ import pytest
 
 from armimp_common import contract
 from armimp_common.errors import DataError
-from armimp_estimation.bags.synthetic import synthetic_recording
+from armimp_common.trial_status import Phase
+from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
+from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.report import REPORT_FILE, Result, load_result, report_page, write_report
 from armimp_estimation.report.formats import difference, uncertain
 from armimp_estimation.report.testing import METADATA, make_result
@@ -302,6 +305,21 @@ def test_the_same_trial_twice_is_shown_twice(directory: Path, tmp_path: Path) ->
     page = Page(report_page(load_result(target, [bag, copy])))
     assert len([name for name in page.ids() if name.startswith("trace-")]) == 4
     assert len(set(page.ids())) == len(page.ids())
+
+
+def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> None:
+    messages: list[Message] = []
+    for topic, time_ns, raw in recorded_arm().messages:
+        told = raw
+        if topic == contract.TRIAL and (status := decode_trial_status(raw)).phase is Phase.PERTURB:
+            told = encode_trial_status(replace(status, ticks=25_000))
+        messages.append((topic, time_ns, told))
+    result = load_result(make_result(tmp_path / "out", messages=messages))
+
+    assert [trial.saved for trial in result.summary.trials] == [15.0, 15.0]
+    assert result.summary.valid
+    told_of_early = "25 s planned; ended after 10 s, its standard errors being small enough"
+    assert Page(report_page(result)).words.count(told_of_early) == 2
 
 
 def test_when_there_is_no_summary_expect_data_error(tmp_path: Path) -> None:

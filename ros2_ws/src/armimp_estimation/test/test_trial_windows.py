@@ -70,6 +70,32 @@ class TestWindows:
             for number, record in enumerate(several.records, 1)
         )
 
+    def test_a_trial_that_ends_early_has_the_samples_that_were_announced_last(self) -> None:
+        settle, perturb, rest, *others = statuses_of(
+            synthetic_recording(perturbed=(1, 0), ticks=9, settle=3, rest=2)
+        )
+        sooner, earlier = replace(perturb, ticks=7), replace(rest, ticks=6)
+        for statuses, ticks in (
+            ([settle, perturb, sooner], 7),
+            ([settle, perturb, sooner, earlier, *others], 6),
+            ([settle, perturb, earlier, *others], 6),
+            ([settle, perturb, rest, replace(earlier, phase=Phase.DONE)], 6),
+        ):
+            window = windows_from_statuses(statuses)[0]
+            assert (window.ticks, window.saved) == (ticks, 9 - ticks)
+            assert window.ended == (len(statuses) > 3)
+        # What was planned for the next one has no part in it.
+        second = windows_from_statuses([settle, perturb, earlier, *others])[1]
+        assert (second.ticks, second.saved) == (9, 0)
+
+    def test_samples_beyond_an_early_end_do_not_count(self) -> None:
+        settle, perturb, rest = statuses_of(RECORDING)[:3]
+        early = [settle, perturb, replace(rest, ticks=25)]
+        trial = assemble(RECORDING.by_topic(), early)
+        assert trial.problem == trial.note == ""
+        assert_part(trial.require(), RECORDING.records[0], 0, 25)
+        assert {count.received for count in trial.ledger.streams.values()} == {25}
+
     def test_window_is_open_until_something_follows(self) -> None:
         statuses = statuses_of(synthetic_recording(perturbed=(1, 0), ticks=9, settle=3, rest=2))
         ended = [windows_from_statuses(statuses[:count]) for count in range(7)]

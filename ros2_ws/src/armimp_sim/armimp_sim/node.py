@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -19,12 +20,16 @@ from armimp_common.channels import (
 )
 from armimp_common.diagnostics import Level, make_array, make_status
 from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.jitter import TIMING_NAME
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import Presence, SignOfLife, Watch
+from armimp_common.pacing import Pacer
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.stamps import to_time
+from armimp_common.urgency import Urgency
 from armimp_sim.backlog import Backlog
+from armimp_sim.paced import PacedRig
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
@@ -33,18 +38,25 @@ _CLOCK_TICKS = 100
 _DIAGNOSTICS_TICKS = 1000
 _FAULT_PERIOD = 1.0
 """Wall time between reports of a latched fault (s), since simulated time may stand still."""
+_TIMING_TICKS = 100
+"""Ticks between two reports of the timing in realtime."""
+_LOOK_PERIOD = 0.05
+"""Wall time between two looks at the rig in realtime, which may come to a fault by itself (s)."""
 _STOPPED = "emergency stop"
 
 
 class ArmSimNode(LifecycleNode):
-    """Publishes samples, and takes one step for each command received (lockstep)."""
+    """Publishes samples: one for each command (lockstep), or one each millisecond (realtime)."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(contract.SIM_NODE, **kwargs)
         self.transition_error = ""
         self._active = False
         self._rig: SimulatedRig | None = None
-        self._stopped = self._holding = False
+        self._paced: PacedRig | None = None
+        self._urgency: Urgency | None = None
+        self._stopped = self._holding = self._faulty = False
+        self._told = self._timing_told = 0
         self._backlog = Backlog()
         self._sign = SignOfLife(self, contract.SIM_NODE)
         self._controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
@@ -57,7 +69,7 @@ class ArmSimNode(LifecycleNode):
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Build the rig and its topics from the parameters."""
-        parameters = load(self, SimulatorParameters)
+        parameters = self._settings = load(self, SimulatorParameters)
         names = parameters.joints
         self._rig = SimulatedRig(parameters)
         if self._stopped:
@@ -77,7 +89,9 @@ class ArmSimNode(LifecycleNode):
         self._received = self.create_subscription(
             UInt64, contract.RECEIVED, self._on_received, qos.LATCHED
         )
-        self._fault_timer = self.create_timer(_FAULT_PERIOD, self._on_fault_timer)
+        self._timers = [self.create_timer(_FAULT_PERIOD, self._on_fault_timer)]
+        if parameters.mode == "realtime":
+            self._timers.append(self.create_timer(_LOOK_PERIOD, self._on_look_timer))
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -98,7 +112,10 @@ class ArmSimNode(LifecycleNode):
         assert self._rig is not None
         if self._rig.fault:
             self._report(self._rig)
-        self._publish()
+        if self._settings.mode == "realtime":
+            self._pace(self._rig)
+        else:
+            self._publish()
         return super().on_activate(state)
 
     @reported
@@ -110,7 +127,8 @@ class ArmSimNode(LifecycleNode):
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the rig, so that new parameters can be used; only an emergency stop remains."""
-        self.destroy_timer(self._fault_timer)
+        for timer in self._timers:
+            self.destroy_timer(timer)
         for publisher in (
             self._joint_states.publisher,
             self._torque_sensors.publisher,
@@ -129,15 +147,52 @@ class ArmSimNode(LifecycleNode):
         self._rest()
         return TransitionCallbackReturn.SUCCESS
 
+    def destroy_node(self) -> None:
+        """End the thread that paces the rig, should the node end while it is active."""
+        self._rest()
+        super().destroy_node()
+
+    def _pace(self, rig: SimulatedRig) -> None:
+        realtime = self._settings.realtime
+        pacer = Pacer(contract.PERIOD_NS, spin_ns=round(realtime.spin * contract.NS_PER_S))
+        self._paced = PacedRig(rig, self._send, pacer)
+        try:
+            self._urgency = Urgency(realtime)
+        except GraphError:
+            self._active, self._paced = False, None
+            raise
+        self._told = self._timing_told = rig.tick
+        self._paced.start()
+
+    @property
+    def _alone(self) -> AbstractContextManager[object]:
+        """Keeps the thread that paces the rig away from it."""
+        return nullcontext() if self._paced is None else self._paced.lock
+
     def _rest(self) -> None:
         active, self._active = self._active, False
+        if self._paced is not None:
+            self._paced.stop()
+            if self.context.ok():
+                self._report_timing(self._paced)
+            self._paced = None
+        if self._urgency is not None:
+            self._urgency.give_back()
+            self._urgency = None
         if active and self._rig is not None:
             self._rig.rest()
-            self._report(self._rig)
+            if self.context.ok():
+                self._report(self._rig)
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         rig = self._rig
         if not self._active or rig is None:
+            return
+        if self._paced is not None:
+            self._paced.command(command)
+            if rig.tick - self._timing_told >= _TIMING_TICKS:
+                # Now, since nothing else is due until the next sample.
+                self._report_timing(self._paced)
             return
         sound = not rig.fault
         rig.step(command)
@@ -148,6 +203,9 @@ class ArmSimNode(LifecycleNode):
     def _on_malformed(self, error: ArmimpError) -> None:
         rig = self._rig
         if not self._active or rig is None:
+            return
+        if self._paced is not None:
+            self._paced.refuse(f"malformed command: {error}")
             return
         self._fault(f"malformed command: {error}")
         rig.step((0.0,) * rig.position.size)
@@ -179,7 +237,8 @@ class ArmSimNode(LifecycleNode):
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
             if self._rig is not None:
-                self._rig.reset()
+                with self._alone:
+                    self._rig.reset()
         except GraphError as error:
             response.success, response.message = False, str(error)
             return response
@@ -199,8 +258,19 @@ class ArmSimNode(LifecycleNode):
         if rig is None or not (self._active or self._stopped):
             return
         sound = not rig.fault
-        rig.latch(reason)
+        with self._alone:
+            rig.latch(reason)
         if sound:
+            self._report(rig)
+
+    def _on_look_timer(self) -> None:
+        """Tell what has happened in the thread, which must not lose time with that."""
+        paced, rig = self._paced, self._rig
+        if paced is None or rig is None:
+            return
+        if paced.error is not None:
+            raise paced.error
+        if bool(rig.fault) is not self._faulty or rig.tick - self._told >= _DIAGNOSTICS_TICKS:
             self._report(rig)
 
     def _on_received(self, message: UInt64) -> None:
@@ -221,23 +291,40 @@ class ArmSimNode(LifecycleNode):
     def _publish(self) -> None:
         rig = self._rig
         assert rig is not None
-        stamp_ns = rig.stamp_ns
         self._backlog.count_sent()
+        self._send()
+        if rig.tick % _DIAGNOSTICS_TICKS == 0:
+            self._report(rig)
+
+    def _send(self) -> None:
+        rig = self._rig
+        assert rig is not None
+        stamp_ns = rig.stamp_ns
         self._joint_states.publish(stamp_ns, rig.position)
         self._torque_sensors.publish(stamp_ns, rig.torque)
         if rig.tick % _CLOCK_TICKS == 0:
             self._clock_publisher.publish(Clock(clock=to_time(stamp_ns)))
-            if rig.tick % _DIAGNOSTICS_TICKS == 0:
-                self._report(rig)
 
     def _report(self, rig: SimulatedRig) -> None:
+        with self._alone:
+            stamp_ns, tick, fault, applied = rig.stamp_ns, rig.tick, rig.fault, rig.applied
+        self._faulty, self._told = bool(fault), tick
         status = make_status(
             f"{contract.SIM_NODE}: rig",
-            Level.ERROR if rig.fault else Level.OK,
-            rig.fault or ("running" if self._active else "stopped"),
-            {"tick": rig.tick, "applied": rig.applied},
+            Level.ERROR if fault else Level.OK,
+            fault or ("running" if self._active else "stopped"),
+            {"tick": tick, "applied": applied},
         )
-        self._diagnostics.publish(make_array(rig.stamp_ns, [status]))
+        self._diagnostics.publish(make_array(stamp_ns, [status]))
+
+    def _report_timing(self, paced: PacedRig) -> None:
+        rig = self._rig
+        assert rig is not None
+        with paced.lock:
+            stamp_ns, self._timing_told = rig.stamp_ns, rig.tick
+            figures = paced.figures()
+        status = make_status(TIMING_NAME, Level.OK, "timing since activation", figures.to_values())
+        self._diagnostics.publish(make_array(stamp_ns, [status]))
 
 
 def main() -> int:

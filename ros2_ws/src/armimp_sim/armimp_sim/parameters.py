@@ -11,6 +11,7 @@ from pydantic import Field
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
+from armimp_common.urgency import UrgencyParameters
 from armimp_sim import presets
 from armimp_sim.arm import HumanArm
 from armimp_sim.friction import LuGre
@@ -69,14 +70,27 @@ class VoluntaryParameters(Schema):
     cutoff: float = Field(default=2.0, gt=0.0, description="cut-off frequency (Hz)")
 
 
+class RealtimeParameters(UrgencyParameters):
+    """What counts in mode realtime only."""
+
+    spin: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.001,
+        description="last part of each wait in which the clock is asked over and over (s)",
+    )
+
+
 class SimulatorParameters(Schema):
     """All parameters of the node ``arm_sim``."""
 
     joints: tuple[str, ...] = Field(description="names of the joints, from the shoulder outwards")
     seed: int = Field(default=1, ge=0, description="seed of the voluntary torque")
-    mode: Literal["lockstep"] = Field(
-        default="lockstep", description="lockstep: one step for each command received"
+    mode: Literal["lockstep", "realtime"] = Field(
+        default="lockstep",
+        description="lockstep: one step for each command received; realtime: one each millisecond",
     )
+    realtime: RealtimeParameters = RealtimeParameters()
     substeps: int = Field(default=100, ge=1, description="RK4 steps in one control period of 1 ms")
     arm: ArmParameters
     robot: RobotParameters

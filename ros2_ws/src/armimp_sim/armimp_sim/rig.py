@@ -45,6 +45,7 @@ class SimulatedRig:
         )
         self._command = np.zeros((1, config.joints))
         self._resting = True
+        self._fading = 0
         self.tick = 0
         self.fault = ""
         self._compile(config.joints)
@@ -75,7 +76,8 @@ class SimulatedRig:
         """Hold ``command`` (n,), N·m, for one period and sample again.
 
         A command that is not finite never reaches the plant: it latches the fault, and this and
-        all further steps run with zero torque.
+        all further steps run with zero torque. After :meth:`fade` they run with a torque on its way
+        to zero.
 
         Raises
         ------
@@ -86,17 +88,30 @@ class SimulatedRig:
         for joint, value in enumerate(command):
             if not math.isfinite(value):
                 self.latch(f"command of joint {joint + 1} is not finite: {value}")
-        if self.fault:
-            self._command[:] = 0.0
-        else:
+        if not self.fault:
             self._command[0] = command
+        elif self._fading > 1:
+            self._command *= (self._fading - 1) / self._fading
+            self._fading -= 1
+        else:
+            self._command[:] = 0.0
         self._plant.tick(self._command, self._voluntary.take(1))
         self.tick += 1
 
     def latch(self, reason: str) -> None:
         """Take torque away at once and until :meth:`reset`; the first reason stays."""
         self.fault = self.fault or reason
+        self._fading = 0
         self._command[:] = 0.0
+
+    def fade(self, reason: str, steps: int) -> None:
+        """Take torque away in a straight line, until :meth:`reset`; after a fault nothing changes.
+
+        The last of so many steps runs with zero torque.
+        """
+        if not self.fault:
+            self.fault = reason
+            self._fading = steps
 
     def reset(self) -> None:
         """Obey commands again after a fault.
@@ -112,6 +127,7 @@ class SimulatedRig:
 
     def rest(self) -> None:
         """Forget the last command: whoever gave it is not obeyed any more."""
+        self._fading = 0
         self._command[:] = 0.0
         self._resting = True
 

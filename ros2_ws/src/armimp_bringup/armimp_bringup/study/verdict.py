@@ -10,7 +10,7 @@ from typing import Final, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from armimp_bringup.study.entry import StudyEntry
-from armimp_estimation.results import Number
+from armimp_estimation.json_model import Number
 
 Quantity = Literal[
     "VAF", "R²", "derived coherence", "M, K error", "B error", "M, K scaled", "B scaled"

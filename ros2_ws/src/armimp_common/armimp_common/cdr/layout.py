@@ -109,7 +109,7 @@ class Layout:
             If any of the messages has another layout.
         """
         length = self.length
-        if any(len(message) != length for message in messages):
+        if set(map(len, messages)) - {length}:
             return None
         table = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), length)
         for (start, end), expected in zip(self._constants, self._constant_bytes, strict=True):

@@ -16,6 +16,7 @@ VERSION: Final = 9
 """Version of the metadata that rosbag2 writes in Jazzy."""
 
 _ROOT: Final = "rosbag2_bagfile_information"
+_NO_MESSAGES: Final = "message_count: 0"
 _INFINITE: Final = {"sec": 9223372036, "nsec": 854775807}
 # Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
 _LOADER: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
@@ -30,6 +31,7 @@ _QOS: Final[dict[str, tuple[int, str, str]]] = {
     contract.TRIAL: _LATCHED,
     contract.RESULT: _LATCHED,
     contract.RECEIVED: _LATCHED,
+    contract.JUDGEMENT: _LATCHED,
     contract.PROGRESS: (10, "reliable", "volatile"),
     contract.CLOCK: (1, "best_effort", "volatile"),
     contract.DIAGNOSTICS: (10, "reliable", "volatile"),
@@ -187,7 +189,10 @@ def is_provisional(file: Path) -> bool:
     It counts no messages. A bag that really has none cannot be told from that, and need not be.
     """
     try:
-        document = _parse(file.read_text(encoding="utf-8"))
+        text = file.read_text(encoding="utf-8")
+        if _NO_MESSAGES not in text:
+            return False  # as nearly always: parsing takes longer
+        document = _parse(text)
     except (OSError, *_BROKEN):
         return False
     information = document.get(_ROOT) if isinstance(document, dict) else None

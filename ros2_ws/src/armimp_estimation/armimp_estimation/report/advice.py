@@ -85,6 +85,15 @@ ADVICE = (
         ),
     ),
     Advice(
+        title="The computer was not quick or regular enough",
+        pattern=r"^real time: |no command for \d+ ticks",
+        text=(
+            "Samples or commands came too late for 1 kHz. End other programs, give rig and "
+            "controller precedence (--priority), one processor core each (realtime.cpu), and see "
+            "docs/realtime.md; or run in lockstep (--mode lockstep), which needs no pace."
+        ),
+    ),
+    Advice(
         title="Much of a trial is left out",
         pattern=r"of its samples are excluded|commands were clipped",
         text=(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TypeAlias
 
+from armimp_estimation.json_model import Matrix
 from armimp_estimation.report.formats import (
     NAMES,
     UNITS,
@@ -17,7 +18,7 @@ from armimp_estimation.report.formats import (
 )
 from armimp_estimation.report.html import Group, Html, element, join, listing, section, table
 from armimp_estimation.report.look import looks
-from armimp_estimation.results import EstimatorSummary, Matrix, Summary
+from armimp_estimation.results import EstimatorSummary, Summary
 
 
 def parameters_section(summary: Summary) -> Html:

@@ -13,6 +13,7 @@ from armimp_estimation.report.ledger_part import ledger_section
 from armimp_estimation.report.page import Chapter, page
 from armimp_estimation.report.result import Result, setting
 from armimp_estimation.report.settings_part import assumptions_section, settings_section
+from armimp_estimation.report.timing_part import timing_section
 from armimp_estimation.report.trials_part import locking_section, traces_section
 from armimp_estimation.report.verdict_part import verdict_section
 
@@ -31,6 +32,7 @@ def report_page(result: Result) -> str:
         ("coherence", "Coherence", coherence_section(result)),
         ("locking", "Locking", locking_section(result)),
         ("ledger", "Samples", ledger_section(result)),
+        ("timing", "Timing", timing_section(summary)),
         ("traces", "Signals", traces_section(result)),
         ("settings", "Settings", settings_section(result)),
         ("assumptions", "Assumptions", assumptions_section(summary.config)),

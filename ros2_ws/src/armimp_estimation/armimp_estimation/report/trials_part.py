@@ -107,7 +107,11 @@ def trial_title(result: Result, one: TrialEvidence) -> str:
 
 def _facts(result: Result, one: TrialEvidence) -> str:
     window = one.assembled.window
-    facts = [f"{window.ticks * contract.PERIOD_NS / contract.NS_PER_S:g} s planned"]
+    period = contract.PERIOD_NS / contract.NS_PER_S
+    facts = [f"{(window.ticks + window.saved) * period:g} s planned"]
+    if window.saved:
+        early = f"ended after {window.ticks * period:g} s, its standard errors being small enough"
+        facts.append(early)
     if window.seed is not None:
         facts.append(f"seed {window.seed}")
     if one.assembled.segments:

@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from armimp_estimation.json_model import Matrix
 from armimp_estimation.report.advice import advise
 from armimp_estimation.report.formats import alarming, number, percent, symbol
 from armimp_estimation.report.html import Group, Html, element, join, listing, section, table
 from armimp_estimation.report.look import looks
 from armimp_estimation.report.result import Result
-from armimp_estimation.results import Matrix, Summary
+from armimp_estimation.results import Summary
 from armimp_estimation.verdict import Limits
 
 

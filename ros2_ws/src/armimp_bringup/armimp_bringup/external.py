@@ -1,0 +1,123 @@
+"""Nodes that others have started: by hand, by a launch file, in containers, on other machines."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+
+from pydantic import BaseModel
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.node import Node
+
+from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.liveliness import Presence, Watch
+from armimp_common.parameters import as_parameters
+from armimp_common.spin import Spinner
+
+_DOMAIN = "ROS_DOMAIN_ID"
+_PATIENCE = 10.0
+
+
+def external_domain(domain_id: int | None) -> int:
+    """Return the domain that nodes started by others are in: the given one, or where ROS looks.
+
+    Raises
+    ------
+    ConfigurationError
+        If the variable of the environment holds no number.
+    """
+    if domain_id is not None:
+        return domain_id
+    text = os.environ.get(_DOMAIN) or "0"
+    if not text.isdecimal():
+        raise ConfigurationError(f"{_DOMAIN} is no number: {text!r}")
+    return int(text)
+
+
+class ExternalNodes:
+    """Nodes whose processes belong to others; only their lifecycle is led from here.
+
+    They get the parameters of the experiment over the graph, and are given back unconfigured, so
+    that the next experiment can use them. Their death shows by their signs of life alone.
+
+    Parameters
+    ----------
+    supervisor : Node
+        Who asks and watches.
+    names : which nodes
+    """
+
+    def __init__(self, supervisor: Node, names: Sequence[str]) -> None:
+        self._supervisor = supervisor
+        self._watches = [Watch(supervisor, name, lambda _: None) for name in names]
+
+    def dead(self) -> Mapping[str, str]:
+        """Say which nodes were there and are not any more.
+
+        One that is only silent may be stalled, in a place where it can't be looked up; the
+        middleware declares it dead soon if it is.
+        """
+        return {
+            watch.name: f"node {watch.sentence}"
+            for watch in self._watches
+            if watch.presence in (Presence.GONE, Presence.LEFT)
+        }
+
+    def close(self) -> None:
+        """Leave the processes to those who started them."""
+
+    def prepare(
+        self, manager: LifecycleManager, spinner: Spinner, parameters: Mapping[str, BaseModel]
+    ) -> None:
+        """Make sure that the nodes are free, and give them their parameters.
+
+        Raises
+        ------
+        GraphError
+            If a node is in use, or finalized, or refuses a parameter.
+        """
+        for name in manager.names:
+            state = manager.state(name)
+            if state == "inactive":
+                manager.cleanup(name)
+            elif state != "unconfigured":
+                raise GraphError(
+                    f"node {name} is {state}, not unconfigured: it belongs to another experiment,"
+                    " or has to be started anew"
+                )
+        for name in manager.names:
+            self._set(name, parameters[name], spinner)
+
+    def _set(self, name: str, parameters: BaseModel, spinner: Spinner) -> None:
+        client = self._supervisor.create_client(
+            SetParametersAtomically, f"{name}/set_parameters_atomically"
+        )
+        try:
+            if not client.wait_for_service(_PATIENCE):
+                raise GraphError(f"node {name} takes no parameters")
+            future = client.call_async(
+                SetParametersAtomically.Request(
+                    parameters=[item.to_parameter_msg() for item in as_parameters(parameters)]
+                )
+            )
+            if not spinner.spin_until(future, _PATIENCE):
+                raise GraphError(f"node {name} did not answer when it was given its parameters")
+            result = future.result().result
+        finally:
+            self._supervisor.destroy_client(client)
+        if not result.successful:
+            raise GraphError(f"node {name} refused its parameters: {result.reason}")
+
+    def retire(self, manager: LifecycleManager, name: str) -> None:
+        """Bring a node back to where the next experiment finds it.
+
+        Raises
+        ------
+        GraphError
+            If it does not answer or refuses.
+        """
+        if manager.state(name) == "active":
+            manager.deactivate(name)
+        if manager.state(name) == "inactive":
+            manager.cleanup(name)

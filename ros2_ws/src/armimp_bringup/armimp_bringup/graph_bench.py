@@ -1,0 +1,197 @@
+"""What a tick of the node graph costs, beside the bare exchange of the same messages."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from statistics import median
+from typing import Any, Literal
+
+import yaml
+from rclpy.context import Context
+from rclpy.node import Node
+from std_msgs.msg import UInt64
+
+from armimp_bringup import ping_pong
+from armimp_bringup.benchmarks import Measured
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.graph import GraphContext, NodeGroup, SeparateNodes
+from armimp_bringup.orchestrator import run_experiment
+from armimp_common import qos
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.errors import GraphError
+from armimp_common.spin import Spinner
+
+Processes = Literal["separate", "composed"]
+
+RUNS = 5
+"""Experiments in a row for each arrangement; each has to be fast enough and lose nothing."""
+DURATION = 10.0
+"""Length of each trial, s."""
+RATIO_LIMIT = 1.5
+"""Largest cost of a tick of the graph, in ticks of the bare exchange."""
+SPEED_LIMITS: Mapping[Processes, float] = {"separate": 2.0, "composed": 5.0}
+"""Smallest speed, times real time."""
+_PATIENCE = 60.0
+_PARAMETERS = "parameters.yaml"
+
+
+def time_graph(tell: Callable[[str], None]) -> list[Measured]:
+    """Measure both arrangements of the node graph; takes about three minutes.
+
+    Bare exchange and experiment take turns, so that both meet the same machine.
+
+    Parameters
+    ----------
+    tell : callable
+        Told what is being measured.
+
+    Raises
+    ------
+    GraphError
+        If an experiment is not valid or the bare exchange does not come to its end.
+    """
+    figures: list[Measured] = []
+    for processes, limit in SPEED_LIMITS.items():
+        bare: list[float] = []
+        graph: list[float] = []
+        lost = 0
+        for run in range(RUNS):
+            tell(f"{processes}, {run + 1} of {RUNS}")
+            bare.append(bare_tick(processes))
+            ticks, missing = graph_tick(processes)
+            graph += ticks
+            lost += missing
+        figures += _figures(processes, bare, graph, lost, limit)
+    return figures
+
+
+def _figures(
+    processes: Processes, bare: Sequence[float], graph: Sequence[float], lost: int, limit: float
+) -> list[Measured]:
+    period = PERIOD_NS / NS_PER_S
+    speeds = [period / tick for tick in graph]
+    return [
+        Measured(
+            key=f"{processes}_bare",
+            label=f"{processes}: bare exchange, per tick (median)",
+            value=1e6 * median(bare),
+            unit="µs",
+        ),
+        Measured(
+            key=f"{processes}_graph",
+            label=f"{processes}: experiment, per tick (median)",
+            value=1e6 * median(graph),
+            unit="µs",
+        ),
+        Measured(
+            key=f"{processes}_ratio",
+            label=f"{processes}: experiment over bare exchange",
+            value=median(graph) / median(bare),
+            unit="",
+            limit=RATIO_LIMIT,
+        ),
+        Measured(
+            key=f"{processes}_slowest",
+            label=f"{processes}: real time over speed, slowest of {len(speeds)} trials",
+            value=1.0 / min(speeds),
+            unit="",
+            limit=1.0 / limit,
+        ),
+        Measured(
+            key=f"{processes}_lost",
+            label=f"{processes}: lost samples of {len(speeds)} trials",
+            value=lost,
+            unit="",
+            limit=0,
+        ),
+    ]
+
+
+def graph_tick(processes: Processes) -> tuple[list[float], int]:
+    """Run an experiment with full recording.
+
+    Returns
+    -------
+    ticks : list of float
+        Wall time of a tick in each trial, s.
+    lost : int
+        Lost samples.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        config = ExperimentConfig(duration=DURATION, processes=processes)
+        summary = run_experiment(config, Path(folder) / "out")
+    if not summary.valid:
+        raise GraphError(f"the experiment is not valid: {summary.problems[0]}")
+    period = PERIOD_NS / NS_PER_S
+    ticks = [period / trial.rtf for trial in summary.trials]
+    return ticks, sum(trial.lost for trial in summary.trials)
+
+
+def bare_tick(processes: Processes, exchanges: int = 20_000) -> float:
+    """Wall time of one bare exchange, s."""
+    with tempfile.TemporaryDirectory() as folder, GraphContext() as graph:
+        took: list[int] = []
+        watcher = Node("watcher", context=graph.context, use_global_arguments=False)
+
+        def on_result(message: UInt64) -> None:
+            took.append(message.data)
+
+        watcher.create_subscription(UInt64, ping_pong.TOOK, on_result, qos.LATCHED)
+        parameters = {"joints": 2, "exchanges": exchanges}
+        with Spinner([watcher]) as spinner:
+            nodes = _bare_nodes(processes, graph.context, spinner, parameters, Path(folder))
+            deadline = time.monotonic() + _PATIENCE
+
+            def over() -> bool:
+                return bool(took or nodes.dead()) or time.monotonic() > deadline
+
+            try:
+                spinner.spin(over)
+            finally:
+                nodes.close()
+                spinner.remove_node(watcher)
+                watcher.destroy_node()
+        if not took:
+            raise GraphError("the bare exchange of messages did not come to its end")
+        return took[0] / NS_PER_S / exchanges
+
+
+class _ComposedBare:
+    """The bare nodes in this process."""
+
+    def __init__(self, context: Context, spinner: Spinner, file: Path) -> None:
+        arguments = ["--ros-args", "--params-file", str(file)]
+        self._spinner = spinner
+        self._nodes: list[Node] = []
+        for bare in ping_pong.CLASSES.values():
+            node = bare(context=context, cli_args=arguments, use_global_arguments=False)
+            self._nodes.append(node)
+            spinner.add_node(node)
+
+    def dead(self) -> Mapping[str, str]:
+        """Nodes of this process die with it."""
+        return {}
+
+    def close(self) -> None:
+        """Destroy the nodes."""
+        for node in self._nodes:
+            self._spinner.remove_node(node)
+            node.destroy_node()
+
+
+def _bare_nodes(
+    processes: Processes,
+    context: Context,
+    spinner: Spinner,
+    parameters: Mapping[str, Any],
+    folder: Path,
+) -> NodeGroup:
+    file = folder / _PARAMETERS
+    file.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(parameters)}}))
+    if processes == "composed":
+        return _ComposedBare(context, spinner, file)
+    modules = {name: (ping_pong.__name__, name) for name in ping_pong.NAMES}
+    return SeparateNodes(file, folder / "logs", modules)

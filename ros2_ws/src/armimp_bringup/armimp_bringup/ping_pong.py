@@ -1,0 +1,150 @@
+"""The bare exchange of messages that an experiment in lockstep consists of, and nothing else.
+
+Three nodes pass on the four streams of the contract, in its message types, as bytes that were made
+beforehand: no plant, no law, no decoding, no bag. What a tick takes here is the floor under what a
+tick of the node graph can take on this machine at this moment.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, UInt64
+
+from armimp_common import contract, qos
+from armimp_common.cdr import CommandEncoder, JointStateEncoder
+from armimp_common.channels import RawSubscription
+from armimp_common.spin import run_node
+
+PING, PONG, TAP = NAMES = ("ping", "pong", "tap")
+TOOK: Final = "ping/took"
+"""Topic of the wall time that all exchanges took, ns."""
+BACKLOG: Final = 45
+"""Exchanges that may be ahead of what the listener has acknowledged, as in the graph."""
+
+_TYPES: Final[Mapping[str, type[Any]]] = {
+    contract.JOINT_STATES: JointState,
+    contract.TORQUE_SENSORS: JointState,
+    contract.COMMANDS: Float64MultiArray,
+    contract.PERTURBATION: JointState,
+}
+
+
+class _Bare(Node):
+    """Has publishers and subscriptions of raw bytes for some of the streams."""
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        super().__init__(name, **kwargs)
+        self.joints = int(self.declare_parameter("joints", 2).value)
+
+    def stream(self, topic: str) -> tuple[Any, bytes]:
+        """Publisher of a topic, and a message for it."""
+        publisher = self.create_publisher(_TYPES[topic], topic, qos.SAMPLE)
+        values = [0.1] * self.joints
+        if topic == contract.COMMANDS:
+            return publisher, CommandEncoder(self.joints).encode(values)
+        names = [f"joint_{i + 1}" for i in range(self.joints)]
+        encoder = JointStateEncoder(names, contract.VALUE_FIELD[topic])
+        return publisher, encoder.encode(0, values)
+
+
+class PingNode(_Bare):
+    """Has the place of the simulator: two messages out, one command back, then the next two."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(PING, **kwargs)
+        self._exchanges = int(self.declare_parameter("exchanges", 1000).value)
+        self._done = self._acknowledged = 0
+        self._held = False
+        self._streams = [
+            self.stream(topic) for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
+        ]
+        self._result = self.create_publisher(UInt64, TOOK, qos.LATCHED)
+        RawSubscription(self, contract.COMMANDS, Float64MultiArray, self._on_command)
+        self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
+        self._start = self.create_timer(0.02, self._begin)
+
+    def _begin(self) -> None:
+        publishers = [publisher for publisher, _ in self._streams]
+        ready = all(publisher.get_subscription_count() == 2 for publisher in publishers)
+        if not ready or self.count_publishers(contract.COMMANDS) == 0 or not self._acknowledged:
+            return
+        self.destroy_timer(self._start)
+        self._began = time.monotonic_ns()
+        self._ping()
+
+    def _ping(self) -> None:
+        for publisher, message in self._streams:
+            publisher.publish(message)
+
+    def _on_command(self, _: bytes) -> None:
+        self._done += 1
+        if self._done == self._exchanges:
+            self._result.publish(UInt64(data=time.monotonic_ns() - self._began))
+        elif self._done < self._exchanges:
+            self._held = self._done + 1 >= self._acknowledged + BACKLOG
+            if not self._held:
+                self._ping()
+
+    def _on_received(self, message: UInt64) -> None:
+        self._acknowledged = message.data
+        if self._held and self._done < self._exchanges:
+            self._held = False
+            self._ping()
+
+
+class PongNode(_Bare):
+    """Has the place of the controller: answers each pair of messages with another."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(PONG, **kwargs)
+        self._heard = 0
+        self._streams = [self.stream(topic) for topic in (contract.COMMANDS, contract.PERTURBATION)]
+        for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS):
+            RawSubscription(self, topic, JointState, self._on_message)
+
+    def _on_message(self, _: bytes) -> None:
+        self._heard += 1
+        if self._heard % 2 == 0:
+            for publisher, message in self._streams:
+                publisher.publish(message)
+
+
+class TapNode(_Bare):
+    """Has the place of the recorder: hears everything, and acknowledges it."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(TAP, **kwargs)
+        self._heard = 0
+        self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        for topic, kind in _TYPES.items():
+            RawSubscription(self, topic, kind, self._on_message)
+        self._start = self.create_timer(0.02, self._begin)
+
+    def _begin(self) -> None:
+        if all(self.count_publishers(topic) for topic in _TYPES):
+            self.destroy_timer(self._start)
+            self._received.publish(UInt64(data=1))
+
+    def _on_message(self, _: bytes) -> None:
+        self._heard += 1
+        if self._heard % (4 * contract.RECEIVED_EVERY) == 0:
+            self._received.publish(UInt64(data=self._heard // 4))
+
+
+CLASSES: Final[Mapping[str, Callable[..., Node]]] = {PING: PingNode, PONG: PongNode, TAP: TapNode}
+
+
+def main() -> int:
+    """Run the node that the first argument names as a process."""
+    name = sys.argv.pop(1)
+    return run_node(CLASSES[name])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,123 @@
+"""What the orchestrator hears of an experiment while it runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.node import Node
+
+from armimp_bringup.graph import GraphContext
+from armimp_common import contract, qos
+from armimp_common.diagnostics import Level, values_of
+from armimp_common.errors import MalformedMessageError
+from armimp_common.jitter import TIMING_NAME, TimingFigures
+from armimp_common.liveliness import SignOfLife
+from armimp_common.trial_status import Phase
+from armimp_estimation.messages import CONCLUSION_NAME
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """Where an experiment stands, for display; see ``impedance_estimator/progress``."""
+
+    trial: int
+    trials: int
+    joint: int
+    phase: str
+    samples: int
+    planned: int
+    rate: float
+    coherence_motion: float | None
+    coherence_torque: float | None
+    column: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None = None
+    """Values and standard errors of M, B and K in the column of the perturbed joint, SI units."""
+    largest_error: float | None = None
+    """Largest relative one of these standard errors."""
+
+
+class Supervisor(Node):
+    """Listens to everything that tells how the experiment goes."""
+
+    def __init__(self, graph: GraphContext, on_progress: Callable[[Progress], None]) -> None:
+        super().__init__(
+            contract.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False
+        )
+        self._on_progress = on_progress
+        self.problems: list[str] = []
+        self.concluded = self.finished = False
+        self.realtime = False
+        """Whether a fault ends the experiment at once, and does not matter after its last trial."""
+        self.timing: TimingFigures | None = None
+        """Last figures of a rig in real time."""
+        self._done = False
+        self.last_news = time.monotonic()
+        self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
+        self.create_subscription(
+            DiagnosticStatus, contract.PROGRESS, self._on_progress_message, qos.PROGRESS
+        )
+        self.create_subscription(DiagnosticStatus, contract.RESULT, self._on_result, qos.LATCHED)
+        self.create_subscription(DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED)
+        self.create_subscription(
+            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+
+    def _on_progress_message(self, message: DiagnosticStatus) -> None:
+        values = values_of(message)
+        progress = Progress(
+            trial=int(values["trial"]),
+            trials=int(values["trials"]),
+            joint=int(values["joint"]),
+            phase=values["phase"],
+            samples=int(values["samples"]),
+            planned=int(values["planned"]),
+            rate=float(values["rate"]),
+            coherence_motion=_optional(values.get("coherence_motion")),
+            coherence_torque=_optional(values.get("coherence_torque")),
+            column=_column(values),
+            largest_error=_optional(values.get("largest_error")),
+        )
+        if progress.samples:
+            self.last_news = time.monotonic()
+        self._on_progress(progress)
+
+    def _on_result(self, message: DiagnosticStatus) -> None:
+        self.last_news = time.monotonic()
+        if message.name == CONCLUSION_NAME:
+            self.concluded = True
+
+    def _on_trial(self, message: DiagnosticStatus) -> None:
+        phase = values_of(message).get("phase")
+        self._done = self._done or phase == Phase.DONE.value
+        self.finished = self.finished or phase in (Phase.DONE.value, Phase.ABORTED.value)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        if self.realtime and self._done:
+            return
+        for status in message.status:
+            if status.name == TIMING_NAME:
+                with suppress(MalformedMessageError):  # the estimator complains
+                    self.timing = TimingFigures.from_values(values_of(status))
+            if status.level == bytes([Level.ERROR]):
+                problem = f"{status.name}: {status.message}"
+                if problem not in self.problems:
+                    self.problems.append(problem)
+
+
+def _column(
+    values: dict[str, str],
+) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None:
+    if "K_se" not in values:
+        return None
+
+    def row(key: str) -> tuple[float, ...]:
+        return tuple(float(text) for text in values[key].split())
+
+    return tuple((row(letter), row(f"{letter}_se")) for letter in "MBK")
+
+
+def _optional(text: str | None) -> float | None:
+    return None if text is None else float(text)

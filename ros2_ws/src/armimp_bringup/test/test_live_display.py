@@ -1,0 +1,73 @@
+"""The live display: what is measured so far, with its uncertainty, and how far the trial is."""
+
+import io
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from armimp_bringup.display import LiveDisplay, describe, describe_column
+from armimp_bringup.supervisor import Progress
+
+SNAPSHOT = Progress(
+    trial=1,
+    trials=2,
+    joint=2,
+    phase="perturb",
+    samples=10_000,
+    planned=50_000,
+    rate=5000.0,
+    coherence_motion=0.9876,
+    coherence_torque=0.99,
+    column=(
+        ((0.0837, 0.0598), (0.00021, 0.0001)),
+        ((0.2358, 0.4051), (0.0017, 0.012)),
+        ((3.1082, 6.8538), (0.033, 1.5)),
+    ),
+    largest_error=0.0107,
+)
+
+
+def test_column_is_told_with_two_digits_of_each_standard_error() -> None:
+    assert describe_column(SNAPSHOT) == [
+        "M12 0.08370 ± 0.00021   M22 0.05980 ± 0.00010 kg·m²",
+        "B12 0.2358 ± 0.0017   B22 0.405 ± 0.012 N·m·s/rad",
+        "K12 3.108 ± 0.033   K22 6.9 ± 1.5 N·m/rad",
+        "standard errors up to 1.1 %",
+    ]
+
+
+def test_without_a_column_there_is_nothing_to_tell() -> None:
+    assert describe_column(replace(SNAPSHOT, column=None, largest_error=None)) == []
+
+
+@pytest.mark.parametrize("error", [0.0, float("nan"), float("inf"), 1e-30, 1e30])
+def test_any_error_can_be_shown(error: float) -> None:
+    column = (((1.0,), (error,)),) * 3
+    assert len(describe_column(replace(SNAPSHOT, column=column, largest_error=error))) == 4
+
+
+def test_first_line_has_place_speed_coherence_and_time_left() -> None:
+    assert describe(SNAPSHOT) == (
+        " 10.0 of 50.0 s   5.0x real time  coherence θ 0.988 τ 0.990  18 s left"
+    )
+
+
+def test_a_terminal_shows_coherence_and_column_and_follows_an_earlier_end() -> None:
+    output = io.StringIO()
+    console = Console(file=output, force_terminal=True, width=120, height=20)
+    with LiveDisplay(console) as display:
+        display.show(SNAPSHOT)
+        display.show(replace(SNAPSHOT, samples=20_000, planned=20_000))
+    text = output.getvalue()
+    for part in ("trial 1/2", "coherence θ 0.988", "M12 0.08370 ± 0.00021", "K22 6.9 ± 1.5"):
+        assert part in text
+    assert "20.0 of 20.0 s" in text
+
+
+def test_elsewhere_only_the_beginning_of_each_trial_is_told() -> None:
+    output = io.StringIO()
+    with LiveDisplay(Console(file=output, width=120)) as display:
+        for samples in (0, 10, 20_000):
+            display.show(replace(SNAPSHOT, samples=samples))
+    assert output.getvalue().count("trial 1 of 2") == 1

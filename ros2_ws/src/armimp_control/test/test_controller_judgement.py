@@ -1,0 +1,182 @@
+"""The controller node and judgements: in lockstep samples wait for them, on a rig they do not."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
+from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from armimp_common import contract, qos
+from armimp_common.diagnostics import judgement_message
+from armimp_common.judgement import NOTICE_TICKS, Judgement
+from armimp_common.schema import Value
+from armimp_common.spin import Spinner
+from armimp_common.testing import ScriptedDriver, a_moment, eventually, overrides
+from armimp_common.trial_status import Phase
+from armimp_control.node import ImbicControllerNode
+from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
+
+NAMES = ("shoulder", "elbow")
+POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
+SETTLE, PERTURB, REST = 50, 600, 50
+JUDGED = 20
+END = JUDGED + NOTICE_TICKS
+PARAMETERS = ControllerParameters.preset(
+    joints=NAMES,
+    posture=np.array(POSTURE),
+    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
+    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+).model_copy(
+    update={
+        "sequence": SequenceParameters(
+            duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
+        ),
+        "safety": SafetyParameters(slowest_tick=10.0),
+    }
+)
+IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.2, "safety.watchdog_ticks": 5}
+ON_A_RIG: dict[str, Value] = {"safety.slowest_tick": 0.09, "safety.watchdog_ticks": 100}
+ANNOUNCED = Judgement(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
+ENOUGH = Judgement(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
+NOT_YET = Judgement(trial=1, samples=JUDGED, enough=False, due=None, bound=0.02, largest=0.03)
+
+Start = Callable[..., ImbicControllerNode]
+
+
+@pytest.fixture
+def spinner(node: Node) -> Iterator[Spinner]:
+    with Spinner([node]) as spinner:
+        yield spinner
+
+
+@pytest.fixture
+def driver(node: Node) -> ScriptedDriver:
+    return ScriptedDriver(node, NAMES)
+
+
+@pytest.fixture
+def judge(node: Node) -> Publisher:
+    return node.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
+
+
+@pytest.fixture
+def start(
+    context: Context, spinner: Spinner, driver: ScriptedDriver, judge: Publisher
+) -> Iterator[Start]:
+    """Makes a controller which is in its first perturbation and knows of a judgement to come."""
+    made: list[ImbicControllerNode] = []
+
+    def factory(changes: Mapping[str, Value] | None = None, **kwargs: Any) -> ImbicControllerNode:
+        controller = ImbicControllerNode(
+            context=context, parameter_overrides=overrides(PARAMETERS, changes), **kwargs
+        )
+        made.append(controller)
+        spinner.add_node(controller)
+        assert controller.trigger_configure() is TransitionCallbackReturn.SUCCESS
+        assert controller.trigger_activate() is TransitionCallbackReturn.SUCCESS
+        driver.wait_for_controller()
+        eventually(spinner, lambda: judge.get_subscription_count() == 1, "somebody who is judged")
+        feed(driver, SETTLE + 1)
+        eventually(spinner, lambda: driver.has_said(Phase.PERTURB), "the perturbation")
+        judge.publish(judgement_message(ANNOUNCED))
+        a_moment(spinner)
+        return controller
+
+    yield factory
+    for controller in made:
+        spinner.remove_node(controller)
+        controller.destroy_node()
+
+
+def feed(driver: ScriptedDriver, ticks: int) -> None:
+    for _ in range(ticks):
+        driver.feed(POSTURE, (0.0, 0.0))
+
+
+def feed_up_to_the_decision(driver: ScriptedDriver, spinner: Spinner) -> None:
+    feed(driver, END - 1)
+    eventually(spinner, lambda: len(driver.commands) == SETTLE + END, "answers up to the decision")
+
+
+@pytest.mark.parametrize(("judgement", "ticks"), [(ENOUGH, END), (NOT_YET, PERTURB)])
+def test_in_lockstep_the_sample_on_which_a_judgement_decides_is_answered_after_it(
+    start: Start,
+    driver: ScriptedDriver,
+    spinner: Spinner,
+    judge: Publisher,
+    judgement: Judgement,
+    ticks: int,
+) -> None:
+    start()
+    feed_up_to_the_decision(driver, spinner)
+    feed(driver, 1)
+    a_moment(spinner)
+    assert len(driver.commands) == len(driver.perturbations) == SETTLE + END
+
+    judge.publish(judgement_message(judgement))
+    eventually(spinner, lambda: len(driver.commands) == SETTLE + END + 1, "the answer")
+    feed(driver, PERTURB)
+    eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")
+    eventually(spinner, lambda: driver.answered, "an answer to every sample")
+
+    rest = next(status for status in driver.statuses if status.phase is Phase.REST)
+    assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + ticks, ticks, True)
+
+
+def test_on_a_rig_nothing_waits_and_a_late_judgement_ends_the_trial_later(
+    start: Start, driver: ScriptedDriver, spinner: Spinner, judge: Publisher
+) -> None:
+    start(ON_A_RIG)
+    feed_up_to_the_decision(driver, spinner)
+    feed(driver, 1)
+    eventually(spinner, lambda: driver.answered, "an answer to every sample")
+    assert not driver.has_said(Phase.REST)
+
+    judge.publish(judgement_message(ENOUGH))
+    eventually(spinner, lambda: len(driver.statuses) == 3, "the announcement of the end")
+    feed(driver, PERTURB)
+    eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")
+    assert [status.ticks for status in driver.statuses[1:4]] == [
+        PERTURB,
+        *[END + 1 + NOTICE_TICKS] * 2,
+    ]
+
+
+def test_when_samples_come_on_all_the_same_expect_an_answer_to_each(
+    start: Start, driver: ScriptedDriver, spinner: Spinner
+) -> None:
+    start()
+    feed_up_to_the_decision(driver, spinner)
+    feed(driver, 2)
+    eventually(spinner, lambda: driver.answered, "an answer to every sample")
+    assert len(driver.commands) == driver.tick
+
+
+def test_when_an_announced_judgement_does_not_come_expect_the_end_with_that_reason(
+    start: Start, driver: ScriptedDriver, spinner: Spinner
+) -> None:
+    start(IMPATIENT)
+    feed_up_to_the_decision(driver, spinner)
+    feed(driver, 1)
+
+    eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "the end")
+
+    assert driver.statuses[-1].reason == "the estimator does not say whether the trial is over"
+    eventually(spinner, lambda: driver.commands[-1] == (0.0, 0.0), "zero torque")
+
+
+def test_a_judgement_that_cannot_be_read_changes_nothing(
+    start: Start, driver: ScriptedDriver, spinner: Spinner, judge: Publisher
+) -> None:
+    start()
+    judge.publish(DiagnosticStatus(name="rubbish"))
+    feed_up_to_the_decision(driver, spinner)
+    judge.publish(judgement_message(ENOUGH))
+    a_moment(spinner)
+    feed(driver, 1)
+    eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")

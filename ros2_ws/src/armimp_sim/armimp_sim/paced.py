@@ -1,0 +1,129 @@
+"""The simulated rig under the wall clock: time goes on, whether a command has come or not."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from armimp_common.jitter import TimingFigures, TimingLedger
+from armimp_common.pacing import Pacer
+from armimp_common.urgency import wake_up_exactly
+from armimp_sim.rig import SimulatedRig
+
+WATCHDOG_TICKS = 5
+"""Periods without any command after which the rig takes the torque away."""
+RAMP_TICKS = 10
+"""Periods in which it then falls to zero: short, as the last command may be a peak of chatter."""
+_PATIENCE = 2.0
+
+
+class PacedRig:
+    """Runs a rig in a thread of its own: sample k at its deadline, under the latest command.
+
+    The command that answers sample k acts from sample k to sample k + 1, as in lockstep. The step
+    between them is taken as soon as it comes, so that nothing is left to do at the deadline of
+    k + 1 but to send. If it has not come by then, the last command is held and the tick counts as
+    missed. A run without a missed tick takes the steps of a run in lockstep, and gives the same
+    samples to the last bit.
+
+    Parameters
+    ----------
+    rig : SimulatedRig
+    send : callable
+        Sends the present sample; called in the thread.
+    pacer : Pacer
+
+    Attributes
+    ----------
+    lock : held while the rig or the figures are used
+    error : what ended the thread, if it was not :meth:`stop`
+    """
+
+    def __init__(self, rig: SimulatedRig, send: Callable[[], None], pacer: Pacer) -> None:
+        self._rig, self._send, self._pacer = rig, send, pacer
+        self._command: tuple[float, ...] = (0.0,) * rig.position.size
+        self._ledger = TimingLedger()
+        self._unanswered: deque[int] = deque(maxlen=10_000)
+        self._began = self._arrived = self._stepped = False
+        self._silent = 0
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
+        self.lock = threading.RLock()
+        self.error: BaseException | None = None
+
+    def start(self) -> None:
+        """Send the first sample, and all others in their time."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Send no more; harmless if repeated."""
+        self._stopped.set()
+        if self._thread.is_alive() and self._thread is not threading.current_thread():
+            self._thread.join(_PATIENCE)
+
+    def command(self, command: Sequence[float]) -> None:
+        """Take a command (n,), N·m, for the next step."""
+        now_ns = self._pacer.now()
+        with self.lock:
+            self._command = tuple(command)
+            self._arrive(now_ns)
+
+    def refuse(self, reason: str) -> None:
+        """Take a message that is no command: no torque from now on."""
+        now_ns = self._pacer.now()
+        with self.lock:
+            self._rig.latch(reason)
+            self._command = (0.0,) * len(self._command)
+            self._arrive(now_ns)
+
+    def figures(self) -> TimingFigures:
+        """Timing since the start."""
+        with self.lock:
+            return self._ledger.figures()
+
+    def begin(self) -> None:
+        """Send the first sample; its deadline is now. Part of the thread."""
+        self._pacer.start()
+        with self.lock:
+            self._sample(0)
+
+    def advance(self, tick: int) -> None:
+        """Send the sample of a tick whose deadline has come. Part of the thread."""
+        with self.lock:
+            self._silent = 0 if self._arrived or not self._began else self._silent + 1
+            self._arrived = False
+            if not self._stepped:
+                self._ledger.missed()
+                if self._silent >= WATCHDOG_TICKS:
+                    self._rig.fade(f"no command for {WATCHDOG_TICKS} ticks", RAMP_TICKS)
+                self._rig.step(self._command)
+            self._sample(tick)
+
+    def _sample(self, tick: int) -> None:
+        sent_ns = self._pacer.now()
+        self._send()
+        self._ledger.sent(self._pacer.deadline_ns(tick), sent_ns)
+        self._unanswered.append(sent_ns)
+        self._stepped = False
+
+    def _arrive(self, now_ns: int) -> None:
+        self._began = self._arrived = True
+        if self._unanswered:
+            self._ledger.answered(now_ns - self._unanswered.popleft())
+        if not self._unanswered and not self._stepped:
+            self._stepped = True
+            self._rig.step(self._command)
+
+    def _run(self) -> None:
+        wake_up_exactly()
+        try:
+            self.begin()
+            tick = 0
+            while not self._stopped.is_set():
+                tick += 1
+                self._pacer.wait(tick)
+                if not self._stopped.is_set():
+                    self.advance(tick)
+        except BaseException as error:  # noqa: BLE001 (the node raises it where it is seen)
+            self.error = error

@@ -1,0 +1,271 @@
+"""The rig under a clock: it goes on without commands, and counts what it missed."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from armimp_common.contract import PERIOD_NS
+from armimp_common.jitter import LATE_NS
+from armimp_common.pacing import Pacer
+from armimp_sim.paced import RAMP_TICKS, WATCHDOG_TICKS, PacedRig
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.rig import SimulatedRig
+
+PARAMETERS = SimulatorParameters.preset()
+Command = tuple[float, ...]
+SILENCE = f"no command for {WATCHDOG_TICKS} ticks"
+
+
+class Bench:
+    """A paced rig without its thread, on a clock that is moved by hand."""
+
+    def __init__(self) -> None:
+        self.ns = 10**12
+        self.tick = 0
+        self.rig = SimulatedRig(PARAMETERS)
+        self.sent: list[tuple[int, Command, Command]] = []
+        pacer = Pacer(PERIOD_NS, now=lambda: self.ns, sleep=lambda _: None)
+        self.paced = PacedRig(self.rig, self.send, pacer)
+        self.start_ns = self.ns
+        self.paced.begin()
+
+    def send(self) -> None:
+        self.sent.append((self.rig.stamp_ns, *readings(self.rig)))
+
+    def command(self, *command: float, after_us: int = 300) -> None:
+        """Give a command so long after the deadline of the present sample."""
+        self.ns = self.start_ns + self.tick * PERIOD_NS + after_us * 1000
+        self.paced.command(command)
+
+    def next(self, ticks: int = 1, *, late_us: int = 0) -> None:
+        """Let deadlines come."""
+        for _ in range(ticks):
+            self.tick += 1
+            self.ns = max(self.ns, self.start_ns + self.tick * PERIOD_NS + late_us * 1000)
+            self.paced.advance(self.tick)
+
+    @property
+    def missed(self) -> int:
+        return self.paced.figures().missed
+
+
+def readings(rig: SimulatedRig) -> tuple[Command, Command]:
+    return tuple(rig.position.tolist()), tuple(rig.torque.tolist())
+
+
+def in_lockstep(commands: Sequence[Command]) -> list[tuple[int, Command, Command]]:
+    rig = SimulatedRig(PARAMETERS)
+    samples = [(rig.stamp_ns, *readings(rig))]
+    for command in commands:
+        rig.step(command)
+        samples.append((rig.stamp_ns, *readings(rig)))
+    return samples
+
+
+def some_commands(ticks: int) -> list[Command]:
+    return [tuple(row) for row in np.random.default_rng(5).uniform(-20, 20, (ticks, 2)).tolist()]
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+class TestCommands:
+    def test_when_every_command_is_in_time_expect_the_samples_of_lockstep(
+        self, bench: Bench
+    ) -> None:
+        commands = some_commands(60)
+        for command in commands:
+            bench.command(*command)
+            bench.next()
+        assert bench.sent == in_lockstep(commands)
+        assert bench.missed == 0
+
+    def test_when_a_command_is_missed_expect_the_last_one_held_and_counted(
+        self, bench: Bench
+    ) -> None:
+        a, b = some_commands(2)
+        bench.command(*a)
+        bench.next(3)
+        assert bench.missed == 2
+        assert bench.sent == in_lockstep([a, a, a])
+        for _ in range(3):  # the answers to the second, third and fourth sample
+            bench.command(*b)
+        bench.next()
+        assert bench.missed == 2
+        assert bench.sent == in_lockstep([a, a, a, b])
+
+    def test_when_a_command_comes_late_expect_it_to_act_from_the_next_sample_on(
+        self, bench: Bench
+    ) -> None:
+        a, b, c = some_commands(3)
+        bench.command(*a)
+        bench.next(2)
+        bench.command(*b, after_us=200)  # for the sample before
+        bench.command(*c, after_us=500)
+        bench.next()
+        assert bench.sent == in_lockstep([a, a, c])
+        assert bench.missed == 1
+
+    def test_when_commands_keep_coming_one_period_late_expect_each_counted_and_applied(
+        self, bench: Bench
+    ) -> None:
+        commands = some_commands(20)
+        bench.next()
+        for command in commands:
+            bench.command(*command)
+            bench.next()
+        assert bench.missed == 21
+        assert not bench.rig.fault
+        assert bench.sent == in_lockstep([(0.0, 0.0), *commands])
+
+    def test_a_second_command_for_a_sample_acts_in_the_next_period_if_nothing_else_comes(
+        self, bench: Bench
+    ) -> None:
+        a, b = some_commands(2)
+        bench.command(*a)
+        bench.command(*b)
+        bench.next(2)
+        assert bench.sent == in_lockstep([a, b])
+        assert bench.missed == 1
+
+    def test_when_a_command_is_not_finite_expect_no_torque_and_a_fault(self, bench: Bench) -> None:
+        bench.command(5.0, -5.0)
+        bench.next()
+        bench.command(math.nan, 1.0)
+        bench.next(3)
+        assert bench.rig.fault == "command of joint 1 is not finite: nan"
+        assert bench.rig.applied == (0.0, 0.0)
+        assert bench.sent == in_lockstep([(5.0, -5.0), *[(0.0, 0.0)] * 3])
+
+    def test_when_a_message_is_no_command_expect_no_torque_and_its_reason(
+        self, bench: Bench
+    ) -> None:
+        bench.command(5.0, -5.0)
+        bench.next()
+        bench.paced.refuse("malformed command: rubbish")
+        bench.next()
+        bench.command(5.0, -5.0)
+        bench.next()
+        assert bench.rig.fault == "malformed command: rubbish"
+        assert bench.sent == in_lockstep([(5.0, -5.0), (0.0, 0.0), (0.0, 0.0)])
+
+
+class TestWatchdog:
+    def test_before_the_first_command_nothing_is_awaited(self, bench: Bench) -> None:
+        bench.next(100)
+        assert not bench.rig.fault
+        assert bench.missed == 100
+
+    def test_when_commands_stay_away_expect_a_straight_ramp_to_zero_within_fifty_milliseconds(
+        self, bench: Bench
+    ) -> None:
+        bench.command(10.0, -20.0)
+        bench.next(WATCHDOG_TICKS)
+        assert not bench.rig.fault
+        applied = []
+        for _ in range(WATCHDOG_TICKS + 50):
+            bench.next()
+            applied.append(bench.rig.applied)
+        assert bench.rig.fault == SILENCE
+        ramp = [1.0 - (k + 1) / RAMP_TICKS for k in range(RAMP_TICKS)]
+        np.testing.assert_allclose(applied[: len(ramp)], np.outer(ramp, (10.0, -20.0)), atol=1e-12)
+        assert RAMP_TICKS <= 50
+        assert set(applied[RAMP_TICKS - 1 :]) == {(0.0, 0.0)}
+
+    def test_after_the_watchdog_commands_are_not_obeyed_until_a_reset(self, bench: Bench) -> None:
+        bench.command(10.0, 10.0)
+        bench.next(40)
+        for _ in range(3):
+            bench.command(7.0, 7.0)
+        bench.next()
+        assert bench.rig.applied == (0.0, 0.0)
+        for _ in range(40):
+            bench.command(0.0, 0.0)
+        bench.next()
+        bench.rig.reset()
+        bench.command(7.0, 7.0)
+        bench.next()
+        assert bench.rig.applied == (7.0, 7.0)
+        assert not bench.rig.fault
+
+    def test_a_command_in_time_ends_the_waiting(self, bench: Bench) -> None:
+        bench.command(1.0, 1.0)
+        for _ in range(10):
+            bench.next(WATCHDOG_TICKS)
+            bench.command(1.0, 1.0)
+        assert not bench.rig.fault
+        bench.next(WATCHDOG_TICKS + 1)
+        assert bench.rig.fault == SILENCE
+
+    def test_another_fault_in_the_ramp_takes_the_torque_away_at_once(self, bench: Bench) -> None:
+        bench.command(10.0, 10.0)
+        bench.next(WATCHDOG_TICKS + 3)
+        assert 0.0 < bench.rig.applied[0] < 10.0
+        bench.rig.latch("emergency stop")
+        assert bench.rig.applied == (0.0, 0.0)
+        bench.next()
+        assert bench.rig.applied == (0.0, 0.0)
+        assert bench.rig.fault == SILENCE
+
+
+class TestFigures:
+    def test_latency_is_from_the_sample_to_the_command_that_answers_it(self, bench: Bench) -> None:
+        for after_us in (200, 300, 999):
+            bench.command(0.0, 0.0, after_us=after_us)
+            bench.next()
+        figures = bench.paced.figures()
+        assert figures.latency_p50 == pytest.approx(300e-6, rel=0.021)
+        assert figures.latency_max == pytest.approx(999e-6)
+
+    def test_latency_of_a_missed_command_is_longer_than_a_period(self, bench: Bench) -> None:
+        bench.next(2)
+        bench.command(0.0, 0.0, after_us=400)
+        assert bench.paced.figures().latency_max == pytest.approx(2.4e-3)
+
+    def test_late_samples_are_counted_and_the_period_is_that_of_sending(self, bench: Bench) -> None:
+        bench.next(3)
+        bench.next(late_us=LATE_NS // 1000 + 1)
+        bench.next()
+        figures = bench.paced.figures()
+        assert (figures.ticks, figures.late) == (6, 1)
+        assert figures.period_max == pytest.approx(1e-3 + LATE_NS / 1e9 + 1e-6)
+
+
+class TestThread:
+    def test_samples_come_by_themselves_in_their_order_until_it_is_stopped(self) -> None:
+        rig = SimulatedRig(PARAMETERS)
+        stamps: list[int] = []
+        paced = PacedRig(rig, lambda: stamps.append(rig.stamp_ns), Pacer(PERIOD_NS))
+        began = time.monotonic()
+        paced.start()
+        while len(stamps) < 50:
+            time.sleep(0.001)
+        took = time.monotonic() - began
+        paced.stop()
+        paced.stop()
+        count = len(stamps)
+        time.sleep(0.02)
+        assert stamps == [k * PERIOD_NS for k in range(count)]
+        assert took >= 0.049
+        assert paced.error is None
+
+    def test_what_goes_wrong_in_the_thread_is_kept(self) -> None:
+        rig = SimulatedRig(PARAMETERS)
+        problem = RuntimeError("no more")
+
+        def send() -> None:
+            if rig.tick == 3:
+                raise problem
+
+        paced = PacedRig(rig, send, Pacer(PERIOD_NS))
+        paced.start()
+        paced._thread.join(30.0)
+        assert paced.error is problem
+        paced.stop()

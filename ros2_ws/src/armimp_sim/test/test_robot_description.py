@@ -1,0 +1,100 @@
+"""The robot description moves and weighs what the plant does."""
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_sim import presets
+from armimp_sim.description import robot_description
+
+ROOT = Path(__file__).resolve().parents[4]
+Vector = NDArray[np.float64]
+
+
+def _script() -> ModuleType:
+    path = ROOT / "scripts" / "write_robot_descriptions.py"
+    spec = importlib.util.spec_from_file_location("write_robot_descriptions", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def numbers(element: ET.Element | None, attribute: str) -> Vector:
+    assert element is not None
+    return np.array([float(text) for text in element.attrib[attribute].split()])
+
+
+def mass_matrix(urdf: str, names: tuple[str, ...], theta: Vector) -> Vector:
+    """M(θ) of the links of a description, from its velocities: Σ m JᵀJ + Izz ωᵀω."""
+    root = ET.fromstring(urdf)
+    joints = {joint.attrib["name"]: joint for joint in root.iter("joint")}
+    links = {link.attrib["name"]: link for link in root.iter("link")}
+    matrix = np.zeros((len(names), len(names)))
+    pivots: list[Vector] = []
+    place, angle = np.zeros(2), 0.0
+    for i, name in enumerate(names):
+        joint = joints[name]
+        assert numbers(joint.find("axis"), "xyz").tolist() == [0.0, 0.0, 1.0]
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        place = place + turn @ numbers(joint.find("origin"), "xyz")[:2]
+        pivots.append(place)
+        angle += theta[i]
+        child = joint.find("child")
+        assert child is not None
+        inertial = links[child.attrib["link"]].find("inertial")
+        assert inertial is not None
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        centre = place + turn @ numbers(inertial.find("origin"), "xyz")[:2]
+        mass = numbers(inertial.find("mass"), "value")[0]
+        izz = numbers(inertial.find("inertia"), "izz")[0]
+        jacobian = np.zeros((2, len(names)))
+        for j, pivot in enumerate(pivots):
+            jacobian[:, j] = [-(centre - pivot)[1], (centre - pivot)[0]]
+        spin = (np.arange(len(names)) <= i).astype(float)
+        matrix += mass * jacobian.T @ jacobian + izz * np.outer(spin, spin)
+    return matrix
+
+
+@pytest.mark.parametrize("joints", sorted(presets.JOINT_NAMES))
+def test_the_inertia_of_the_description_is_that_of_the_plant(joints: int) -> None:
+    theta = presets.human_arm(joints).posture + 0.3
+
+    found = mass_matrix(robot_description(joints), presets.JOINT_NAMES[joints], theta)
+
+    np.testing.assert_allclose(found, presets.robot(joints).mass_matrix(theta), rtol=1e-6)
+
+
+@pytest.mark.parametrize("joints", sorted(presets.JOINT_NAMES))
+def test_every_link_can_be_that_of_a_rigid_body_and_hangs_on_the_base(joints: int) -> None:
+    root = ET.fromstring(robot_description(joints))
+
+    names = [link.attrib["name"] for link in root.iter("link")]
+    assert len(names) == len(set(names))
+    parents = {
+        joint.find("child").attrib["link"]: joint.find("parent").attrib["link"]  # type: ignore[union-attr]
+        for joint in root.iter("joint")
+    }
+    assert set(names) == {"base_link", *parents}
+    assert set(parents.values()) <= set(names)
+    for inertial in root.iter("inertial"):
+        assert numbers(inertial.find("mass"), "value")[0] > 0.0
+        assert numbers(inertial.find("inertia"), "izz")[0] > 0.0
+
+
+def test_without_a_preset_there_is_no_description() -> None:
+    with pytest.raises(ConfigurationError, match="8 joints"):
+        robot_description(8)
+
+
+@pytest.mark.parametrize("name", sorted(_script().robot_descriptions()))
+def test_the_files_are_what_the_presets_say(name: str) -> None:
+    expected: str = _script().robot_descriptions()[name]
+    assert (ROOT / "ros2_ws" / "src" / name).read_text(encoding="utf-8") == expected

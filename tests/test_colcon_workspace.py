@@ -1,0 +1,202 @@
+"""The workspace builds, installs and tests with colcon, as in a full ROS 2 installation."""
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.spin import Spinner
+from armimp_common.testing import PATIENCE
+
+SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
+PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
+EXECUTABLES = {
+    "armimp_bringup": ["armimp"],
+    "armimp_common": [],
+    "armimp_control": [CONTROLLER_NODE],
+    "armimp_estimation": [ESTIMATOR_NODE],
+    "armimp_sim": [SIM_NODE],
+}
+SHARED = ("config", "layouts", "urdf")
+QUICK_TESTS = (
+    "test_contract.py",
+    "test_perturbation_signal.py",
+    "test_scores.py",
+    "test_sensor_readings.py",
+    "test_study_conditions.py",
+)
+"""One quick file of tests of each package; `make colcon` runs all of them, which takes minutes."""
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """A workspace that colcon has built."""
+
+    root: Path
+
+    @property
+    def install(self) -> Path:
+        return self.root / "install"
+
+    def share(self, package: str) -> Path:
+        return self.install / package / "share" / package
+
+    def colcon(self, verb: str, *arguments: str) -> str:
+        """Run colcon, whose products stay out of the sources, and return what it says."""
+        # By the module, so that the interpreter of this test becomes that of the executables.
+        command = [sys.executable, "-m", "colcon", "--log-base", str(self.root / "log"), verb]
+        command += ["--base-paths", str(SOURCES), "--build-base", str(self.root / "build")]
+        if verb in ("build", "test"):
+            command += ["--install-base", str(self.install)]
+        done = subprocess.run(
+            [*command, *arguments], capture_output=True, text=True, cwd=self.root, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    def sourced(self, command: str) -> list[str]:
+        """Return a command for a shell that has sourced the workspace."""
+        setup = shlex.quote(str(self.install / "setup.bash"))
+        return ["bash", "-c", f"source {setup} && {command}"]
+
+    def python(self, program: str) -> str:
+        """Return what a Python program prints in a shell that has sourced the workspace."""
+        done = subprocess.run(
+            self.sourced(f"{shlex.quote(sys.executable)} -c {shlex.quote(program)}"),
+            capture_output=True,
+            text=True,
+            cwd=self.root,
+            env=environment(),
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout.strip()
+
+
+def environment() -> Mapping[str, str]:
+    """The environment of somebody who has no other way to the packages than the workspace."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+
+
+@pytest.fixture(scope="module")
+def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
+    built = Workspace(tmp_path_factory.mktemp("ws"))
+    built.colcon("build")
+    return built
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_package_is_installed_where_ros_looks(workspace: Workspace, package: str) -> None:
+    prefix = workspace.install / package
+    assert (prefix / "share/ament_index/resource_index/packages" / package).is_file()
+    assert (workspace.share(package) / "package.xml").is_file()
+    executables = prefix / "lib" / package
+    found = sorted(path.name for path in executables.iterdir()) if executables.exists() else []
+    assert found == EXECUTABLES[package]
+    for folder in SHARED:
+        sources = SOURCES / package / folder
+        expected = {path.name: path.read_bytes() for path in sources.glob("*")}
+        installed = (workspace.share(package) / folder).glob("*")
+        assert {path.name: path.read_bytes() for path in installed} == expected
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_file_of_the_modules_is_installed(workspace: Workspace, package: str) -> None:
+    (installed,) = (workspace.install / package / "lib").glob("python*/site-packages")
+
+    def files(root: Path) -> set[str]:
+        return {
+            str(path.relative_to(root))
+            for path in (root / package).rglob("*")
+            if path.is_file() and "__pycache__" not in path.parts
+        }
+
+    assert files(installed) == files(SOURCES / package)
+
+
+def test_a_sourced_shell_finds_packages_modules_and_parameter_files_in_the_install_tree(
+    workspace: Workspace,
+) -> None:
+    program = (
+        "from ament_index_python.packages import get_package_share_directory as share\n"
+        "import importlib\n"
+        f"for name in {PACKAGES!r}:\n"
+        "    print(share(name), importlib.import_module(name).__file__, sep='\\n')\n"
+        "from armimp_bringup.resources import config_file\n"
+        "print(config_file('fastdds.xml'))\n"
+    )
+
+    lines = workspace.python(program).splitlines()
+
+    assert len(lines) == 2 * len(PACKAGES) + 1
+    assert all(Path(line).is_relative_to(workspace.install) for line in lines)
+
+
+def test_an_installed_node_takes_part_in_the_graph(workspace: Workspace, node: Node) -> None:
+    executable = workspace.install / "armimp_sim" / "lib" / "armimp_sim" / SIM_NODE
+    parameters = workspace.share("armimp_sim") / "config" / f"{SIM_NODE}.yaml"
+    command = f"exec {shlex.quote(str(executable))} --ros-args --params-file "
+    process = subprocess.Popen(
+        workspace.sourced(command + shlex.quote(str(parameters))),
+        env=environment(),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        with Spinner([node]) as spinner:
+            manager = LifecycleManager(
+                node, [SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+            )
+            manager.wait_for_nodes()
+            state = manager.state(SIM_NODE)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.wait()
+    assert state == "unconfigured"
+    assert process.returncode == 0, said
+
+
+def test_the_installed_command_starts(workspace: Workspace) -> None:
+    command = workspace.install / "armimp_bringup" / "lib" / "armimp_bringup" / "armimp"
+    done = subprocess.run(
+        workspace.sourced(f"{shlex.quote(str(command))} run --help"),
+        capture_output=True,
+        text=True,
+        env=environment(),
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "--processes" in done.stdout
+
+
+def test_with_symlink_install_the_sources_are_what_runs(tmp_path: Path) -> None:
+    linked = Workspace(tmp_path)
+    linked.colcon("build", "--symlink-install", "--packages-up-to", "armimp_sim")
+
+    program = "import armimp_sim, os; print(os.path.realpath(armimp_sim.__file__))"
+    assert Path(linked.python(program)) == SOURCES / "armimp_sim" / "armimp_sim" / "__init__.py"
+    parameters = linked.share("armimp_sim") / "config" / f"{SIM_NODE}.yaml"
+    assert parameters.resolve() == SOURCES / "armimp_sim" / "config" / f"{SIM_NODE}.yaml"
+    assert (linked.install / "armimp_sim" / "lib" / "armimp_sim" / SIM_NODE).is_file()
+
+
+def test_colcon_test_runs_tests_of_every_package(workspace: Workspace) -> None:
+    files = " ".join(QUICK_TESTS)
+    workspace.colcon("test", "--pytest-args", "-o", f"python_files={files}")
+
+    for package in PACKAGES:
+        report = (workspace.root / "build" / package / "pytest.xml").read_text(encoding="utf-8")
+        assert 'errors="0" failures="0"' in report
+        assert "<testcase " in report

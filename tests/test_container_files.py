@@ -1,0 +1,90 @@
+"""What the container files name is there: no engine is needed to see that."""
+
+import os
+import re
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCKER = ROOT / "docker"
+DOCKERFILES = ("Dockerfile", "ros.Dockerfile")
+INSIDE = "/opt/armimp/src/"
+"""Where the project is in an image."""
+
+
+def instructions(name: str) -> list[tuple[str, str]]:
+    """Return instructions and their arguments, continued lines joined."""
+    text = (DOCKER / name).read_text(encoding="utf-8").replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+    return [(line.split()[0], line.split(maxsplit=1)[1]) for line in lines]
+
+
+def compose() -> Any:
+    return yaml.safe_load((DOCKER / "compose.yaml").read_text(encoding="utf-8"))
+
+
+def nodes() -> dict[str, Any]:
+    return {name: service for name, service in compose()["services"].items() if name != "armimp"}
+
+
+@pytest.mark.parametrize("name", DOCKERFILES)
+def test_images_copy_and_run_what_is_there_and_end_as_an_ordinary_user(name: str) -> None:
+    found = instructions(name)
+    for instruction, arguments in found:
+        words = [word for word in arguments.split() if not word.startswith("--")]
+        if instruction == "COPY":
+            assert all((ROOT / source).exists() for source in words[:-1])
+        if instruction == "RUN" and words[0].startswith("docker/"):
+            assert os.access(ROOT / words[0], os.X_OK)
+    users = [arguments for instruction, arguments in found if instruction == "USER"]
+    assert users[-1] == "10001"
+    (created,) = re.findall(r"useradd --create-home --uid (\d+) armimp", str(found))
+    assert created == users[-1]
+
+
+@pytest.mark.parametrize("script", sorted(path.name for path in DOCKER.glob("*.sh")))
+def test_scripts_can_be_parsed_and_run(script: str) -> None:
+    path = DOCKER / script
+    shell = path.read_text(encoding="utf-8").splitlines()[0].removeprefix("#!")
+    assert os.access(path, os.X_OK)
+    assert subprocess.run([shell, "-n", str(path)], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("script", ["install_wheels.sh", "install_packages.sh"])
+def test_when_an_option_is_unknown_expect_usage_and_nothing_done(script: str) -> None:
+    done = subprocess.run(
+        [DOCKER / script, "--besides"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("usage: ")
+
+
+def test_every_node_has_a_container_with_its_parameters_and_its_health() -> None:
+    assert sorted(nodes()) == sorted((SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE))
+    for name, service in nodes().items():
+        executable, *_, parameters = service["command"]
+        assert executable == name
+        assert parameters.startswith(INSIDE)
+        assert (ROOT / parameters.removeprefix(INSIDE)).name == f"{name}.yaml"
+        assert (ROOT / parameters.removeprefix(INSIDE)).is_file()
+        kind, entrypoint, *command = service["healthcheck"]["test"]
+        assert kind == "CMD"
+        assert (ROOT / entrypoint.removeprefix(INSIDE)).is_file()
+        assert command == ["python", "-m", "armimp_bringup.health", name]
+
+
+def test_the_orchestrator_waits_for_healthy_nodes_in_their_network_and_their_domain() -> None:
+    services = compose()["services"]
+    conditions = {"condition": "service_healthy"}
+    assert services["armimp"]["depends_on"] == dict.fromkeys(nodes(), conditions)
+    assert services["armimp"]["command"][:4] == ["armimp", "run", "--processes", "external"]
+    for key in ("environment", "networks", "volumes", "image"):
+        assert all(service[key] == services["armimp"][key] for service in services.values())
+    profile = services["armimp"]["environment"]["FASTRTPS_DEFAULT_PROFILES_FILE"]
+    assert (ROOT / profile.removeprefix(INSIDE)).is_file()

@@ -1,0 +1,143 @@
+"""Trials that end once their standard errors are small enough, through the whole graph."""
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from armimp_bringup.cli import main
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
+from armimp_bringup.tables import print_summary
+from armimp_bringup.testing import FinishedRun, Run
+from armimp_common.trial_status import Phase
+from armimp_estimation.bags import read_bag
+from armimp_estimation.results import Summary
+
+BOUND = 0.05
+LEAST = 8_000
+PLANNED = 30_000
+OPTIONS = {
+    "duration": PLANNED / 1000,
+    "until_error": BOUND,
+    "impedance_estimator": {"least_duration": LEAST / 1000},
+}
+
+
+@pytest.fixture(scope="module")
+def seen() -> list[Progress]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def early(
+    environment: None, seen: list[Progress], tmp_path_factory: pytest.TempPathFactory
+) -> FinishedRun:
+    directory = tmp_path_factory.mktemp("early") / "out"
+    config = ExperimentConfig.model_validate(OPTIONS)
+    summary = run_experiment(config, directory, on_progress=seen.append)
+    return FinishedRun(directory=directory, summary=summary)
+
+
+def largest_errors(summary: Summary) -> list[float]:
+    """Largest relative standard error of each column."""
+    result = summary.estimators["lpm_full"]
+    relative = [
+        np.array(getattr(result, f"{name}_se")) / np.abs(getattr(result, name)) for name in "MBK"
+    ]
+    worst: list[float] = np.max(relative, axis=(0, 1)).tolist()
+    return worst
+
+
+def test_trials_end_early_and_the_result_is_valid_and_as_good_as_was_asked_for(
+    early: FinishedRun,
+) -> None:
+    assert early.summary.problems == []
+    for trial in early.summary.trials:
+        assert LEAST <= trial.ticks < PLANNED
+        assert trial.saved == (PLANNED - trial.ticks) / 1000
+        assert trial.lost == 0
+        assert {count.received for count in trial.streams.values()} == {trial.ticks}
+    # The result knows the other columns, which changes the errors a little.
+    assert max(largest_errors(early.summary)) < 1.05 * BOUND
+
+
+def test_bags_hold_what_belongs_to_the_trial_and_say_when_it_ended(early: FinishedRun) -> None:
+    for trial, summary in zip(early.trials(), early.summary.trials, strict=True):
+        assert {len(messages) for messages in trial.streams.values()} == {summary.ticks}
+        assert [(status.phase, status.ticks) for status in trial.statuses] == [
+            (Phase.SETTLE, PLANNED),
+            (Phase.PERTURB, PLANNED),
+            (Phase.PERTURB, summary.ticks),
+            (Phase.REST, summary.ticks),
+        ]
+    for bag in early.bags:
+        content = read_bag(bag)
+        assert content.notes == ()
+
+
+def test_bags_estimate_and_replay_to_the_same_result(early: FinishedRun, tmp_path: Path) -> None:
+    bags = [str(bag) for bag in early.bags]
+    for command in ("estimate", "replay"):
+        out = tmp_path / command
+        assert main([command, *bags, "--out", str(out), "--json"]) == 0
+        summary = Summary.model_validate(json.loads((out / "summary.json").read_text()))
+        assert summary.estimators == early.summary.estimators
+        assert summary.valid
+        assert [(one.ticks, one.saved) for one in summary.trials] == [
+            (one.ticks, one.saved) for one in early.summary.trials
+        ]
+
+
+def test_table_of_the_trials_tells_what_was_saved(early: FinishedRun) -> None:
+    output = io.StringIO()
+    print_summary(early.summary, None, Console(file=output, width=200))
+    text = output.getvalue()
+    assert "saved s" in text
+    for trial in early.summary.trials:
+        assert f"{trial.saved:.1f}" in text
+    assert "planned length" not in text
+
+
+def test_separate_processes_end_at_the_same_sample_with_the_same_bits(
+    early: FinishedRun, run: Run
+) -> None:
+    separate = run(**OPTIONS, processes="separate")
+
+    assert separate.summary.problems == []
+    separate.assert_same_streams(early)
+    assert separate.summary.estimators == early.summary.estimators
+
+
+def test_progress_shows_the_column_with_its_errors_and_the_new_end(
+    early: FinishedRun, seen: list[Progress]
+) -> None:
+    told = [one for one in seen if one.column is not None]
+    assert told
+    for one in told:
+        assert one.column is not None
+        assert [len(part) for row in one.column for part in row] == [2] * 6
+        assert one.largest_error is not None
+    assert early.summary.truth is not None
+    true = np.array(early.summary.truth.M)[:, told[-1].joint - 1]
+    assert told[-1].column is not None
+    np.testing.assert_allclose(told[-1].column[0][0], true, rtol=0.05)
+
+
+def test_when_the_bound_is_out_of_reach_expect_trials_as_planned(
+    run: Run, composed: FinishedRun
+) -> None:
+    strict = run(until_error=1e-6, impedance_estimator={"least_duration": 5.0})
+
+    assert [trial.saved for trial in strict.summary.trials] == [0.0, 0.0]
+    strict.assert_same_streams(composed)
+    assert strict.summary.estimators == composed.summary.estimators
+    output = io.StringIO()
+    print_summary(strict.summary, None, Console(file=output, width=200))
+    for k in (1, 2):
+        told = f"joint {k}: planned length, standard errors not below 0.0001 % before"
+        assert told in output.getvalue()

@@ -1,0 +1,155 @@
+"""Experiments with nodes that others have started, as in containers or by ``ros2 run``."""
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from armimp_bringup import orchestrator
+from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.external import ExternalNodes, external_domain
+from armimp_bringup.health import main as health
+from armimp_bringup.health import state_of
+from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.supervisor import Progress
+from armimp_bringup.testing import FinishedRun
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.domain import DomainClaim
+from armimp_common.errors import ConfigurationError
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.testing import PATIENCE
+
+SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
+PACKAGES = {
+    SIM_NODE: "armimp_sim",
+    CONTROLLER_NODE: "armimp_control",
+    ESTIMATOR_NODE: "armimp_estimation",
+}
+pytestmark = pytest.mark.usefixtures("environment")
+Processes = dict[str, subprocess.Popen[bytes]]
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    """A domain that is free: the orchestrator will claim it, not this test."""
+    with DomainClaim() as claim:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
+        return claim.domain_id
+
+
+@pytest.fixture
+def started(domain: int) -> Iterator[Processes]:
+    """The three nodes, each as somebody else would start it: with its own default parameters."""
+    # All that `ros2 run` would have on one machine: no profile of the middleware.
+    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+    processes: Processes = {}
+    for name, package in PACKAGES.items():
+        defaults = SOURCES / package / "config" / f"{name}.yaml"
+        command = [sys.executable, "-m", f"{package}.node", "--ros-args"]
+        command += ["--params-file", str(defaults)]
+        processes[name] = subprocess.Popen(command, env=environment, start_new_session=True)
+    yield processes
+    for process in processes.values():
+        process.send_signal(signal.SIGINT)
+    for process in processes.values():
+        try:
+            process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def config(**options: Any) -> ExperimentConfig:
+    return ExperimentConfig.model_validate({"duration": 10.0, "processes": "external", **options})
+
+
+def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
+    started: Processes, tmp_path: Path, composed: FinishedRun
+) -> None:
+    first = run_experiment(config(), tmp_path / "first")
+    second = run_experiment(config(joints=1, seed=2), tmp_path / "second")
+
+    assert first.problems == second.problems == []
+    assert (first.joints, second.joints) == (2, 1)
+    FinishedRun(directory=tmp_path / "first", summary=first).assert_same_streams(composed)
+    assert all(process.poll() is None for process in started.values())
+    assert os.environ["ROS_DOMAIN_ID"]
+
+
+def test_health_tells_who_answers_and_who_does_not(
+    started: Processes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert {name: state_of(name, PATIENCE) for name in started} == dict.fromkeys(
+        started, "unconfigured"
+    )
+    assert health([SIM_NODE]) == 0
+    assert f"node {SIM_NODE} is unconfigured\n" in capfd.readouterr().out
+    assert health(["nobody"]) == 1
+    assert "node did not appear: nobody\n" in capfd.readouterr().err
+    assert health([]) == 2
+
+
+def test_when_a_node_of_others_is_killed_expect_it_named_and_the_others_left_alone(
+    started: Processes, tmp_path: Path
+) -> None:
+    def kill(progress: Progress) -> None:
+        if progress.samples > 1000:
+            started[CONTROLLER_NODE].kill()
+
+    summary = run_experiment(config(), tmp_path / "out", on_progress=kill)
+
+    assert not summary.valid
+    assert summary.problems[0] == f"node {CONTROLLER_NODE} is dead"
+    assert started[SIM_NODE].poll() is None
+    assert started[ESTIMATOR_NODE].poll() is None
+
+
+def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
+    started: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        # As an orchestrator does with nodes of its own: it finalizes them at the end.
+        def finalize(_: ExternalNodes, manager: LifecycleManager, name: str) -> None:
+            manager.shutdown(name)
+
+        patch.setattr(ExternalNodes, "retire", finalize)
+        run_experiment(config(), tmp_path / "first", interrupted=lambda: True)
+    again = run_experiment(config(), tmp_path / "again")
+
+    assert again.problems[0].startswith(f"node {ESTIMATOR_NODE} is finalized, not unconfigured")
+    assert not (tmp_path / "again" / "bags").exists()
+
+
+def test_when_a_parameter_is_refused_expect_node_and_reason(
+    started: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def spoiled(experiment: ExperimentConfig, directory: Path) -> NodeParameters:
+        sound = node_parameters(experiment, directory)
+        wrong = sound.controller.model_copy(update={"seed": -1})
+        return replace(sound, controller=wrong)
+
+    monkeypatch.setattr(orchestrator, "node_parameters", spoiled)
+
+    summary = run_experiment(config(), tmp_path / "out")
+
+    assert summary.problems[0].startswith(f"node {CONTROLLER_NODE} refused its parameters: ")
+    assert "seed" in summary.problems[0]
+
+
+def test_the_domain_of_external_nodes_is_the_given_one_or_that_of_the_environment(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    assert (external_domain(3), external_domain(None)) == (3, 7)
+    monkeypatch.delenv("ROS_DOMAIN_ID")
+    assert external_domain(None) == 0
+    monkeypatch.setenv("ROS_DOMAIN_ID", "seven")
+    with pytest.raises(ConfigurationError, match="'seven'"):
+        external_domain(None)

@@ -1,0 +1,106 @@
+"""As many missed commands as a valid run in real time may have: the accuracy is still there.
+
+The rig and the controller of the real-time mode, without ROS, on a clock that is moved by hand. So
+the result does not depend on the machine.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_common.contract import PERIOD_NS
+from armimp_common.jitter import TimingLimits
+from armimp_common.pacing import Pacer
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_control.experiment import Experiment
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.trial import TrialData
+from armimp_sim.paced import PacedRig
+from armimp_sim.rig import SimulatedRig
+
+Vector = NDArray[np.float64]
+LONGEST = 3
+"""Most periods in a row for which a command is late."""
+
+
+def run(missed_share: float) -> tuple[Identification, float]:
+    """Run the default experiment with so many missed commands; also tell how many there were."""
+    parameters = node_parameters(ExperimentConfig(mode="realtime"), None)
+    statuses: list[TrialStatus] = []
+    experiment = Experiment(parameters.controller, statuses.append)
+    rig = SimulatedRig(parameters.simulator)
+    now = [0]
+    samples: list[tuple[Vector, Vector]] = []
+    paced = PacedRig(
+        rig,
+        lambda: samples.append((rig.position.copy(), rig.torque.copy())),
+        Pacer(PERIOD_NS, now=lambda: now[0], sleep=lambda _: None),
+    )
+    rng = np.random.default_rng(8)
+    perturbation: list[Vector] = []
+    waiting: list[tuple[float, ...]] = []
+    late_for = 0
+    paced.begin()
+    for tick in range(10**6):
+        theta, tau_h = samples[-1]
+        experiment.answer(tick * PERIOD_NS, theta.tolist(), tau_h.tolist())
+        perturbation.append(experiment.tau_delta.copy())
+        if experiment.finished:
+            break
+        # One command in time at least between two runs of missed ones, for the watchdog's sake.
+        in_time = not waiting
+        waiting.append(tuple(experiment.command.tolist()))
+        if in_time and rng.random() < missed_share / ((1 + LONGEST) / 2):
+            late_for = int(rng.integers(1, LONGEST + 1))
+        now[0] = tick * PERIOD_NS + 300_000
+        if late_for:
+            late_for -= 1
+        else:
+            for command in waiting:
+                paced.command(command)
+            waiting.clear()
+        now[0] = (tick + 1) * PERIOD_NS
+        paced.advance(tick + 1)
+    assert experiment.fault == ""
+    assert rig.fault == ""
+    position, torque = (np.array([one[i] for one in samples]).T for i in (0, 1))
+    trials = []
+    for status in (one for one in statuses if one.phase is Phase.PERTURB):
+        assert status.start_ns is not None
+        first = status.start_ns // PERIOD_NS
+        span = slice(first, first + status.ticks)
+        record = TrialRecord(
+            trial=status.trial,
+            perturbed_joint=status.joint,
+            rate=1000.0,
+            joint_names=parameters.simulator.joints,
+            perturbation=np.array(perturbation[span]).T,
+            position=position[:, span],
+            torque=torque[:, span],
+            start_ns=status.start_ns,
+            seed=status.seed,
+        )
+        trials.append(TrialData.from_record(record))
+    arm = parameters.simulator.human_arm()
+    truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+    return identify(trials, ("lpm_full",), truth), paced.figures().missed_share
+
+
+def test_with_as_many_missed_commands_as_are_allowed_the_accuracy_is_still_there() -> None:
+    limit = TimingLimits().max_missed_share
+
+    found, missed_share = run(limit)
+
+    assert 0.8 * limit < missed_share < 1.2 * limit
+    assert found.problems == ()
+    result, truth = found.estimators["lpm_full"], found.truth
+    assert truth is not None
+    assert result.vaf is not None
+    assert result.vaf.min() >= 99.7
+    for name in ("M", "B", "K"):
+        error = getattr(result.fit.mbk, name) / getattr(truth, name) - 1.0
+        assert np.abs(error).max() <= 0.02, name
