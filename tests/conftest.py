@@ -11,10 +11,10 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.fault_figures import figures, pytest_terminal_summary
-from armimp_common.testing import context, domain_id, node
+from armimp_common.testing import context, domain_id, interruptible, node
 from armimp_estimation.report.browser import Browser
 
-__all__ = ["context", "domain_id", "figures", "node", "pytest_terminal_summary"]
+__all__ = ["context", "domain_id", "figures", "interruptible", "node", "pytest_terminal_summary"]
 
 
 @pytest.fixture(scope="session")

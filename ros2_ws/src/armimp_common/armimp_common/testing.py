@@ -3,6 +3,7 @@
 A ``conftest.py`` takes the fixtures over by importing them.
 """
 
+import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
@@ -34,6 +35,13 @@ PATIENCE = 30.0
 
 MOMENT = 0.2
 """How long to wait for what must not happen (s)."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible() -> None:
+    """Have child processes hear SIGINT: shells turn it off for what they run in the background."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
