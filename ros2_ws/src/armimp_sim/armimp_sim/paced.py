@@ -12,7 +12,8 @@ from armimp_common.urgency import wake_up_exactly
 from armimp_sim.rig import SimulatedRig
 
 WATCHDOG_TICKS = 5
-"""Periods without any command after which the rig takes the torque away."""
+"""Periods after which the rig takes the torque away: without any command, or by which commands that
+come are behind. A controller that works through old samples is none any more."""
 RAMP_TICKS = 10
 """Periods in which it then falls to zero: short, as the last command may be a peak of chatter."""
 _PATIENCE = 2.0
@@ -45,7 +46,7 @@ class PacedRig:
         self._command: tuple[float, ...] = (0.0,) * rig.position.size
         self._ledger = TimingLedger()
         self._unanswered: deque[int] = deque(maxlen=10_000)
-        self._began = self._arrived = self._stepped = False
+        self._began = self._arrived = self._stepped = self._in_step = False
         self._silent = 0
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
@@ -95,10 +96,16 @@ class PacedRig:
             self._arrived = False
             if not self._stepped:
                 self._ledger.missed()
-                if self._silent >= WATCHDOG_TICKS:
-                    self._rig.fade(f"no command for {WATCHDOG_TICKS} ticks", RAMP_TICKS)
+                self._look_after_itself()
                 self._rig.step(self._command)
             self._sample(tick)
+
+    def _look_after_itself(self) -> None:
+        if self._silent >= WATCHDOG_TICKS:
+            self._rig.fade(f"no command for {WATCHDOG_TICKS} ticks", RAMP_TICKS)
+        elif self._in_step and len(self._unanswered) > WATCHDOG_TICKS:
+            reason = f"commands are more than {WATCHDOG_TICKS} ticks behind"
+            self._rig.fade(reason, RAMP_TICKS)
 
     def _sample(self, tick: int) -> None:
         sent_ns = self._pacer.now()
@@ -112,7 +119,7 @@ class PacedRig:
         if self._unanswered:
             self._ledger.answered(now_ns - self._unanswered.popleft())
         if not self._unanswered and not self._stepped:
-            self._stepped = True
+            self._stepped = self._in_step = True
             self._rig.step(self._command)
 
     def _run(self) -> None:

@@ -199,10 +199,40 @@ class TestWatchdog:
         bench.command(1.0, 1.0)
         for _ in range(10):
             bench.next(WATCHDOG_TICKS)
-            bench.command(1.0, 1.0)
+            for _ in range(WATCHDOG_TICKS):
+                bench.command(1.0, 1.0)
         assert not bench.rig.fault
         bench.next(WATCHDOG_TICKS + 1)
         assert bench.rig.fault == SILENCE
+
+    def test_when_commands_come_but_answer_old_samples_expect_the_same(self, bench: Bench) -> None:
+        for _ in range(3):
+            bench.command(1.0, 1.0)
+            bench.next()
+        bench.next(4)  # four answers are owed, and one more with each of the next samples
+        for _ in range(20):
+            bench.command(1.0, 1.0)
+            bench.next()
+        assert not bench.rig.fault
+
+        bench.next(4)
+        bench.command(1.0, 1.0)
+        bench.next()
+
+        assert bench.rig.fault == f"commands are more than {WATCHDOG_TICKS} ticks behind"
+        bench.next(RAMP_TICKS)
+        assert bench.rig.applied == (0.0, 0.0)
+
+    def test_a_controller_that_is_slow_to_start_may_catch_up(self, bench: Bench) -> None:
+        bench.next(50)
+        for _ in range(20):
+            bench.command(0.0, 0.0)
+            bench.next()
+        assert not bench.rig.fault
+        for _ in range(51):
+            bench.command(0.0, 0.0)
+        bench.next()
+        assert not bench.rig.fault
 
     def test_another_fault_in_the_ramp_takes_the_torque_away_at_once(self, bench: Bench) -> None:
         bench.command(10.0, 10.0)

@@ -86,7 +86,7 @@ ADVICE = (
     ),
     Advice(
         title="The computer was not quick or regular enough",
-        pattern=r"^real time: |no command for \d+ ticks",
+        pattern=r"^real time: |no command for \d+ ticks|ticks behind",
         text=(
             "Samples or commands came too late for 1 kHz. End other programs, give rig and "
             "controller precedence (--priority), one processor core each (realtime.cpu), and see "
