@@ -20,6 +20,7 @@ from armimp_common.testing import ScriptedDriver, a_moment, eventually, override
 from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
+from armimp_control.watchdog import Watchdog
 
 NAMES = ("shoulder", "elbow")
 POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
@@ -40,7 +41,7 @@ PARAMETERS = ControllerParameters.preset(
     }
 )
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.2, "safety.watchdog_ticks": 5}
-ON_A_RIG: dict[str, Value] = {"safety.slowest_tick": 0.09, "safety.watchdog_ticks": 100}
+ON_A_RIG: dict[str, Value] = {"mode": "realtime"}
 ANNOUNCED = Judgement(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
 ENOUGH = Judgement(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
 NOT_YET = Judgement(trial=1, samples=JUDGED, enough=False, due=None, bound=0.02, largest=0.03)
@@ -129,8 +130,14 @@ def test_in_lockstep_the_sample_on_which_a_judgement_decides_is_answered_after_i
 
 
 def test_on_a_rig_nothing_waits_and_a_late_judgement_ends_the_trial_later(
-    start: Start, driver: ScriptedDriver, spinner: Spinner, judge: Publisher
+    start: Start,
+    driver: ScriptedDriver,
+    spinner: Spinner,
+    judge: Publisher,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    # The scripted samples do not come once in a millisecond.
+    monkeypatch.setattr(Watchdog, "expired", lambda *_: False)
     start(ON_A_RIG)
     feed_up_to_the_decision(driver, spinner)
     feed(driver, 1)
