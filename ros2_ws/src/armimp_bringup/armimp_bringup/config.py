@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
@@ -165,6 +166,15 @@ def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePar
     ConfigurationError
         If an override names no parameter, or a value is wrong, or the loop would be unstable.
     """
+    try:
+        return _node_parameters(config, directory)
+    except (ArithmeticError, ValidationError, np.linalg.LinAlgError) as error:
+        # Each value is within its limits, but they do not go together.
+        reason = str(error.args[-1] if error.args else error).splitlines()[0]
+        raise ConfigurationError(f"nothing can be computed with these values: {reason}") from None
+
+
+def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodeParameters:
     time = _time_of(config)
     simulator = _overridden(
         _overridden(

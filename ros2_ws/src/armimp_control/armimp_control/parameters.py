@@ -35,7 +35,7 @@ class TargetParameters(Schema):
     damping: Vector = Field(description="B_rd of a joint while perturbed (N·m·s/rad)")
     stiffness: Vector = Field(description="K_rd of a joint while perturbed (N·m/rad)")
     lock_frequency: float = Field(
-        default=100.0, gt=0.0, description="ω of joints locked by imbic (rad/s)"
+        default=100.0, ge=1.0, le=1e4, description="ω of joints locked by imbic (rad/s)"
     )
     lock_damping_ratio: float = Field(default=1.0, gt=0.0, description="their ζ (–)")
     lock_approach: float = Field(

@@ -45,8 +45,12 @@ def perturbation(level: int, joints: int) -> PerturbationConfig:
 
 
 def lock_dither(encoder_resolution: float) -> float:
-    """Amplitude of the dither of locked joints for a resolution, rad per count."""
-    return 0.7 * encoder_resolution
+    """Amplitude (rad) of the dither of locked joints for a resolution, rad per count.
+
+    Encoders so coarse that it would be a motion to be felt get that of a count of 0.01 rad, eighty
+    times the coarsest of the study.
+    """
+    return 0.7 * min(encoder_resolution, 0.01)
 
 
 def safety(joints: int) -> SafetyConfig:

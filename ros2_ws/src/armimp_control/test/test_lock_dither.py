@@ -197,3 +197,8 @@ def test_dither_of_the_study_is_above_the_band_of_the_perturbation() -> None:
 @pytest.mark.parametrize("resolution", [0.0, 2.0 * np.pi / 51200])
 def test_default_dither_is_a_share_of_a_count(resolution: float) -> None:
     assert presets.lock_dither(resolution) == pytest.approx(0.7 * resolution)
+
+
+@pytest.mark.parametrize("resolution", [0.02, 1.0, 1e6])
+def test_encoders_that_are_no_good_get_no_larger_dither(resolution: float) -> None:
+    assert presets.lock_dither(resolution) == pytest.approx(0.007)

@@ -1,6 +1,7 @@
 """Whether what stands in a file of impedance curves can be what was written there."""
 
 import struct
+import tokenize
 import zipfile
 import zlib
 from typing import Any, Final
@@ -12,6 +13,7 @@ UNREADABLE: Final = (
     *(OSError, ValueError, LookupError, TypeError, SyntaxError, EOFError),
     *(ArithmeticError, MemoryError, RuntimeError),
     *(zipfile.BadZipFile, zlib.error, struct.error),
+    tokenize.TokenError,  # headers of arrays are Python literals
 )
 """All that zipfile and numpy let out when bytes of an archive have changed."""
 
