@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from armimp_bringup.investigations.coverage_statistics import LETTERS, NOMINAL, TARGET, Cell
+from armimp_bringup.investigations.cells import LETTERS
+from armimp_bringup.investigations.coverage_statistics import NOMINAL, TARGET, Cell
 from armimp_bringup.investigations.decomposition_figures import LOOKS
 from armimp_bringup.investigations.writing import COLOURS, MARKERS, WIDTH
 

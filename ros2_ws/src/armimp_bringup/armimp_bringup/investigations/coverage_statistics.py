@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-FloatArray = NDArray[np.float64]
+from armimp_bringup.investigations.cells import LETTERS, ErrorCell, FloatArray
+
 BoolArray = NDArray[np.bool_]
 
-LETTERS: Final = ("M", "B", "K")
 NOMINAL: Final = 0.95
 TARGET: Final = (0.92, 0.98)
 """Limits of the pooled share of a condition."""
@@ -77,27 +77,15 @@ class Share:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cell:
+class Cell(ErrorCell):
     """One estimator in one condition, over all seeds.
 
     Attributes
     ----------
-    levels : of friction, resolution and perturbation
-    voluntary : rms of the voluntary torque, N·m
-    estimator : name
-    errors, stated : (runs, 3, n, n) errors and standard errors relative to ``sqrt(|X_ii X_jj|)``
+    stated : (runs, 3, n, n) standard errors, relative like the errors
     """
 
-    levels: tuple[int, int, int]
-    voluntary: float
-    estimator: str
-    errors: FloatArray
     stated: FloatArray
-
-    @property
-    def runs(self) -> int:
-        """Number of seeds."""
-        return len(self.errors)
 
     @property
     def held(self) -> BoolArray:
@@ -117,23 +105,8 @@ class Cell:
     @property
     def by_element(self) -> dict[str, Share]:
         """Of each element, as M11."""
-        held = self.held
-        return {
-            f"{LETTERS[which]}{i + 1}{k + 1}": Share.of(held[:, which, i, k, None])
-            for which, i, k in np.ndindex(held.shape[1:])
-        }
-
-    @property
-    def bias(self) -> FloatArray:
-        """Mean errors, (3, n, n)."""
-        mean: FloatArray = self.errors.mean(axis=0)
-        return mean
-
-    @property
-    def spread(self) -> FloatArray:
-        """Standard deviations of the estimates, (3, n, n)."""
-        deviation: FloatArray = self.errors.std(axis=0, ddof=1)
-        return deviation
+        shares = (Share.of(column[:, None]) for column in self.held.reshape(self.runs, -1).T)
+        return dict(zip(self.elements, shares, strict=True))
 
     @property
     def claimed(self) -> FloatArray:
@@ -147,19 +120,6 @@ class Cell:
         true = np.sqrt(np.mean(self.errors**2, axis=(0, 2, 3)))
         ratio: FloatArray = np.sqrt(np.mean(self.claimed**2, axis=(1, 2))) / true
         return ratio
-
-    @property
-    def condition(self) -> dict[str, Any]:
-        """Which it is, in words of the files."""
-        friction, resolution, perturbation = self.levels
-        return {
-            "friction": friction,
-            "resolution": resolution,
-            "perturbation": perturbation,
-            "voluntary_rms": self.voluntary,
-            "estimator": self.estimator,
-            "runs": self.runs,
-        }
 
     def described(self) -> dict[str, Any]:
         """As it stands in the JSON file; bias, spread and standard errors in %."""

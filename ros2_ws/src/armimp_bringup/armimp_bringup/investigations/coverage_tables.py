@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from armimp_bringup.investigations.cells import LETTERS
 from armimp_bringup.investigations.coverage_statistics import (
-    LETTERS,
     NOMINAL,
     TARGET,
     Cell,

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
+from armimp_bringup.investigations.cells import LETTERS
 from armimp_bringup.investigations.decomposition_figures import LOOKS
-from armimp_bringup.investigations.limits_statistics import LETTERS, Cell
+from armimp_bringup.investigations.limits_statistics import Cell
 from armimp_bringup.investigations.writing import WIDTH
 
 _APART = 0.27

@@ -3,46 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
-
-LETTERS: Final = ("M", "B", "K")
+from armimp_bringup.investigations.cells import ErrorCell, FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Cell:
+class Cell(ErrorCell):
     """One estimator in one condition, over all seeds.
 
     Attributes
     ----------
-    levels : of friction, resolution and perturbation
-    voluntary : rms of the voluntary torque, N·m
-    estimator : name
-    errors : (runs, 3, n, n) of M, B and K, relative to ``sqrt(|X_ii X_jj|)``
-    bounds : (runs, 3, n, n) smallest standard deviations that noise allows in that run, likewise
+    bounds : (runs, 3, n, n) smallest standard deviations that noise allows in that run, relative
+        like the errors
     """
 
-    levels: tuple[int, int, int]
-    voluntary: float
-    estimator: str
-    errors: FloatArray
     bounds: FloatArray
-
-    @property
-    def runs(self) -> int:
-        """Number of seeds."""
-        return len(self.errors)
-
-    @property
-    def elements(self) -> list[str]:
-        """Names of the elements in the order of the flat arrays, as M11."""
-        return [
-            f"{LETTERS[which]}{i + 1}{k + 1}" for which, i, k in np.ndindex(self.errors.shape[1:])
-        ]
 
     @property
     def bound(self) -> FloatArray:
@@ -53,18 +31,6 @@ class Cell:
     def rms(self) -> FloatArray:
         """Root mean square error, (3, n, n)."""
         return _root_mean_square(self.errors)
-
-    @property
-    def bias(self) -> FloatArray:
-        """Mean error, (3, n, n)."""
-        mean: FloatArray = self.errors.mean(axis=0)
-        return mean
-
-    @property
-    def spread(self) -> FloatArray:
-        """Standard deviation of the estimates, (3, n, n)."""
-        deviation: FloatArray = self.errors.std(axis=0, ddof=1)
-        return deviation
 
     @property
     def ratio(self) -> FloatArray:
@@ -88,19 +54,6 @@ class Cell:
         """Element with the largest ratio, and that ratio."""
         place = int(np.argmax(np.nan_to_num(self.ratio)))
         return self.elements[place], float(self.ratio.flat[place])
-
-    @property
-    def condition(self) -> dict[str, Any]:
-        """Which it is, in words of the files."""
-        friction, resolution, perturbation = self.levels
-        return {
-            "friction": friction,
-            "resolution": resolution,
-            "perturbation": perturbation,
-            "voluntary_rms": self.voluntary,
-            "estimator": self.estimator,
-            "runs": self.runs,
-        }
 
     def described(self) -> dict[str, Any]:
         """As it stands in the JSON file; bound, errors, bias and spread in %."""
