@@ -29,6 +29,7 @@ test: lint  ## set up, check style and types, then run every test
 
 faults: setup  ## the long versions of the fault tests, with a line of figures for each hazard
 	$(BIN)/pytest -m faults $(ARGS)
+
 colcon: setup  ## build the workspace with colcon, as a full ROS 2 does, and run all its tests
 	cd ros2_ws && ../$(BIN)/python -m colcon build --symlink-install
 	cd ros2_ws && ../$(BIN)/python -m colcon test --return-code-on-test-failure $(ARGS)
