@@ -70,9 +70,6 @@ def config(**options: Any) -> ExperimentConfig:
     return ExperimentConfig.model_validate({"duration": 10.0, "processes": "external", **options})
 
 
-@pytest.mark.xfail(
-    reason="known fault: now and then the first samples stall the nodes of others", strict=False
-)
 def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
     started: Processes, tmp_path: Path, composed: FinishedRun
 ) -> None:

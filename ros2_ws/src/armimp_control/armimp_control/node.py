@@ -27,6 +27,7 @@ from armimp_common.diagnostics import (
     trial_status_message,
     values_of,
 )
+from armimp_common.discovery import wait_until_known_to
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import reported
@@ -131,6 +132,9 @@ class ImbicControllerNode(LifecycleNode):
         for watch in self._watches:
             if watch.ghost and watch.name != contract.SUPERVISOR_NODE:
                 raise GraphError(watch.sentence)
+        wait_until_known_to(
+            self, (contract.SIM_NODE, contract.ESTIMATOR_NODE), timeout_s=_MATCH_TIMEOUT
+        )
         if self._experiment is None:
             self._prepare()
         self._watchdog = Watchdog(

@@ -19,6 +19,7 @@ from std_msgs.msg import Float64MultiArray, UInt64
 from armimp_common import contract, qos
 from armimp_common.channels import RawSubscription, wait_until_matched
 from armimp_common.diagnostics import judgement_message, values_of
+from armimp_common.discovery import wait_until_known_to
 from armimp_common.errors import (
     ArmimpError,
     ConfigurationError,
@@ -118,6 +119,9 @@ class ImpedanceEstimatorNode(LifecycleNode):
         )
         if lonely:
             raise GraphError(f"nobody publishes {', '.join(lonely)}")
+        wait_until_known_to(
+            self, (contract.SIM_NODE, contract.CONTROLLER_NODE), timeout_s=_MATCH_TIMEOUT
+        )
         self._active = True
         self._counts = dict.fromkeys(contract.DATA_STREAMS, 0)
         self._acknowledged = 0

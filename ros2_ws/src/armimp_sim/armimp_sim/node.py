@@ -19,6 +19,7 @@ from armimp_common.channels import (
     wait_until_matched,
 )
 from armimp_common.diagnostics import Level, make_array, make_status
+from armimp_common.discovery import wait_until_known_to
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TIMING_NAME
 from armimp_common.lifecycle import reported
@@ -107,6 +108,9 @@ class ArmSimNode(LifecycleNode):
             raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
         if self._controller.ghost:
             raise GraphError(self._controller.sentence)
+        wait_until_known_to(
+            self, (contract.CONTROLLER_NODE, contract.ESTIMATOR_NODE), timeout_s=_MATCH_TIMEOUT
+        )
         self._active = True
         self._holding = False
         assert self._rig is not None

@@ -1,0 +1,65 @@
+"""Mutual discovery: being sure that others know of this node before anything depends on it."""
+
+import time
+from collections.abc import Iterable
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from std_msgs.msg import String
+
+from armimp_common import contract, qos
+from armimp_common.errors import GraphError
+
+_POLL = 0.002
+
+
+def wait_until_known_to(node: Node, names: Iterable[str], *, timeout_s: float) -> None:
+    """Wait until these nodes know of every subscription that `node` has made so far.
+
+    Discovery has two directions. A subscription that has found its publisher may still be unknown
+    to that publisher, for up to some seconds between processes that were started apart from one
+    another, and what is published meanwhile on a volatile topic never reaches it. A process learns
+    of the subscriptions of another one in the order in which they were made. So once a latched
+    message, the sign of life, has come back to a subscription made just now, the older ones are
+    known too.
+
+    To be called in a callback of `node`, or while it is not spun.
+
+    Parameters
+    ----------
+    node
+        Whose subscriptions are to be known.
+    names
+        Nodes by their names in the contract. Those that offer no sign of life, as drivers of
+        others may not, are not waited for.
+    timeout_s
+        How long to wait (s).
+
+    Raises
+    ------
+    GraphError
+        If one of them gives no answer.
+    """
+    deadline = time.monotonic() + timeout_s
+    probes = {
+        name: node.create_subscription(String, topic, lambda _: None, qos.LATCHED)
+        for name in names
+        if node.count_publishers(topic := contract.alive(name))
+    }
+    awaited = dict(probes)
+    try:
+        while True:
+            awaited = {name: probe for name, probe in awaited.items() if not _heard(probe)}
+            if not awaited:
+                return
+            if time.monotonic() >= deadline:
+                raise GraphError(f"no answer from {', '.join(awaited)}")
+            time.sleep(_POLL)
+    finally:
+        for probe in probes.values():
+            node.destroy_subscription(probe)
+
+
+def _heard(probe: Subscription) -> bool:
+    with probe.handle:
+        return probe.handle.take_message(probe.msg_type, probe.raw) is not None

@@ -1,0 +1,93 @@
+"""Mutual discovery: what is published after the wait arrives; who does not answer is named."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from functools import partial
+
+import pytest
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from armimp_common import contract, qos
+from armimp_common.channels import wait_until_matched
+from armimp_common.discovery import wait_until_known_to
+from armimp_common.errors import GraphError
+from armimp_common.spin import Spinner
+from armimp_common.testing import PATIENCE, eventually
+
+ROUNDS = 20
+OTHER = """
+from armimp_common import qos
+from armimp_common.liveliness import SignOfLife
+from armimp_common.spin import run_node
+from rclpy.node import Node
+from std_msgs.msg import String
+
+def make(*, context):
+    node = Node("other", context=context)
+    node.sign = SignOfLife(node, "other")
+    publisher = node.create_publisher(String, "answer", qos.SAMPLE)
+    node.create_subscription(String, "question", publisher.publish, qos.SAMPLE)
+    return node
+
+raise SystemExit(run_node(make, ["other"]))
+"""
+
+
+@pytest.fixture
+def other(domain_id: int) -> "Iterator[subprocess.Popen[bytes]]":
+    # They find each other with the middleware's own defaults, which are slow.
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(domain_id)}
+    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+    process = subprocess.Popen([sys.executable, "-c", OTHER], env=environment)
+    yield process
+    process.kill()
+    process.wait()
+
+
+def test_what_a_known_publisher_sends_from_now_on_arrives(
+    node: Node, other: "subprocess.Popen[bytes]"
+) -> None:
+    question = node.create_publisher(String, "question", qos.SAMPLE)
+    assert not wait_until_matched(node, publishers=[question], timeout_s=PATIENCE)
+
+    with Spinner([node]) as spinner:
+        # Often, since without the wait most of the answers would arrive as well.
+        for number in range(ROUNDS):
+            answers: list[String] = []
+            # It will hear of this subscription and of the question at about the same time.
+            other.send_signal(signal.SIGSTOP)
+            threading.Timer(0.05, other.send_signal, [signal.SIGCONT]).start()
+            listener = node.create_subscription(String, "answer", answers.append, qos.SAMPLE)
+            wait_until_known_to(node, ["other"], timeout_s=PATIENCE)
+            question.publish(String(data=f"{number}"))
+            eventually(spinner, partial(bool, answers), "an answer")
+            assert answers == [String(data=f"{number}")]
+            node.destroy_subscription(listener)
+
+
+def test_a_node_without_a_sign_of_life_is_not_waited_for(node: Node) -> None:
+    begun = time.monotonic()
+
+    wait_until_known_to(node, ["nobody"], timeout_s=PATIENCE)
+
+    assert time.monotonic() - begun < PATIENCE
+
+
+def test_when_a_node_gives_no_answer_expect_it_named_and_nothing_left_behind(
+    node: Node, other: "subprocess.Popen[bytes]"
+) -> None:
+    sign = node.create_subscription(String, contract.alive("other"), print, qos.LATCHED)
+    assert not wait_until_matched(node, subscriptions=[sign], timeout_s=PATIENCE)
+    before = len(list(node.subscriptions))
+    other.send_signal(signal.SIGSTOP)
+
+    with pytest.raises(GraphError, match="no answer from other"):
+        wait_until_known_to(node, ["other"], timeout_s=0.5)
+
+    assert len(list(node.subscriptions)) == before
