@@ -247,7 +247,7 @@ def investigate(
 
 
 @app.command()
-def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
+def check_driver(
     domain_id: Annotated[
         int | None, typer.Option(help="ROS domain of the driver; default: ROS_DOMAIN_ID.")
     ] = None,

@@ -116,9 +116,8 @@ class _Probe:
             answered=answers,
             services=services,
             lifecycle=state,
-            skipped=skipped,
             timing=node.timing,
-            **self._extract(moves),
+            **{"skipped": skipped, **self._extract(moves)},
         )
 
     def _find(self, manager: LifecycleManager) -> str | None:
@@ -244,6 +243,11 @@ class _Probe:
         # Once more: friction makes the first push of a joint unlike those that follow.
         moves.released = self._push(0, [(_AFTER, zero)])
         moves.held = self._push(0, [(_LONGER, self._torque(0)), (_AFTER, zero)])
+        if node.errors:
+            # Whatever it was, what follows would be judged for a driver without torque.
+            moves.trouble = f"the driver stopped while it was pushed: {node.errors[0][1]}"
+            node.call(contract.SIM_RESET_SERVICE, self._spinner, _TOLD)
+            return moves
         if self._paced:
             moves.stale_push = self._push(0, [(_AFTER, None)])
             told = self._told(node.silent_since)
@@ -356,6 +360,8 @@ class _Probe:
                 off=mark.off - mark.start,
             )
 
+        if moves.trouble:
+            return {"skipped": moves.trouble}
         released, held = cut(moves.released), cut(moves.held)
         found: dict[str, Any] = {"pushes": [push for push in map(cut, moves.pushes) if push]}
         for name, ending, mark in (
@@ -383,6 +389,7 @@ class _Moves:
     pushes: list[_Mark] = field(default_factory=list)
     released: _Mark | None = None
     held: _Mark | None = None
+    trouble: str = ""
     stale_push: _Mark | None = None
     stop_push: _Mark | None = None
     stale: Ending | None = None

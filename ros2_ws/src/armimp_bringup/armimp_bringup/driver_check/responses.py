@@ -110,7 +110,7 @@ def letting(ended: Push, released: Push, held: Push) -> Letting | None:
             model = faded[: length - start]
             part = rest[start : start + model.size]
             product, power = float(model @ part), float(model @ model)
-            share = min(product / power, 1.0)  # more than there was cannot go
+            share = min(product / power, 1.0) if power > 0.0 else 0.0  # not more than there was
             explained = share * (2.0 * product - share * power)
             if share > 0.0 and explained > best:
                 best, found = explained, Letting(share=share, delay=start + ramp - 1)
