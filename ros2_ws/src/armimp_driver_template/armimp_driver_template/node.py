@@ -89,7 +89,7 @@ class ExoDriver(LifecycleNode):
         )
         self._backlog = Backlog()
         self._received = self.create_subscription(
-            UInt64, contract.RECEIVED, lambda m: self._backlog.acknowledge(m.data), qos.LATCHED
+            UInt64, contract.RECEIVED, self._on_received, qos.LATCHED
         )
         self._timer = self.create_timer(_REPORT_PERIOD, self._report)
         self._look = self.create_timer(0.02, self._report_news)
@@ -175,6 +175,9 @@ class ExoDriver(LifecycleNode):
         with self._lock:
             protection.command(command)
             self._device.send(protection.torque)
+
+    def _on_received(self, message: UInt64) -> None:
+        self._backlog.acknowledge(message.data)
 
     def _on_malformed(self, error: ArmimpError) -> None:
         self._latch(f"malformed command: {error}")

@@ -80,7 +80,8 @@ def _judge_directions(record: Record, limit: str) -> Finding:
     moved = np.array([displacement(push) / push.torque for push in record.pushes]).T
     clear = np.array([threshold(p.position, p.on) / abs(p.torque) for p in record.pushes]).T
     order = [push.joint for push in record.pushes]
-    wrong, still = [], []
+    wrong: list[str] = []
+    still: list[str] = []
     for column, joint in enumerate(order):
         name, angle = record.joints[joint], float(moved[joint, column])
         others = np.delete(np.abs(moved[:, column]) > clear[:, column], joint)

@@ -119,7 +119,7 @@ def letting(ended: Push, released: Push, held: Push) -> Letting | None:
 
 def _room(push: Push, ended: Push) -> int:
     """Samples that a push has after the end of another one, both counted from their beginning."""
-    return push.position.shape[1] - (push.on + ended.off - ended.on + 1)
+    return int(push.position.shape[1]) - (push.on + ended.off - ended.on + 1)
 
 
 def _difference(kind: str, held: Push, ended: Push, length: int) -> NDArray[np.float64]:
