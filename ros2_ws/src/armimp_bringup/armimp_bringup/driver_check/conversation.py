@@ -152,9 +152,9 @@ class Conversation(Node):
 
     def safety_services(self) -> frozenset[str]:
         """Return the safety services that are there."""
-        there = {name for name, _ in self.get_service_names_and_types()}
-        wanted = (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE)
-        return frozenset(name for name in wanted if self.resolve_service_name(name) in there)
+        # Lists of the graph would hold the clients of this node, too.
+        clients = self._clients_by_service.items()
+        return frozenset(name for name, client in clients if client.service_is_ready())
 
     def ask(self, service: str) -> Future | None:
         """Call a service, None if it is not there."""
