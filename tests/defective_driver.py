@@ -35,10 +35,11 @@ class WrongSign(ArmSimNode):
 class NoStop(ArmSimNode):
     """Has no emergency stop."""
 
-    def create_service(self, kind: Any, name: str, *args: Any, **options: Any) -> Any:
-        if name == contract.SIM_STOP_SERVICE:
-            name = "somewhere_else"
-        return super().create_service(kind, name, *args, **options)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        for service in list(self.services):
+            if service.service_name.endswith(contract.SIM_STOP_SERVICE):
+                self.destroy_service(service)
 
 
 class DeafStop(ArmSimNode):

@@ -46,8 +46,8 @@ def values_in_order(
         if place is None:
             place = places[message.names] = [message.names.index(joint) for joint in joints]
         columns.append([values[i] for i in place])
-    readings: NDArray[np.float64] = np.array(columns, dtype=np.float64)
-    return readings.reshape(-1, len(joints)).T
+    readings: NDArray[np.float64] = np.array(columns).reshape(-1, len(joints)).T
+    return readings
 
 
 def _judge_joints(record: Record, topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
