@@ -132,6 +132,35 @@ def test_when_topics_have_wrong_types_or_are_missing_expect_them_named(
     assert {"joint_states: type", "torque_sensors: type", f"{COMMANDS}: type"} <= set(failed)
 
 
+def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, domain: int) -> None:
+    start([DEFECTIVE, "Slow"])
+
+    findings = check(domain)
+
+    assert findings["lifecycle"].verdict is Verdict.NOT_CHECKED
+    expected = {f"service arm_sim/{name}" for name in ("emergency_stop", "reset")}
+    expected |= {"torque_sensors: quality of service"}
+    for check_name in ("rate", "stamps 1 ms apart", "clock"):
+        expected |= {f"{topic}: {check_name}" for topic in ("joint_states", "torque_sensors")}
+    assert expected <= set(names(findings))
+    assert findings["joint_states: joint names"].verdict is Verdict.PASS
+
+
+@pytest.mark.parametrize(
+    ("defect", "words"),
+    [("InUse", "the driver is in use: /arm_sim commands it"), (None, "no driver: neither")],
+)
+def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
+    start: Start, domain: int, defect: str | None, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    if defect is not None:
+        start([DEFECTIVE, defect])
+    assert main(["check-driver", "--domain-id", str(domain)]) == 1
+    said = capfd.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
 def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
     start: Start, domain: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
