@@ -23,12 +23,14 @@ EXECUTABLES = {
     "armimp_bringup": ["armimp"],
     "armimp_common": [],
     "armimp_control": [CONTROLLER_NODE],
+    "armimp_driver_template": ["exo_driver"],
     "armimp_estimation": [ESTIMATOR_NODE],
     "armimp_sim": [SIM_NODE],
 }
 SHARED = ("config", "layouts", "urdf")
 QUICK_TESTS = (
     "test_contract.py",
+    "test_driver_conversion.py",
     "test_perturbation_signal.py",
     "test_scores.py",
     "test_sensor_readings.py",

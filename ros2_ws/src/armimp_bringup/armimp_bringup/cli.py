@@ -246,6 +246,38 @@ def investigate(
     return run_investigation(options)
 
 
+@app.command()
+def check_driver(
+    domain_id: Annotated[
+        int | None, typer.Option(help="ROS domain of the driver; default: ROS_DOMAIN_ID.")
+    ] = None,
+    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
+    joint: Annotated[
+        list[str] | None, typer.Option(help="Name of a joint, in the order of commands; repeat.")
+    ] = None,
+    node: Annotated[str | None, typer.Option(help="Name of the node; default: arm_sim.")] = None,
+    duration: Annotated[float, typer.Option(help="Length of the recording, s.")] = 5.0,
+    move: Annotated[
+        bool, typer.Option("--move", help="Command torque too: nobody may be in the rig.")
+    ] = False,
+    torque: Annotated[float, typer.Option(help="How much torque, N·m.")] = 1.0,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+) -> int:
+    """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
+    from armimp_bringup.driver_check.command import check_driver as judge_driver
+
+    return judge_driver(
+        joints=joints,
+        joint_names=joint or (),
+        node=node,
+        domain_id=domain_id,
+        duration=duration,
+        move=move,
+        torque=torque,
+        as_json=json,
+    )
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; every error that a user can cause ends in one line."""
     try:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 
 from pydantic import BaseModel
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import ListParameters, SetParametersAtomically
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
+from armimp_common import contract
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.liveliness import Presence, Watch
@@ -86,10 +89,28 @@ class ExternalNodes:
                     f"node {name} is {state}, not unconfigured: it belongs to another experiment,"
                     " or has to be started anew"
                 )
+        given = {name: as_parameters(parameters[name]) for name in manager.names}
+        if contract.SIM_NODE in given:
+            known = self._known(contract.SIM_NODE, spinner)
+            if not known.issuperset(item.name for item in given[contract.SIM_NODE]):
+                _leave_to_driver(given, known)
         for name in manager.names:
-            self._set(name, parameters[name], spinner)
+            self._set(name, given[name], spinner)
 
-    def _set(self, name: str, parameters: BaseModel, spinner: Spinner) -> None:
+    def _known(self, name: str, spinner: Spinner) -> set[str]:
+        """Names of the parameters that a node has."""
+        client = self._supervisor.create_client(ListParameters, f"{name}/list_parameters")
+        try:
+            if not client.wait_for_service(_PATIENCE):
+                raise GraphError(f"node {name} takes no parameters")
+            future = client.call_async(ListParameters.Request())
+            if not spinner.spin_until(future, _PATIENCE):
+                raise GraphError(f"node {name} did not tell its parameters")
+            return set(future.result().result.names)
+        finally:
+            self._supervisor.destroy_client(client)
+
+    def _set(self, name: str, parameters: Sequence[Parameter], spinner: Spinner) -> None:
         client = self._supervisor.create_client(
             SetParametersAtomically, f"{name}/set_parameters_atomically"
         )
@@ -98,7 +119,7 @@ class ExternalNodes:
                 raise GraphError(f"node {name} takes no parameters")
             future = client.call_async(
                 SetParametersAtomically.Request(
-                    parameters=[item.to_parameter_msg() for item in as_parameters(parameters)]
+                    parameters=[item.to_parameter_msg() for item in parameters]
                 )
             )
             if not spinner.spin_until(future, _PATIENCE):
@@ -121,3 +142,19 @@ class ExternalNodes:
             manager.deactivate(name)
         if manager.state(name) == "inactive":
             manager.cleanup(name)
+
+
+def _leave_to_driver(given: dict[str, list[Parameter]], known: set[str]) -> None:
+    """Keep from a driver what only the simulator has, and from the estimator a truth nobody knows.
+
+    A driver gets those parameters of the simulator that it has by the same name: the joints, and
+    how time passes.
+    """
+    given[contract.SIM_NODE] = [item for item in given[contract.SIM_NODE] if item.name in known]
+    for number, item in enumerate(given.get(contract.ESTIMATOR_NODE, [])):
+        if item.name == "metadata":
+            metadata = json.loads(item.value)
+            metadata.pop("truth", None)
+            given[contract.ESTIMATOR_NODE][number] = Parameter(
+                "metadata", value=json.dumps(metadata)
+            )

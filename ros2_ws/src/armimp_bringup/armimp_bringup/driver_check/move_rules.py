@@ -1,0 +1,155 @@
+"""Judgement of what a driver does with torque: the joint, the sign, the delay, and the end."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from armimp_bringup.driver_check.findings import Finding, judged, not_checked
+from armimp_bringup.driver_check.limits import Limits
+from armimp_bringup.driver_check.responses import (
+    Letting,
+    displacement,
+    first_effect,
+    letting,
+    threshold,
+)
+from armimp_bringup.driver_check.samples import Ending, Record
+from armimp_common import contract
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+
+_STALE = "stale commands"
+_STOP = "emergency stop"
+_PERIOD = PERIOD_NS / NS_PER_S
+
+
+def judge_moves(record: Record, limits: Limits) -> Iterator[Finding]:
+    """Judge the answers to torque, to its absence, and to the emergency stop."""
+    yield from _judge_pushes(record, limits)
+    limit = _ending_limit(limits)
+    if record.stale is None:
+        waits = "" if record.paced else "in lockstep time stands still without commands"
+        reason = record.skipped or waits or "not tried"
+        yield not_checked(_STALE, reason, limit)
+    else:
+        yield from _judge_end(_STALE, record.stale, limits)
+    if record.stop is None:
+        yield not_checked(_STOP, record.skipped or "not tried", limit)
+    else:
+        yield from _judge_stop(record.stop, limits)
+
+
+def _judge_pushes(record: Record, limits: Limits) -> Iterator[Finding]:
+    limit = "each joint turns the way of its torque"
+    sign_limit = "the reading of torque rises with the torque"
+    delay_limit = f"≤ {limits.reaction} periods from command to effect"
+    if not record.pushes:
+        reason = record.skipped or "not tried"
+        yield not_checked("torque: joint and sign", reason, limit)
+        yield not_checked("torque_sensors: sign", reason, sign_limit)
+        yield not_checked("torque: delay", reason, delay_limit)
+        return
+    yield _judge_directions(record, limit)
+    answers = [first_effect(push) for push in record.pushes]
+    seen = [answer for answer in answers if answer is not None]
+    if len(seen) < len(answers):
+        reason = "readings of torque do not answer: try a larger --torque"
+        yield not_checked("torque_sensors: sign", reason, sign_limit)
+    else:
+        # In proportion to the torque, so that a push in the negative direction counts alike.
+        changes = [
+            change * float(np.sign(push.torque))
+            for (_, change), push in zip(seen, record.pushes, strict=True)
+        ]
+        figure = ", ".join(
+            f"{record.joints[push.joint]} {change:+.3g} N·m"
+            for push, change in zip(record.pushes, changes, strict=True)
+        )
+        yield judged("torque_sensors: sign", min(changes) > 0.0, figure, sign_limit)
+    if seen:
+        worst = max(samples for samples, _ in seen)
+        figure = f"{worst} periods"
+        yield judged("torque: delay", worst <= limits.reaction, figure, delay_limit)
+    else:
+        yield not_checked("torque: delay", "readings of torque do not answer", delay_limit)
+
+
+def _judge_directions(record: Record, limit: str) -> Finding:
+    check = "torque: joint and sign"
+    moved = np.array([displacement(push) / push.torque for push in record.pushes]).T
+    clear = np.array([threshold(p.position, p.on) / abs(p.torque) for p in record.pushes]).T
+    order = [push.joint for push in record.pushes]
+    wrong: list[str] = []
+    still: list[str] = []
+    for column, joint in enumerate(order):
+        name, angle = record.joints[joint], float(moved[joint, column])
+        others = np.delete(np.abs(moved[:, column]) > clear[:, column], joint)
+        if angle < -clear[joint, column]:
+            wrong.append(f"{name} turns against its torque")
+        elif angle <= clear[joint, column]:
+            (wrong if np.any(others) else still).append(
+                f"{name} does not move" + (", but others do" if np.any(others) else "")
+            )
+    # A passive rig cannot turn two torques into motion that does no work.
+    for a in range(len(order)):
+        for b in range(a):
+            block = moved[np.ix_([order[a], order[b]], [a, b])]
+            if not wrong and not still and not float(np.linalg.det(block)) > 0.0:
+                wrong.append(f"{record.joints[order[b]]} and {record.joints[order[a]]} mixed up")
+    if wrong:
+        return judged(check, False, "; ".join(wrong), limit)
+    if still:
+        return not_checked(check, f"{'; '.join(still)}: try a larger --torque", limit)
+    figure = ", ".join(
+        f"{record.joints[push.joint]} {moved[push.joint, column] * push.torque:+.3g} rad"
+        f" at {push.torque:+g} N·m"
+        for column, push in enumerate(record.pushes)
+    )
+    return judged(check, True, figure, limit)
+
+
+def _judge_stop(ending: Ending, limits: Limits) -> Iterator[Finding]:
+    call, limit = ending.stop, f"success within {limits.answer:g} s"
+    check = f"{_STOP}: answer"
+    if call is None or call.success is None:
+        yield judged(check, False, "no answer", limit)
+        return
+    figure = f"{'success' if call.success else f'refused: {call.message}'}, {call.seconds:.3f} s"
+    yield judged(check, call.success and call.seconds <= limits.answer, figure, limit)
+    yield from _judge_end(_STOP, ending, limits)
+
+
+def _judge_end(check: str, ending: Ending, limits: Limits) -> Iterator[Finding]:
+    limit = _ending_limit(limits)
+    if ending.push is None or ending.released is None or ending.held is None:
+        yield not_checked(check, "no torque was there: --move", limit)
+    else:
+        found = letting(ending.push, ending.released, ending.held)
+        yield _judge_letting(check, found, limits, limit)
+    limit = f"status ERROR on {contract.DIAGNOSTICS} within {limits.told:g} s"
+    told = ending.told
+    figure = "none" if told is None else f"after {told:.3f} s"
+    yield judged(f"{check}: told", told is not None and told <= limits.told, figure, limit)
+    limit = "granted under zero torque"
+    reset = ending.reset
+    if reset is None or reset.success is None:
+        yield judged(f"{check}: reset", False, "no answer", limit)
+    else:
+        figure = "granted" if reset.success else f"refused: {reset.message}"
+        yield judged(f"{check}: reset", reset.success, figure, limit)
+
+
+def _ending_limit(limits: Limits) -> str:
+    return f"torque gone within {1e3 * limits.ending:g} ms (± {1e3 * limits.blur:g} ms)"
+
+
+def _judge_letting(check: str, found: Letting | None, limits: Limits, limit: str) -> Finding:
+    if found is None:
+        return not_checked(check, "the torque had no effect: try a larger --torque", limit)
+    if found.share < limits.share:
+        figure = f"{100 * max(1 - found.share, 0):.0f} % of the torque seems to stay"
+        return judged(check, False, figure, limit)
+    delay = found.delay * _PERIOD
+    good = delay <= limits.ending + limits.blur
+    return judged(check, good, f"after about {1e3 * delay:.0f} ms", limit)

@@ -1,0 +1,46 @@
+"""What the driver asks of a device: the only part that knows the bus."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One sample of all joints, as it comes from the bus.
+
+    Attributes
+    ----------
+    counter : number of the sample since `Device.open`, from 0; lost frames are counted as well
+    encoder : raw counts of the encoders, 16 bits, which wrap
+    transducer : raw counts of the torque transducers
+    """
+
+    counter: int
+    encoder: tuple[int, ...]
+    transducer: tuple[int, ...]
+
+
+class Device(Protocol):
+    """The exoskeleton behind its bus; made for a CAN bus with a SYNC frame each millisecond.
+
+    Attributes
+    ----------
+    paced : whether samples come by themselves; only a mock can wait for commands
+    """
+
+    paced: bool
+
+    def open(self) -> None:
+        """Connect; no drive has torque after that."""
+
+    def close(self) -> None:
+        """Free the drives and disconnect."""
+
+    def receive(self, timeout: float) -> Frame | None:
+        """Wait for the next frame, None if it does not come in time (s) or is damaged."""
+
+    def send(self, torque: Sequence[float]) -> None:
+        """Command torques (n,), N·m, which the drives hold until the next ones."""

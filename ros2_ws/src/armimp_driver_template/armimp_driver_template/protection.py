@@ -1,0 +1,111 @@
+"""The driver's own safety: what it obeys, when it stops by itself, and its latch."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from armimp_common.errors import GraphError
+
+WATCHDOG_PERIODS = 5
+"""Periods without a command after which the torque is taken away."""
+RAMP_PERIODS = 10
+"""Periods in which it then falls to zero."""
+_SPAN = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProtectionLimits:
+    """Limits of the driver itself, wider than those of the controller.
+
+    Attributes
+    ----------
+    position : largest angle, rad
+    velocity : largest velocity over 5 periods, rad/s
+    torque : largest command, N·m
+    """
+
+    position: float
+    velocity: float
+    torque: float
+
+
+class Protection:
+    """Decides which torque the drives get.
+
+    Parameters
+    ----------
+    joints : how many
+    limits : ProtectionLimits
+
+    Attributes
+    ----------
+    fault : why there is no torque any more; empty while all is well
+    torque : what the drives are to apply now (n,), N·m
+    """
+
+    def __init__(self, joints: int, limits: ProtectionLimits) -> None:
+        self._limits = limits
+        self._zero = self.torque = (0.0,) * joints
+        self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
+        self._silent = self._fading = 0
+        self._begun = self._resting = False
+        self.fault = ""
+
+    def command(self, torque: Sequence[float]) -> None:
+        """Take a command (n,), N·m; one that cannot be obeyed is a fault."""
+        self._begun, self._silent = True, 0
+        self._resting = not any(torque)
+        # Written so that NaN fails.
+        if len(torque) != len(self._zero) or not all(
+            abs(value) <= self._limits.torque for value in torque
+        ):
+            self.latch(f"command cannot be obeyed: {list(torque)}")
+        if not self.fault:
+            self.torque = tuple(torque)
+
+    def sample(self, angles: Sequence[float]) -> None:
+        """Look at angles (n,), rad."""
+        self._history.append(tuple(angles))
+        if not all(abs(angle) <= self._limits.position for angle in angles):
+            self.latch(f"position beyond {self._limits.position:g} rad: {list(angles)}")
+        first, periods = self._history[0], len(self._history) - 1
+        bound = self._limits.velocity * 1e-3 * periods
+        if periods and not all(abs(b - a) <= bound for a, b in zip(first, angles, strict=True)):
+            self.latch(f"velocity beyond {self._limits.velocity:g} rad/s")
+
+    def period(self) -> bool:
+        """One period is over; tell whether no command came in it. Only in real time."""
+        self._silent += self._begun
+        if self._silent > WATCHDOG_PERIODS and not self.fault:
+            self.fault, self._fading = f"no command for {WATCHDOG_PERIODS} periods", RAMP_PERIODS
+        if self._fading:
+            share = (self._fading - 1) / self._fading
+            self.torque = tuple(share * value for value in self.torque)
+            self._fading -= 1
+        return self._silent > 1
+
+    def latch(self, reason: str) -> None:
+        """Take torque away at once and until :meth:`reset`; the first reason stays."""
+        self.fault = self.fault or reason
+        self.torque, self._fading = self._zero, 0
+
+    def rest(self) -> None:
+        """Forget the last command, as whoever gave it is not obeyed any more."""
+        self.torque, self._fading = self._zero, 0
+        self._begun, self._resting, self._silent = False, True, 0
+        self._history.clear()
+
+    def reset(self) -> None:
+        """Obey again after a fault.
+
+        Raises
+        ------
+        GraphError
+            If the last command was not zero: torque would come back with a jerk.
+        """
+        if self._begun and not self._resting:
+            raise GraphError("the last command is not zero torque: stop the controller first")
+        self.fault, self._silent, self._begun = "", 0, False
+        self._history.clear()

@@ -1,0 +1,86 @@
+"""The driver's own safety: obedience, watchdog, limits, latch."""
+
+import math
+
+import pytest
+
+from armimp_common.errors import GraphError
+from armimp_driver_template.protection import (
+    RAMP_PERIODS,
+    WATCHDOG_PERIODS,
+    Protection,
+    ProtectionLimits,
+)
+
+
+@pytest.fixture
+def protection() -> Protection:
+    return Protection(2, ProtectionLimits(position=3.0, velocity=20.0, torque=100.0))
+
+
+def test_commands_within_the_limits_are_obeyed(protection: Protection) -> None:
+    protection.command((3.0, -4.0))
+    assert (protection.torque, protection.fault) == ((3.0, -4.0), "")
+
+
+@pytest.mark.parametrize("bad", [(math.nan, 0.0), (math.inf, 0.0), (101.0, 0.0), (1.0,)])
+def test_a_command_that_cannot_be_obeyed_takes_all_torque_away(
+    protection: Protection, bad: tuple[float, ...]
+) -> None:
+    protection.command((3.0, -4.0))
+    protection.command(bad)
+    assert protection.torque == (0.0, 0.0)
+    protection.command((3.0, -4.0))
+    assert protection.torque == (0.0, 0.0)
+    assert "cannot be obeyed" in protection.fault
+
+
+def test_without_commands_torque_falls_to_zero_within_the_ramp_and_stays_there(
+    protection: Protection,
+) -> None:
+    protection.command((10.0, 0.0))
+    torques = []
+    for _ in range(1 + WATCHDOG_PERIODS + RAMP_PERIODS):
+        protection.period()
+        torques.append(protection.torque[0])
+    assert torques[:WATCHDOG_PERIODS] == [10.0] * WATCHDOG_PERIODS
+    assert torques[WATCHDOG_PERIODS:] == sorted(torques[WATCHDOG_PERIODS:], reverse=True)
+    assert torques[-1] == 0.0
+    protection.command((10.0, 0.0))
+    assert protection.torque == (0.0, 0.0)
+
+
+def test_before_the_first_command_nothing_is_missed(protection: Protection) -> None:
+    for _ in range(100):
+        assert not protection.period()
+    assert not protection.fault
+
+
+@pytest.mark.parametrize("angles", [(3.1, 0.0), (math.nan, 0.0)])
+def test_positions_beyond_their_limit_are_a_fault(
+    protection: Protection, angles: tuple[float, float]
+) -> None:
+    protection.sample(angles)
+    assert "position" in protection.fault
+
+
+def test_velocities_beyond_their_limit_are_a_fault(protection: Protection) -> None:
+    for tick in range(10):
+        protection.sample((0.019 * tick, 0.0))
+    assert not protection.fault
+    for tick in range(10):
+        protection.sample((0.19 + 0.021 * tick, 0.0))
+    assert "velocity" in protection.fault
+
+
+def test_the_reset_is_refused_under_torque_and_granted_without(protection: Protection) -> None:
+    protection.command((1.0, 0.0))
+    protection.latch("a reason")
+    protection.latch("another")
+    with pytest.raises(GraphError, match="not zero"):
+        protection.reset()
+    assert protection.fault == "a reason"
+    protection.command((0.0, 0.0))
+    protection.reset()
+    protection.command((1.0, 0.0))
+    assert (protection.torque, protection.fault) == ((1.0, 0.0), "")

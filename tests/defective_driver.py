@@ -1,0 +1,116 @@
+"""The simulator with one defect that a driver may have: ``defective_driver.py DEFECT ...``."""
+
+import sys
+import threading
+from typing import Any
+
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from armimp_common import contract, qos
+from armimp_common.channels import CommandPublisher, JointStatePublisher
+from armimp_common.contract import PERIOD_NS
+from armimp_common.pacing import Pacer
+from armimp_common.spin import run_node
+from armimp_sim.node import ArmSimNode
+
+
+class WrongField(ArmSimNode):
+    """Sends torques as positions."""
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = super().on_configure(state)
+        self.destroy_publisher(self._torque_sensors.publisher)
+        names = self._settings.joints
+        self._torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "position")
+        return result
+
+
+class WrongSign(ArmSimNode):
+    """Turns every torque round."""
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        super()._on_command(tuple(-value for value in command))
+
+
+class NoStop(ArmSimNode):
+    """Has no emergency stop."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        for service in list(self.services):
+            if service.service_name.endswith(contract.SIM_STOP_SERVICE):
+                self.destroy_service(service)
+
+
+class DeafStop(ArmSimNode):
+    """Says that it stops, and goes on."""
+
+    def _on_emergency_stop(
+        self, request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
+        response.success = True
+        return response
+
+
+class WrongType(LifecycleNode):
+    """Takes the torque of each joint in a JointState, and sends angles without names."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(contract.SIM_NODE, **options)
+        self._commands = self.create_subscription(JointState, contract.COMMANDS, lambda _: None, 10)
+        self._sensors = self.create_publisher(Float64MultiArray, contract.JOINT_STATES, 10)
+
+
+class Slow(Node):
+    """No lifecycle node, no services, half the rate, and torques by best effort."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(contract.SIM_NODE, **options)
+        names = ("shoulder", "elbow")
+        hasty = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._angles = JointStatePublisher(self, contract.JOINT_STATES, names, "position")
+        self._torques = JointStatePublisher(
+            self, contract.TORQUE_SENSORS, names, "effort", profile=hasty
+        )
+        self._listener = self.create_subscription(
+            Float64MultiArray, contract.COMMANDS, lambda _: None, qos.SAMPLE
+        )
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run)
+        self._thread.start()
+
+    def destroy_node(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        super().destroy_node()
+
+    def _run(self) -> None:
+        pacer = Pacer(2 * PERIOD_NS)
+        pacer.start()
+        tick = 0
+        while not self._ended.is_set():
+            stamp_ns = 2 * PERIOD_NS * tick
+            self._angles.publish(stamp_ns, (1.0, 1.0))
+            self._torques.publish(stamp_ns, (0.0, 0.0))
+            tick += 1
+            pacer.wait(tick)
+
+
+class InUse(Slow):
+    """Somebody commands it already."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._commander = CommandPublisher(self, contract.COMMANDS, 2)
+
+
+KINDS = (WrongField, WrongSign, NoStop, DeafStop, WrongType, Slow, InUse)
+DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in KINDS}
+
+if __name__ == "__main__":
+    sys.exit(run_node(DEFECTS[sys.argv[1]], [sys.argv[0], *sys.argv[2:]]))
