@@ -4,13 +4,53 @@ import time
 from collections.abc import Iterable
 
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 from armimp_common import contract, qos
+from armimp_common.channels import HasPublisher, HasSubscription, wait_until_matched
 from armimp_common.errors import GraphError
+from armimp_common.liveliness import Watch
 
+_PATIENCE = 10.0
 _POLL = 0.002
+
+
+def wait_for_partners(
+    node: Node,
+    *,
+    publishers: Iterable[Publisher | HasPublisher] = (),
+    subscriptions: Iterable[Subscription | HasSubscription] = (),
+    watches: Iterable[Watch] = (),
+) -> None:
+    """Wait until a node that is activated and those which it needs know of one another.
+
+    Parameters
+    ----------
+    node
+        The node; to be called in a callback of it.
+    publishers, subscriptions
+        What has to have a peer.
+    watches
+        Nodes that have to know of this one, if they offer a sign of life; see
+        `wait_until_known_to`.
+
+    Raises
+    ------
+    GraphError
+        If somebody does not turn up within 10 s, or is lost but still listed.
+    """
+    lonely = wait_until_matched(
+        node, publishers=publishers, subscriptions=subscriptions, timeout_s=_PATIENCE
+    )
+    if lonely:
+        raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
+    watches = list(watches)
+    for watch in watches:
+        if watch.ghost:
+            raise GraphError(watch.sentence)
+    wait_until_known_to(node, [watch.name for watch in watches], timeout_s=_PATIENCE)
 
 
 def wait_until_known_to(node: Node, names: Iterable[str], *, timeout_s: float) -> None:

@@ -18,7 +18,6 @@ from armimp_common.channels import (
     CommandPublisher,
     JointStatePublisher,
     JointStateSubscription,
-    wait_until_matched,
 )
 from armimp_common.diagnostics import (
     Level,
@@ -27,7 +26,7 @@ from armimp_common.diagnostics import (
     trial_status_message,
     values_of,
 )
-from armimp_common.discovery import wait_until_known_to
+from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import reported
@@ -41,7 +40,6 @@ from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.safety import Limit
 from armimp_control.watchdog import Watchdog
 
-_MATCH_TIMEOUT = 10.0
 _WATCHDOG_PERIODS = {"lockstep": 0.005, "realtime": PERIOD}
 """How often the watchdog looks (s)."""
 _DIAGNOSTICS_TICKS = 1000
@@ -121,19 +119,11 @@ class ImbicControllerNode(LifecycleNode):
             raise GraphError(
                 f"a fault is latched: {self._fault}; call {contract.CONTROLLER_RESET_SERVICE} first"
             )
-        lonely = wait_until_matched(
+        wait_for_partners(
             self,
             publishers=[self._commands],
             subscriptions=[self._joint_states, self._torque_sensors],
-            timeout_s=_MATCH_TIMEOUT,
-        )
-        if lonely:
-            raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
-        for watch in self._watches:
-            if watch.ghost and watch.name != contract.SUPERVISOR_NODE:
-                raise GraphError(watch.sentence)
-        wait_until_known_to(
-            self, (contract.SIM_NODE, contract.ESTIMATOR_NODE), timeout_s=_MATCH_TIMEOUT
+            watches=[watch for watch in self._watches if watch.name != contract.SUPERVISOR_NODE],
         )
         if self._experiment is None:
             self._prepare()

@@ -744,7 +744,7 @@ class TestLife:
     def test_when_there_is_no_rig_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeController, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("armimp_control.node._MATCH_TIMEOUT", 0.05)
+        monkeypatch.setattr("armimp_common.discovery._PATIENCE", 0.05)
         controller = make()
         controller.trigger_configure()
 

@@ -16,9 +16,10 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandSubscription, JointStatePublisher, wait_until_matched
+from armimp_common.channels import CommandSubscription, JointStatePublisher
 from armimp_common.contract import PERIOD_NS
 from armimp_common.diagnostics import Level, make_array, make_status
+from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TIMING_NAME, TimingLedger
 from armimp_common.lifecycle import reported
@@ -33,7 +34,6 @@ from armimp_driver_template.parameters import DriverParameters
 from armimp_driver_template.protection import Protection
 from armimp_sim.backlog import Backlog
 
-_MATCH_TIMEOUT = 10.0
 _FRAME_TIMEOUT = 0.1
 _LOST_FRAMES = 5
 _REPORT_PERIOD = 1.0
@@ -99,14 +99,12 @@ class ExoDriver(LifecycleNode):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the thread that listens to the device."""
-        lonely = wait_until_matched(
+        wait_for_partners(
             self,
             publishers=[self._joint_states, self._torque_sensors],
             subscriptions=[self._commands],
-            timeout_s=_MATCH_TIMEOUT,
+            watches=[self._controller],
         )
-        if lonely:
-            raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
         encoder, transducer = self._settings.encoder, self._settings.transducer
         self._encoders = Encoders(encoder.resolution, encoder.zero)
         self._transducers = Transducers(transducer.resolution, transducer.zero)

@@ -17,14 +17,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import contract, qos
-from armimp_common.channels import RawSubscription, wait_until_matched
+from armimp_common.channels import RawSubscription
 from armimp_common.diagnostics import judgement_message, values_of
-from armimp_common.discovery import wait_until_known_to
+from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import (
     ArmimpError,
     ConfigurationError,
     DataError,
-    GraphError,
     MalformedMessageError,
 )
 from armimp_common.jitter import TIMING_NAME, TimingFigures
@@ -50,7 +49,6 @@ from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import only_missed_samples
 from armimp_estimation.welch import WelchSiso
 
-_MATCH_TIMEOUT = 10.0
 _STRAGGLERS = 5.0
 """Seconds after the end of the last trial in which samples of it may still come."""
 _MESSAGE_CLASSES = {
@@ -68,6 +66,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self.transition_error = ""
         self._active = False
         self._sign = SignOfLife(self, contract.ESTIMATOR_NODE)
+        self._rig = Watch(self, contract.SIM_NODE, lambda _: None)
         self._controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
         # Not at configuration: a new subscription gets the last experiment's statuses again.
         self._trial = self.create_subscription(
@@ -114,13 +113,10 @@ class ImpedanceEstimatorNode(LifecycleNode):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the streams, then record."""
-        lonely = wait_until_matched(
-            self, subscriptions=[*self._streams, self._trial], timeout_s=_MATCH_TIMEOUT
-        )
-        if lonely:
-            raise GraphError(f"nobody publishes {', '.join(lonely)}")
-        wait_until_known_to(
-            self, (contract.SIM_NODE, contract.CONTROLLER_NODE), timeout_s=_MATCH_TIMEOUT
+        wait_for_partners(
+            self,
+            subscriptions=[*self._streams, self._trial],
+            watches=[self._rig, self._controller],
         )
         self._active = True
         self._counts = dict.fromkeys(contract.DATA_STREAMS, 0)

@@ -551,13 +551,13 @@ class TestLife:
     def test_when_nobody_publishes_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeEstimator, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("armimp_estimation.node._MATCH_TIMEOUT", 0.05)
+        monkeypatch.setattr("armimp_common.discovery._PATIENCE", 0.05)
         estimator = make()
         estimator.trigger_configure()
 
         assert estimator.trigger_activate() is FAILURE
 
-        assert estimator.transition_error.startswith("nobody publishes /")
+        assert estimator.transition_error.startswith("nobody at the other end of /")
         for topic in (*DATA_STREAMS, TRIAL):
             assert f"/{topic}" in estimator.transition_error
 

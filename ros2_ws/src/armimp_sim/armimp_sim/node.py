@@ -16,10 +16,9 @@ from armimp_common import contract, qos
 from armimp_common.channels import (
     CommandSubscription,
     JointStatePublisher,
-    wait_until_matched,
 )
 from armimp_common.diagnostics import Level, make_array, make_status
-from armimp_common.discovery import wait_until_known_to
+from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TIMING_NAME
 from armimp_common.lifecycle import reported
@@ -34,7 +33,6 @@ from armimp_sim.paced import PacedRig
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
-_MATCH_TIMEOUT = 10.0
 _CLOCK_TICKS = 100
 _DIAGNOSTICS_TICKS = 1000
 _FAULT_PERIOD = 1.0
@@ -98,18 +96,11 @@ class ArmSimNode(LifecycleNode):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send the first sample, once somebody listens and commands."""
-        lonely = wait_until_matched(
+        wait_for_partners(
             self,
             publishers=[self._joint_states, self._torque_sensors],
             subscriptions=[self._commands],
-            timeout_s=_MATCH_TIMEOUT,
-        )
-        if lonely:
-            raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
-        if self._controller.ghost:
-            raise GraphError(self._controller.sentence)
-        wait_until_known_to(
-            self, (contract.CONTROLLER_NODE, contract.ESTIMATOR_NODE), timeout_s=_MATCH_TIMEOUT
+            watches=[self._controller, self._recorder],
         )
         self._active = True
         self._holding = False

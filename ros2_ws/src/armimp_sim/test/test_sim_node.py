@@ -359,7 +359,7 @@ class TestLife:
     def test_when_there_is_no_controller_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeRig, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("armimp_sim.node._MATCH_TIMEOUT", 0.05)
+        monkeypatch.setattr("armimp_common.discovery._PATIENCE", 0.05)
         simulator = make()
         simulator.trigger_configure()
 
