@@ -357,23 +357,3 @@ def test_the_arrays_of_frf_npz_are_those_that_are_written(
     write_frf(tmp_path / "frf.npz", estimates)
     with np.load(tmp_path / "frf.npz") as file:
         assert set(_table("frf.npz", "array")) == {_general(name) for name in file.files}
-
-
-# --- links -------------------------------------------------------------------------------------
-
-
-def _anchors(page: str) -> set[str]:
-    headings = re.findall(r"^#+ (.*)$", page, flags=re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", text.lower()).replace(" ", "-") for text in headings}
-
-
-@pytest.mark.parametrize("page", ["interfaces.md", "theory.md", "realtime.md"])
-def test_every_link_on_a_page_leads_somewhere(page: str) -> None:
-    text = (DOCS / page).read_text(encoding="utf-8")
-    links = re.findall(r"\]\(([^)]+)\)", text)
-    assert links
-    for link in links:
-        name, _, anchor = link.partition("#")
-        target = DOCS / (name or page)
-        assert target.exists(), link
-        assert not anchor or anchor in _anchors(target.read_text(encoding="utf-8")), link
