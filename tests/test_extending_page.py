@@ -16,11 +16,7 @@ NEW_FILES = re.findall(r"New file `([^`]+)`:\n\n```python\n(.*?)^```$", PAGE, re
 PATCHES = re.findall(r"^```diff\n(.*?)^```$", PAGE, re.M | re.S)
 TESTS = [name for name, _ in NEW_FILES if "/test/" in name]
 COPIED = ("docs", "scripts", "ros2_ws/src")
-TESTS_OF_THE_WHOLE = (
-    "tests/test_interface_page.py",
-    "tests/test_default_configs.py",
-    "tests/test_layout.py",
-)
+TESTS_OF_THE_WHOLE = ("tests/test_interface_page.py", "tests/test_default_configs.py")
 
 
 def hunks(patch: str) -> Iterator[tuple[str, str, str]]:
