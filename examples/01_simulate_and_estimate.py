@@ -24,7 +24,7 @@ for letter, unit in (("M", "kg·m²"), ("B", "N·m·s/rad"), ("K", "N·m/rad")):
     true = getattr(experiment.truth, letter)
     for i, k in ((0, 0), (0, 1), (1, 0), (1, 1)):
         print(
-            f"{letter}{i + 1}{k + 1} = {found[i, k]:.4f} ± {error[i, k]:.4f} {unit}, "
-            f"true {true[i, k]:.4f}"
+            f"{letter}{i + 1}{k + 1} = {found[i, k]:.5f} ± {error[i, k]:.5f} {unit}, "
+            f"true {true[i, k]:.5f}"
         )
 print("valid" if result.valid else f"not valid: {result.problems}")

@@ -26,8 +26,11 @@ for name, laws in rigs.items():
     at_speed = [float(law.steady_state(np.array([1.0]))[0]) for law in laws]
     # In the parameters of the node each number is a list with one value for each joint.
     numbers = [asdict(law) for law in laws]
-    friction = {key: [one[key] for one in numbers] for key in numbers[0]}
-    (experiment,) = simulate([ExperimentConfig(duration=10.0, arm_sim={"friction": friction})])
+    config = ExperimentConfig(
+        duration=10.0,
+        arm_sim={"friction": {key: [one[key] for one in numbers] for key in numbers[0]}},
+    )
+    (experiment,) = simulate([config])
     result = experiment.identify(["lpm_full"])
     found = result.estimators["lpm_full"].fit.mbk.B[1, 1]
     print(

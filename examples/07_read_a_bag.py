@@ -6,6 +6,7 @@
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
@@ -20,7 +21,7 @@ with AnyReader([bag]) as reader:
     names: list[str] = []
     wanted = [one for one in reader.connections if one.topic == "/joint_states"]
     for connection, _, raw in reader.messages(wanted):
-        message = reader.deserialize(raw, connection.msgtype)
+        message: Any = reader.deserialize(raw, connection.msgtype)
         names = message.name  # match joints by name: the order is free
         angles.append(message.position)
         stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)

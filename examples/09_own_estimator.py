@@ -16,7 +16,7 @@ import numpy as np
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.simulated import simulate
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchSiso
 
@@ -35,14 +35,14 @@ class WelchShifted:
         return replace(found, name=self.name, Z=found.Z * shift, T=found.T * shift)
 
 
-estimators = ["welch_siso", WelchShifted()]
+estimators: list[str | Estimator] = ["welch_siso", WelchShifted()]
 if bags := [Path(argument) for argument in sys.argv[1:]]:
     conclusion, notes = estimate_bags(bags, estimators)
     print(*notes, sep="\n", end="\n" if notes else "")
     assert conclusion.identification is not None, conclusion.summary.problems
     result = conclusion.identification
 else:
-    (experiment,) = simulate([ExperimentConfig(duration=20.0)])
+    (experiment,) = simulate([ExperimentConfig(duration=50.0)])
     result = experiment.identify(estimators)
 
 for name, one in result.estimators.items():

@@ -3,8 +3,8 @@
 .venv/bin/python examples/10_prototype_a_law.py
 
 The law holds joints by a PD controller, and adds what the torque transducer of a held joint reads,
-so that the arm has less effect on it. A law that is worth it moves into the controller: see
-docs/extending.md.
+so that the arm has less effect on it. That helps a little; the coupling through the robot's own
+inertia remains. A law that is worth it moves into the controller: see docs/extending.md.
 """
 
 import numpy as np
@@ -35,7 +35,8 @@ class Law:
         self.before = theta.copy()
         held = np.arange(theta.size) != joint
         away = theta - self.config.target_posture
-        return -stiffness * away - damping * velocity + self.share * held * tau_h
+        command: NDArray[np.float64] = -stiffness * away - damping * velocity
+        return command + self.share * held * tau_h
 
 
 parameters = node_parameters(ExperimentConfig(friction=1, resolution=1), None)
