@@ -1,5 +1,7 @@
 """The numbered examples run, and what they print makes sense."""
 
+import contextlib
+import io
 import os
 import re
 import runpy
@@ -101,14 +103,11 @@ def test_standard_errors_are_near_the_smallest_possible_ones(example: Example) -
 def ran(environment: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The experiment of example 06 and what it printed."""
     directory = tmp_path_factory.mktemp("examples") / "out"
-    done = subprocess.run(
-        [sys.executable, str(BY_NUMBER["06"]), str(directory)],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return directory, done.stdout
+    path, printed = str(BY_NUMBER["06"]), io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(sys, "argv", [path, str(directory)])
+        runpy.run_path(path, run_name="__main__")
+    return directory, printed.getvalue()
 
 
 def test_an_experiment_runs_through_the_graph(ran: tuple[Path, str]) -> None:
