@@ -36,7 +36,8 @@ class Law:
         held = np.arange(theta.size) != joint
         away = theta - self.config.target_posture
         command: NDArray[np.float64] = -stiffness * away - damping * velocity
-        return command + self.share * held * tau_h
+        command += self.share * held * tau_h
+        return command
 
 
 parameters = node_parameters(ExperimentConfig(friction=1, resolution=1), None)
