@@ -15,7 +15,7 @@ from armimp_control.layout import DAMPING, STIFFNESS
 from armimp_control.perturbation import perturbation
 from armimp_sim.plant import Plant
 
-SAMPLES = 10_000
+SAMPLES = 5_000
 
 
 class Law:
