@@ -1,6 +1,7 @@
 """Identity of a process, by which others on the same machine can tell whether it still lives."""
 
 import os
+from functools import cache
 from pathlib import Path
 
 
@@ -34,6 +35,7 @@ def lives(process: str) -> bool | None:
     return started == start and state not in ("Z", "X")
 
 
+@cache
 def _place() -> str:
     boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     # Ends with "]", like "pid:[4026531836]".
