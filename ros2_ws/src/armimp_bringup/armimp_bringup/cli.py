@@ -10,16 +10,14 @@ import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from typer.exceptions import TyperException
 
 from armimp_bringup.investigations.registry import find_investigation, investigations
-from armimp_common.errors import ArmimpError, ConfigurationError, DataError, InterruptionError
-
-if TYPE_CHECKING:
-    from armimp_estimation.results import Summary
+from armimp_bringup.say import say
+from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
 _INTERRUPTED = 130
 """What shells make of a program that SIGINT has ended; typer's own status for it, too."""
@@ -79,7 +77,10 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     from armimp_bringup.config import load_config
     from armimp_bringup.display import LiveDisplay
     from armimp_bringup.orchestrator import run_experiment
+    from armimp_bringup.presentation import present
+    from armimp_bringup.stopwatch import Stopwatch
     from armimp_common.spin import stop_on_signals
+    from armimp_estimation.figure_process import FigureProcess
 
     settings = load_config(
         config,
@@ -98,15 +99,19 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         },
     )
     directory = out if out is not None else _new_directory("run")
-    with stop_on_signals() as stopped, LiveDisplay() as display:
+    stopwatch = Stopwatch()
+    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
+        if settings.mode == "lockstep":  # in real time, nothing may run beside the experiment
+            figures.start()
         summary = run_experiment(
             settings,
             directory,
             domain_id=domain_id,
             on_progress=display.show,
+            on_phase=stopwatch.note,
             interrupted=stopped,
         )
-        return _present(summary, directory, json)
+        return present(summary, directory, figures, as_json=json, stopwatch=stopwatch)
 
 
 @app.command()
@@ -123,17 +128,23 @@ def estimate(
     """Estimate the impedance from bags, one trial for each joint among them."""
     from armimp_bringup.offline_estimate import estimate_bags
     from armimp_bringup.orchestrator import prepare_directory
+    from armimp_bringup.presentation import present
+    from armimp_estimation.figure_process import FigureProcess
 
-    if out is not None:
-        prepare_directory(out)
-    conclusion, notes = estimate_bags(
-        bags, tuple(estimator or ()), namespace=namespace, allow_gaps=allow_gaps
-    )
-    for note in notes:
-        _say(f"note: {note}")
-    if out is not None:
-        conclusion.write(out)
-    return _present(conclusion.summary, out, json, bags, namespace)
+    with FigureProcess() as figures:
+        if out is not None:
+            prepare_directory(out)
+            figures.start()
+        conclusion, notes = estimate_bags(
+            bags, tuple(estimator or ()), namespace=namespace, allow_gaps=allow_gaps
+        )
+        for note in notes:
+            say(f"note: {note}")
+        if out is not None:
+            conclusion.write(out)
+        return present(
+            conclusion.summary, out, figures, as_json=json, bags=bags, namespace=namespace
+        )
 
 
 @app.command()
@@ -147,10 +158,12 @@ def replay(
 ) -> int:
     """Play bags through the graph into a live estimator node."""
     from armimp_bringup.display import LiveDisplay
+    from armimp_bringup.presentation import present
     from armimp_bringup.replay import replay_bags
     from armimp_common.spin import stop_on_signals
+    from armimp_estimation.figure_process import FigureProcess
 
-    with stop_on_signals() as stopped, LiveDisplay() as display:
+    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
         summary = replay_bags(
             bags,
             tuple(estimator or ()),
@@ -160,7 +173,7 @@ def replay(
             on_progress=display.show,
             interrupted=stopped,
         )
-        return _present(summary, out, json, bags)
+        return present(summary, out, figures, as_json=json, bags=bags)
 
 
 @app.command()
@@ -288,16 +301,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Asking for nothing shows the help, which has many lines.
             print(message, file=sys.stderr)
         else:
-            _say(f"armimp: {message}")
+            say(f"armimp: {message}")
         return 2
     except ConfigurationError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return 2
     except InterruptionError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return _INTERRUPTED
     except ArmimpError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return 1
     except (KeyboardInterrupt, typer.Abort):
         status = _INTERRUPTED
@@ -311,40 +324,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 1
     if status == _INTERRUPTED:
-        _say("armimp: interrupted")
+        say("armimp: interrupted")
     return status if isinstance(status, int) else 0
-
-
-def _present(
-    summary: Summary,
-    directory: Path | None,
-    as_json: bool,
-    bags: Sequence[Path] | None = None,
-    namespace: str | None = None,
-) -> int:
-    """Draw, report and print a result, and return the exit status that it deserves."""
-    complete = True
-    if directory is not None:
-        from armimp_estimation.figures import write_figures
-        from armimp_estimation.report import load_result, write_report
-
-        try:
-            result = load_result(directory, bags, namespace=namespace)
-            write_figures(directory, result)
-            write_report(directory, result)
-        except DataError as error:
-            # As on a full disk; the numbers are there all the same.
-            _say(f"armimp: {error}")
-            complete = False
-    if as_json:
-        print(summary.model_dump_json(by_alias=True))
-    else:
-        from armimp_bringup.tables import print_summary
-
-        print_summary(summary, directory)
-    for problem in summary.problems:
-        _say(f"armimp: not valid: {problem}")
-    return 0 if summary.valid and complete else 1
 
 
 def _share(text: str) -> float:
@@ -368,15 +349,6 @@ def _share(text: str) -> float:
 
 def _new_directory(what: str) -> Path:
     return Path("results") / f"{what}-{datetime.now():%Y%m%d-%H%M%S}"
-
-
-def _say(line: str) -> None:
-    """Print a line, which stays one whatever is in the names and values that it quotes."""
-    shown = "".join(
-        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
-        for letter in line
-    )
-    print(shown, file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from armimp_common.errors import (
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
+from armimp_common.trial_status import Phase
 from armimp_common.urgency import require_precedence
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
@@ -49,6 +50,7 @@ def run_experiment(
     *,
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    on_phase: Callable[[Phase], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Run an experiment through the node graph.
@@ -62,6 +64,8 @@ def run_experiment(
         ROS domain; by default a free one, or where nodes are external that of the environment.
     on_progress : callable
         Called a few times per second.
+    on_phase : callable
+        Called with each phase of each trial as it begins.
     interrupted : callable
         Asked often; once true, the experiment ends in good order, as invalid.
 
@@ -91,7 +95,7 @@ def run_experiment(
     problems: list[str] = []
     external = config.processes == "external"
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
-        supervisor = Supervisor(graph, on_progress)
+        supervisor = Supervisor(graph, on_progress, on_phase)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
             care = Care()
@@ -321,6 +325,5 @@ def settle(
     if update or new:
         known = [*new, *known]
         summary = summary.model_copy(update={**update, "valid": not known, "problems": known})
-        path.unlink()
-        write_summary(path, summary)
+        write_summary(path, summary, anew=True)
     return summary

@@ -42,11 +42,17 @@ class Progress:
 class Supervisor(Node):
     """Listens to everything that tells how the experiment goes."""
 
-    def __init__(self, graph: GraphContext, on_progress: Callable[[Progress], None]) -> None:
+    def __init__(
+        self,
+        graph: GraphContext,
+        on_progress: Callable[[Progress], None],
+        on_phase: Callable[[Phase], None] = lambda _: None,
+    ) -> None:
         super().__init__(
             contract.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False
         )
         self._on_progress = on_progress
+        self._on_phase = on_phase
         self.problems: list[str] = []
         self.concluded = self.finished = False
         self.realtime = False
@@ -90,9 +96,11 @@ class Supervisor(Node):
             self.concluded = True
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
-        phase = values_of(message).get("phase")
-        self._done = self._done or phase == Phase.DONE.value
-        self.finished = self.finished or phase in (Phase.DONE.value, Phase.ABORTED.value)
+        with suppress(ValueError):  # the estimator complains
+            phase = Phase(values_of(message).get("phase"))
+            self._done = self._done or phase is Phase.DONE
+            self.finished = self.finished or phase in (Phase.DONE, Phase.ABORTED)
+            self._on_phase(phase)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         if self.realtime and self._done:

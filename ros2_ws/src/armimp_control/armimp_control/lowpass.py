@@ -34,19 +34,19 @@ def butterworth(order: int, cutoff: float, rate: float) -> Array:
     analogue = warped * -np.exp(1j * np.pi * places / (2 * order))
     poles = (twice + analogue) / (twice - analogue)
     gain = warped**order * np.real(1.0 / np.prod(twice - analogue))
-    zeros = [-1.0] * order
+    zeros = np.full(order + order % 2, -1.0)
     pairs = [(pole, pole.conjugate()) for pole in poles[: order // 2]]
     if order % 2:  # a pole and a zero at zero complete those that are single
         pairs.append((poles[order // 2].real, 0.0))
-        zeros.append(0.0)
+        zeros[-1] = 0.0
     pairs.sort(key=lambda pair: abs(1.0 - abs(pair[0])))
     sections = np.zeros((len(pairs), 6))
     for section, pair in zip(sections[::-1], pairs, strict=True):
         # Each pole takes the zeros nearest to it, beginning with the one nearest to the circle.
-        zeros.sort(key=lambda zero, pole=pair[0]: abs(zero - pole))
-        section[:3] = np.poly(zeros[:2])
+        nearest = np.argsort(np.abs(zeros - pair[0]))
+        section[:3] = np.poly(zeros[nearest[:2]])
         section[3:] = np.real(np.poly(pair))
-        del zeros[:2]
+        zeros = zeros[nearest[2:]]
     sections[0, :3] *= gain
     return sections
 

@@ -150,7 +150,7 @@ def test_when_the_file_exists_expect_an_error_and_the_file_untouched(
 def test_when_the_directory_is_missing_expect_the_path_in_the_error(
     summary: Summary, tmp_path: Path
 ) -> None:
-    with pytest.raises(DataError, match=r"nowhere/summary.json: cannot write: No such file"):
+    with pytest.raises(DataError, match=r"nowhere/summary.json: cannot be written: No such file"):
         write_summary(tmp_path / "nowhere" / "summary.json", summary)
 
 
