@@ -73,10 +73,31 @@ def _estimate(tell: Callable[[str], None]) -> list[Measured]:
     return time_estimate(tell)
 
 
+def _start(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.start_bench import time_start
+
+    return time_start(tell)
+
+
+def _memory(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.memory_bench import measure_memory
+
+    return measure_memory(tell)
+
+
+def _growth(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.growth_bench import measure_growth
+
+    return measure_growth(tell)
+
+
 _BENCHMARKS: dict[str, Benchmark] = {
     "study": _study,
     "graph": _graph,
+    "start": _start,
     "estimate": _estimate,
+    "memory": _memory,
+    "growth": _growth,
     "realtime": _realtime,
 }
 

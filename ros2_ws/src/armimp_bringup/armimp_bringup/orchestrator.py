@@ -51,6 +51,7 @@ def run_experiment(
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     on_phase: Callable[[Phase], None] = lambda _: None,
+    on_concluded: Callable[[], None] = lambda: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Run an experiment through the node graph.
@@ -66,6 +67,9 @@ def run_experiment(
         Called a few times per second.
     on_phase : callable
         Called with each phase of each trial as it begins.
+    on_concluded : callable
+        Called when the estimator has stored its result; problems that it does not know of are
+        added when the graph is down.
     interrupted : callable
         Asked often; once true, the experiment ends in good order, as invalid.
 
@@ -95,7 +99,7 @@ def run_experiment(
     problems: list[str] = []
     external = config.processes == "external"
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
-        supervisor = Supervisor(graph, on_progress, on_phase)
+        supervisor = Supervisor(graph, on_progress, on_phase=on_phase, on_concluded=on_concluded)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
             care = Care()

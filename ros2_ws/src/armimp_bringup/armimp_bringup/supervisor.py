@@ -46,13 +46,16 @@ class Supervisor(Node):
         self,
         graph: GraphContext,
         on_progress: Callable[[Progress], None],
+        *,
         on_phase: Callable[[Phase], None] = lambda _: None,
+        on_concluded: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(
             contract.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False
         )
         self._on_progress = on_progress
         self._on_phase = on_phase
+        self._on_concluded = on_concluded
         self.problems: list[str] = []
         self.concluded = self.finished = False
         self.realtime = False
@@ -92,8 +95,9 @@ class Supervisor(Node):
 
     def _on_result(self, message: DiagnosticStatus) -> None:
         self.last_news = time.monotonic()
-        if message.name == CONCLUSION_NAME:
+        if message.name == CONCLUSION_NAME and not self.concluded:
             self.concluded = True
+            self._on_concluded()
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         with suppress(ValueError):  # the estimator complains

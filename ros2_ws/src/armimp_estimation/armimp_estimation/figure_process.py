@@ -33,6 +33,7 @@ class FigureProcess:
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[str] | None = None
+        self._asked = False
 
     @property
     def number(self) -> int | None:
@@ -65,14 +66,17 @@ class FigureProcess:
     ) -> None:
         """Begin to draw every figure of a result, see `armimp_estimation.figures.write_figures`.
 
+        The first call counts.
+
         Parameters
         ----------
         directory, bags, namespace
             As in `armimp_estimation.report.load_result`.
         """
         self.start()
-        if self._process is None or self._process.stdin is None:
+        if self._asked or self._process is None or self._process.stdin is None:
             return
+        self._asked = True
         request = {
             "directory": str(directory),
             "bags": None if bags is None else [str(bag) for bag in bags],
