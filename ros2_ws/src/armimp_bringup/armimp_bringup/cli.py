@@ -109,7 +109,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             domain_id=domain_id,
             on_progress=display.show,
             on_phase=stopwatch.note,
-            on_concluded=lambda: figures.draw(directory),
+            on_over=lambda: figures.draw(directory),
             interrupted=stopped,
         )
         return present(summary, directory, figures, as_json=json, stopwatch=stopwatch)

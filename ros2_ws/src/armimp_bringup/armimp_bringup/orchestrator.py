@@ -51,7 +51,7 @@ def run_experiment(
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     on_phase: Callable[[Phase], None] = lambda _: None,
-    on_concluded: Callable[[], None] = lambda: None,
+    on_over: Callable[[], None] = lambda: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Run an experiment through the node graph.
@@ -67,9 +67,9 @@ def run_experiment(
         Called a few times per second.
     on_phase : callable
         Called with each phase of each trial as it begins.
-    on_concluded : callable
-        Called when the estimator has stored its result; problems that it does not know of are
-        added when the graph is down.
+    on_over : callable
+        Called when all trials have ended and the estimator has stored its result; problems that it
+        does not know of are added when the graph is down.
     interrupted : callable
         Asked often; once true, the experiment ends in good order, as invalid.
 
@@ -99,7 +99,7 @@ def run_experiment(
     problems: list[str] = []
     external = config.processes == "external"
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
-        supervisor = Supervisor(graph, on_progress, on_phase=on_phase, on_concluded=on_concluded)
+        supervisor = Supervisor(graph, on_progress, on_phase=on_phase, on_over=on_over)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
             care = Care()
@@ -280,7 +280,7 @@ def _watch(
             problems.append(f"nothing happened for {_STALL:g} s")
         elif supervisor.realtime and supervisor.problems and not supervisor.finished:
             return True
-        return bool(problems) or (supervisor.concluded and supervisor.finished)
+        return bool(problems) or supervisor.over
 
     spinner.spin(over, period=_PERIOD)
     return problems

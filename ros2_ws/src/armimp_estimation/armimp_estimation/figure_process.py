@@ -27,8 +27,8 @@ _PATIENCE = 1.0
 class FigureProcess:
     """At most one process that draws the figures of one result.
 
-    It ends with this one, even if that is killed, or on leaving the context. Without it (it could
-    not be started, or has died) nothing is drawn, and `finished` says so.
+    It ends with this one, even if that is killed, or on leaving the context. If it cannot be
+    started, dies or finds no result, nothing is drawn, and `finished` says so.
     """
 
     def __init__(self) -> None:
@@ -91,7 +91,7 @@ class FigureProcess:
         Raises
         ------
         DataError
-            If a figure cannot be written or there is no result.
+            If a figure cannot be written.
         """
         if self._process is None or self._process.stdout is None:
             return False

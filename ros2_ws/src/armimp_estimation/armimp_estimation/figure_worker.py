@@ -155,9 +155,7 @@ def main() -> None:
     warming.join()
     try:
         error = work_off(jobs(json.loads(line)), len(os.sched_getaffinity(0)), sys.stdin.fileno())
-    except DataError as problem:
-        error = str(problem)
-    except ChildProcessError:
+    except (DataError, ChildProcessError):
         os._exit(1)
     print(json.dumps({"error": error}), flush=True)
     os._exit(0)
