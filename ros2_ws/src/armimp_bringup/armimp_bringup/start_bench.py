@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -11,12 +11,11 @@ from armimp_bringup.benchmarks import Measured
 from armimp_bringup.command_run import CommandRun, run_command
 from armimp_estimation.results import WallSummary
 
-LIMIT = 3.0
-"""Longest time outside of the trials of a composed run, s."""
-RUNS = 5
+LIMITS: Mapping[str, float | None] = {"composed": 3.0, "separate": None}
+"""Longest time outside of the trials, s."""
+RUNS: Mapping[str, int] = {"composed": 5, "separate": 3}
 DURATION = 10.0
 """Length of each trial, s."""
-_LIMITS = {"composed": LIMIT, "separate": None}
 
 
 def time_start(tell: Callable[[str], None]) -> list[Measured]:
@@ -36,10 +35,10 @@ def time_start(tell: Callable[[str], None]) -> list[Measured]:
     with tempfile.TemporaryDirectory() as folder:
         tell("a run to warm up")
         _run(Path(folder) / "first", "composed")
-        for processes, limit in _LIMITS.items():
+        for processes, limit in LIMITS.items():
             runs = []
-            for number in range(RUNS):
-                tell(f"{processes}, {number + 1} of {RUNS}")
+            for number in range(RUNS[processes]):
+                tell(f"{processes}, {number + 1} of {RUNS[processes]}")
                 runs.append(_run(Path(folder) / f"{processes}{number}", processes))
             figures += _figures(processes, runs, limit)
     return figures
