@@ -5,12 +5,14 @@ Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupt
 
 from __future__ import annotations
 
+import atexit
 import math
+import os
 import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from typer.exceptions import TyperException
@@ -74,6 +76,9 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     json: _Json = False,
 ) -> int:
     """Run the experiment through the node graph: one trial for each joint, then the result."""
+    from armimp_common.compiled import spare_linear_algebra
+
+    spare_linear_algebra()
     from armimp_bringup.config import load_config
     from armimp_bringup.display import LiveDisplay
     from armimp_bringup.orchestrator import run_experiment
@@ -352,5 +357,20 @@ def _new_directory(what: str) -> Path:
     return Path("results") / f"{what}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
+def program() -> NoReturn:
+    """Run the command line as the whole of a process, which ends at once.
+
+    To take everything apart that was imported would take the interpreter half a second.
+    """
+    status = main()
+    atexit._run_exitfuncs()
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (OSError, ValueError):  # whoever read the output has left
+        status = status or 1
+    os._exit(status)
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    program()
