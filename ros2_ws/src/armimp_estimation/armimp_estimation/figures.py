@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armimp_common.errors import DataError
+from armimp_estimation.lean_fonts import lean_fonts
 from armimp_estimation.report.curves import (
     BodeCurve,
     CoherenceCurves,
@@ -259,15 +260,13 @@ def drawings(result: Result) -> dict[str, Callable[[], Figure]]:
     result : Result
         The result; figures for which it lacks the data are left out.
     """
-    n = result.summary.joints
+    n, curves = result.summary.joints, result.curves
     found: dict[str, Callable[[], Figure]] = {}
-    if result.curves:
-        found["impedance"] = lambda: impedance_figure(result.summary, result.curves)
+    if curves:
+        found["impedance"] = lambda: impedance_figure(result.summary, curves)
         spectra = result.spectra
         elements = {
-            (i, k): coherence_curves(spectra[k], result.curves, i)
-            for i in range(n)
-            for k in spectra
+            (i, k): coherence_curves(spectra[k], curves, i) for i in range(n) for k in spectra
         }
         if elements:
             found["coherence"] = lambda: coherence_figure(elements, n)
@@ -310,7 +309,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
     metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
     try:
-        with rc_context(_STYLE):
+        with rc_context(_STYLE), lean_fonts():
             figure.savefig(path, dpi=200, metadata=metadata)
     except OSError as error:
         raise DataError(f"{path}: cannot be written: {error.strerror}") from None
