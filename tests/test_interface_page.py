@@ -43,6 +43,7 @@ from armimp_estimation.results import (
     TimingSummary,
     TrialLedger,
     TrialSummary,
+    WallSummary,
     summarise,
     write_frf,
 )
@@ -339,7 +340,7 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
 
 @pytest.mark.parametrize(
     ("place", "model"),
-    [(0, Summary), (1, TrialSummary), (2, EstimatorSummary), (3, TimingSummary)],
+    [(0, Summary), (1, TrialSummary), (2, EstimatorSummary), (3, TimingSummary), (4, WallSummary)],
 )
 def test_the_keys_of_summary_json_are_those_of_its_model(
     place: int, model: type[BaseModel]

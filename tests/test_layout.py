@@ -45,6 +45,7 @@ WITH_ROS = {
     "armimp_bringup.graph",
     "armimp_bringup.graph_bench",
     "armimp_bringup.health",
+    "armimp_bringup.memory_bench",
     "armimp_bringup.orchestrator",
     "armimp_bringup.ping_pong",
     "armimp_bringup.realtime_bench",

@@ -5,21 +5,21 @@ Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupt
 
 from __future__ import annotations
 
+import atexit
 import math
+import os
 import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from typer.exceptions import TyperException
 
 from armimp_bringup.investigations.registry import find_investigation, investigations
-from armimp_common.errors import ArmimpError, ConfigurationError, DataError, InterruptionError
-
-if TYPE_CHECKING:
-    from armimp_estimation.results import Summary
+from armimp_bringup.say import say
+from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
 _INTERRUPTED = 130
 """What shells make of a program that SIGINT has ended; typer's own status for it, too."""
@@ -76,10 +76,16 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     json: _Json = False,
 ) -> int:
     """Run the experiment through the node graph: one trial for each joint, then the result."""
+    from armimp_common.compiled import spare_linear_algebra
+
+    spare_linear_algebra()
     from armimp_bringup.config import load_config
     from armimp_bringup.display import LiveDisplay
     from armimp_bringup.orchestrator import run_experiment
+    from armimp_bringup.presentation import present
+    from armimp_bringup.stopwatch import Stopwatch
     from armimp_common.spin import stop_on_signals
+    from armimp_estimation.figure_process import FigureProcess
 
     settings = load_config(
         config,
@@ -98,15 +104,20 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         },
     )
     directory = out if out is not None else _new_directory("run")
-    with stop_on_signals() as stopped, LiveDisplay() as display:
+    stopwatch = Stopwatch()
+    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
+        if settings.mode == "lockstep":  # in real time, nothing may run beside the experiment
+            figures.start()
         summary = run_experiment(
             settings,
             directory,
             domain_id=domain_id,
             on_progress=display.show,
+            on_phase=stopwatch.note,
+            on_over=lambda: figures.draw(directory),
             interrupted=stopped,
         )
-        return _present(summary, directory, json)
+        return present(summary, directory, figures, as_json=json, stopwatch=stopwatch)
 
 
 @app.command()
@@ -123,17 +134,23 @@ def estimate(
     """Estimate the impedance from bags, one trial for each joint among them."""
     from armimp_bringup.offline_estimate import estimate_bags
     from armimp_bringup.orchestrator import prepare_directory
+    from armimp_bringup.presentation import present
+    from armimp_estimation.figure_process import FigureProcess
 
-    if out is not None:
-        prepare_directory(out)
-    conclusion, notes = estimate_bags(
-        bags, tuple(estimator or ()), namespace=namespace, allow_gaps=allow_gaps
-    )
-    for note in notes:
-        _say(f"note: {note}")
-    if out is not None:
-        conclusion.write(out)
-    return _present(conclusion.summary, out, json, bags, namespace)
+    with FigureProcess() as figures:
+        if out is not None:
+            prepare_directory(out)
+            figures.start()
+        conclusion, notes = estimate_bags(
+            bags, tuple(estimator or ()), namespace=namespace, allow_gaps=allow_gaps
+        )
+        for note in notes:
+            say(f"note: {note}")
+        if out is not None:
+            conclusion.write(out)
+        return present(
+            conclusion.summary, out, figures, as_json=json, bags=bags, namespace=namespace
+        )
 
 
 @app.command()
@@ -147,10 +164,12 @@ def replay(
 ) -> int:
     """Play bags through the graph into a live estimator node."""
     from armimp_bringup.display import LiveDisplay
+    from armimp_bringup.presentation import present
     from armimp_bringup.replay import replay_bags
     from armimp_common.spin import stop_on_signals
+    from armimp_estimation.figure_process import FigureProcess
 
-    with stop_on_signals() as stopped, LiveDisplay() as display:
+    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
         summary = replay_bags(
             bags,
             tuple(estimator or ()),
@@ -160,7 +179,7 @@ def replay(
             on_progress=display.show,
             interrupted=stopped,
         )
-        return _present(summary, out, json, bags)
+        return present(summary, out, figures, as_json=json, bags=bags)
 
 
 @app.command()
@@ -288,16 +307,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Asking for nothing shows the help, which has many lines.
             print(message, file=sys.stderr)
         else:
-            _say(f"armimp: {message}")
+            say(f"armimp: {message}")
         return 2
     except ConfigurationError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return 2
     except InterruptionError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return _INTERRUPTED
     except ArmimpError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return 1
     except (KeyboardInterrupt, typer.Abort):
         status = _INTERRUPTED
@@ -311,40 +330,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 1
     if status == _INTERRUPTED:
-        _say("armimp: interrupted")
+        say("armimp: interrupted")
     return status if isinstance(status, int) else 0
-
-
-def _present(
-    summary: Summary,
-    directory: Path | None,
-    as_json: bool,
-    bags: Sequence[Path] | None = None,
-    namespace: str | None = None,
-) -> int:
-    """Draw, report and print a result, and return the exit status that it deserves."""
-    complete = True
-    if directory is not None:
-        from armimp_estimation.figures import write_figures
-        from armimp_estimation.report import load_result, write_report
-
-        try:
-            result = load_result(directory, bags, namespace=namespace)
-            write_figures(directory, result)
-            write_report(directory, result)
-        except DataError as error:
-            # As on a full disk; the numbers are there all the same.
-            _say(f"armimp: {error}")
-            complete = False
-    if as_json:
-        print(summary.model_dump_json(by_alias=True))
-    else:
-        from armimp_bringup.tables import print_summary
-
-        print_summary(summary, directory)
-    for problem in summary.problems:
-        _say(f"armimp: not valid: {problem}")
-    return 0 if summary.valid and complete else 1
 
 
 def _share(text: str) -> float:
@@ -370,14 +357,20 @@ def _new_directory(what: str) -> Path:
     return Path("results") / f"{what}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
-def _say(line: str) -> None:
-    """Print a line, which stays one whatever is in the names and values that it quotes."""
-    shown = "".join(
-        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
-        for letter in line
-    )
-    print(shown, file=sys.stderr)
+def program() -> NoReturn:
+    """Run the command line as the whole of a process, which ends at once.
+
+    To take everything apart that was imported would take the interpreter half a second.
+    """
+    status = main()
+    atexit._run_exitfuncs()
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (OSError, ValueError):  # whoever read the output has left
+        status = status or 1
+    os._exit(status)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

@@ -1,6 +1,8 @@
 """Identity of a process, by which others on the same machine can tell whether it still lives."""
 
+import math
 import os
+import time
 from functools import cache
 from pathlib import Path
 
@@ -33,6 +35,15 @@ def lives(process: str) -> bool | None:
     except OSError:
         return False
     return started == start and state not in ("Z", "X")
+
+
+def age() -> float:
+    """Return how long ago this process was started, s, to some 10 ms; NaN if it can't be told."""
+    try:
+        started = int(_state("self")[1]) / os.sysconf("SC_CLK_TCK")
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - started
+    except (OSError, AttributeError):
+        return math.nan
 
 
 @cache

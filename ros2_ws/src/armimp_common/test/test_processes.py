@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -44,3 +45,13 @@ def test_another_process_with_the_same_number_is_not_taken_for_it() -> None:
 @pytest.mark.parametrize("process", ["", "rubbish", "boot pid:[1] 1 1", "] x y", "boot pid:[1]"])
 def test_of_a_process_elsewhere_nothing_is_known(process: str) -> None:
     assert lives(process) is None
+
+
+def test_age_is_the_time_since_the_process_was_started() -> None:
+    program = "import time; from armimp_common.processes import age; a = age(); time.sleep(0.5); "
+    began = time.monotonic()
+    told = subprocess.check_output([sys.executable, "-c", f"{program}print(a, age())"], text=True)
+    took = time.monotonic() - began
+    first, second = map(float, told.split())
+    assert 0.0 < first < second <= took + 0.02
+    assert second - first >= 0.5

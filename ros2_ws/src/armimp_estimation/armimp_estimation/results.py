@@ -1,8 +1,7 @@
 """Files of a result: ``summary.json`` for the figures, ``frf.npz`` for the curves."""
 
 import math
-import os
-from collections.abc import Callable, Mapping, Sized
+from collections.abc import Mapping, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,6 +17,7 @@ from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.sample_ledger import SampleLedger
+from armimp_estimation.whole_files import write_whole
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -155,6 +155,14 @@ class TimingSummary(JsonModel):
     max_latency: float
 
 
+class WallSummary(JsonModel):
+    """Wall time of a run from the command line, s; see `armimp_bringup.stopwatch`."""
+
+    before: Number
+    trials: Number
+    after: Number
+
+
 class Summary(JsonModel):
     """Content of ``summary.json``."""
 
@@ -169,6 +177,8 @@ class Summary(JsonModel):
     truth: TruthSummary | None
     timing: TimingSummary | None = None
     """Of a run in real time."""
+    wall: WallSummary | None = None
+    """Of a run from the command line."""
 
     @model_validator(mode="after")
     def _check_shapes(self) -> "Summary":
@@ -283,8 +293,17 @@ def summarise(
     )
 
 
-def write_summary(path: Path, summary: Summary) -> None:
+def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
     """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    summary : Summary
+        Its content.
+    anew : bool
+        Whether to put it in the place of a file that is there, which stays if that fails.
 
     Raises
     ------
@@ -292,7 +311,7 @@ def write_summary(path: Path, summary: Summary) -> None:
         If the file exists already or cannot be written.
     """
     text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
-    _write_new(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
 
 
 def read_summary(path: Path) -> Summary:
@@ -367,7 +386,7 @@ def write_frf(path: Path, estimates: Mapping[str, ImpedanceEstimate]) -> None:
         with part.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
 
-    _write_new(path, save)
+    write_whole(path, save)
 
 
 def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
@@ -397,18 +416,3 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
     return curves
-
-
-def _write_new(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file beside its place and move it there, so that no half-written one can be seen."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        if path.exists():
-            raise DataError(f"{path}: exists already")
-        try:
-            write(part)
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise DataError(f"{path}: cannot write: {error.strerror}") from error
