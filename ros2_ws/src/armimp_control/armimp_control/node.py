@@ -56,7 +56,7 @@ class ImbicControllerNode(LifecycleNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(contract.CONTROLLER_NODE, **kwargs)
         self.transition_error = ""
-        self._active = False
+        self._active = self._lockstep = False
         self._experiment: Experiment | None = None
         self._sign = SignOfLife(self, contract.CONTROLLER_NODE)
         self._watches = [
@@ -135,6 +135,7 @@ class ImbicControllerNode(LifecycleNode):
         if self._settings.mode == "realtime":
             self._urgency = Urgency(self._settings.realtime)
         self._active = True
+        self._lockstep = self._settings.mode == "lockstep"
         self._timer.reset()
         return super().on_activate(state)
 
@@ -187,7 +188,7 @@ class ImbicControllerNode(LifecycleNode):
 
     def _stop(self, reason: str) -> None:
         """Leave the plant with zero torque and the world with an explanation."""
-        self._active = False
+        self._active = self._lockstep = False
         self._timer.cancel()
         if self._urgency is not None:
             self._urgency.give_back()
@@ -227,6 +228,8 @@ class ImbicControllerNode(LifecycleNode):
     ) -> None:
         """Keep a reading for its partner. That may never come, so nonsense is a fault already."""
         waiting[stamp_ns] = values
+        if math.isfinite(sum(values)):  # as it is with almost every reading
+            return
         bad = next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
         if bad is not None and self._experiment is not None and not self._experiment.at_rest:
             self._refuse(f"{what} of joint {bad + 1} is not finite: {values[bad]}")
@@ -235,10 +238,9 @@ class ImbicControllerNode(LifecycleNode):
         experiment = self._experiment
         if not self._active or experiment is None:
             return
-        # Older readings without a partner are lost samples, which the experiment counts.
         for waiting in (self._positions, self._torques):
-            for old in [stamp for stamp in waiting if stamp < stamp_ns]:
-                del waiting[old]
+            if waiting:
+                _drop_older(waiting, stamp_ns)
         now = time.monotonic()
         if not self._lockstep and self._watchdog.expired(now):
             # The sample came before the timer, as after a stall of this process.
@@ -248,7 +250,7 @@ class ImbicControllerNode(LifecycleNode):
         held, self._held = self._held, None
         if held is not None:
             self._command(experiment, *held)  # whoever sends the next sample does not wait
-        elif experiment.awaits_judgement and self._lockstep:
+        elif self._lockstep and experiment.awaits_judgement:
             # So that a trial ends at the same sample however fast the machine is.
             self._held = (stamp_ns, theta, tau_h)
             return
@@ -296,10 +298,6 @@ class ImbicControllerNode(LifecycleNode):
         waits = self._lockstep and watch.presence in (Presence.STALLED, Presence.SILENT)
         if watch.presence.mute and not waits:
             self._take_away(watch.sentence)
-
-    @property
-    def _lockstep(self) -> bool:
-        return self._active and self._settings.mode == "lockstep"
 
     def _on_received(self, message: UInt64) -> None:
         """Hear from the recorder; without one a trial is of no use to anybody."""
@@ -402,6 +400,12 @@ class ImbicControllerNode(LifecycleNode):
             },
         )
         self._diagnostics.publish(make_array(self._stamp_ns, [status]))
+
+
+def _drop_older(waiting: dict[int, tuple[float, ...]], stamp_ns: int) -> None:
+    """Give up readings whose partner was lost: lost samples, which the experiment counts."""
+    for old in [stamp for stamp in waiting if stamp < stamp_ns]:
+        del waiting[old]
 
 
 def main() -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,7 @@ from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, timing_of, truth_of
 from armimp_estimation.gaps import segments_for
+from armimp_estimation.inbox import TOGETHER, Inbox
 from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.messages import (
     column_message,
@@ -79,6 +81,10 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the topics."""
         self._settings = load(self, EstimatorParameters)
+        # Judgements are made from what is recorded.
+        self._together = contract.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
+        self._inbox = Inbox()
+        self._receive_perturbation = self._inbox.receiver(contract.PERTURBATION)
         self._metadata = self._settings.bag_metadata()
         self._reset()
         self._check_metadata()
@@ -91,7 +97,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
                 self,
                 topic,
                 _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]],
-                partial(self._on_message, topic),
+                self._on_perturbation if topic == contract.PERTURBATION else self._receiver(topic),
             )
             for topic in contract.DATA_STREAMS
         ]
@@ -119,8 +125,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
             watches=[self._rig, self._controller],
         )
         self._active = True
-        self._counts = dict.fromkeys(contract.DATA_STREAMS, 0)
-        self._acknowledged = 0
+        self._inbox.clear()
+        self._heard = self._seen = self._acknowledged = 0
         self._received.publish(UInt64(data=0))
         self._timer.reset()
         return super().on_activate(state)
@@ -190,32 +196,54 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if not self._concluded:
             # Before the trial is finished, which may be the last one that was awaited.
             self._note(reason)
+        self._finish()
+
+    def _finish(self) -> None:
+        """Record all that has come, and conclude."""
+        self._record(incomplete=True)
         self._recording.stop()
         self._conclude()
 
-    def _on_message(self, topic: str, message: bytes) -> None:
+    def _receiver(self, topic: str) -> Callable[[bytes], None]:
+        receive = self._inbox.receiver(topic)
+
+        def on_message(message: bytes) -> None:
+            if self._active:
+                receive(message)
+
+        return on_message
+
+    def _on_perturbation(self, message: bytes) -> None:
+        """Take the message that is mostly the last one of its sample."""
         if not self._active:
             return
+        self._receive_perturbation(message)
+        self._heard += 1
+        if self._heard % contract.RECEIVED_EVERY == 0:
+            if self._heard % self._together == 0:
+                self._record()
+            if self._active:
+                self._acknowledge()
+
+    def _record(self, *, incomplete: bool = False) -> None:
+        """Record what waits for it."""
         try:
-            self._recording.add(topic, message)
-        except MalformedMessageError as error:
-            self._note(f"{topic}: {error}")
+            self._recording.add_many(
+                self._inbox.take(incomplete=incomplete),
+                lambda topic, error: self._note(f"{topic}: {error}"),
+            )
         except ArmimpError as error:
             self._give_up(str(error))
-        self._acknowledge(topic)
 
-    def _acknowledge(self, topic: str) -> None:
-        """Tell now and then how many samples are here with all of their messages."""
-        counts = self._counts
-        counts[topic] += 1
-        if counts[topic] % contract.RECEIVED_EVERY == 0:
-            samples = min(counts.values()) // contract.RECEIVED_EVERY * contract.RECEIVED_EVERY
-            if samples > self._acknowledged:
-                self._acknowledged = samples
-                # First, so that in lockstep the judgement is there before the samples go on.
-                if (judgement := self._recording.judge()) is not None:
-                    self._judgement.publish(judgement_message(judgement))
-                self._received.publish(UInt64(data=samples))
+    def _acknowledge(self) -> None:
+        """Tell how many samples are here with all of their messages."""
+        samples = self._inbox.samples // contract.RECEIVED_EVERY * contract.RECEIVED_EVERY
+        if samples > self._acknowledged:
+            self._acknowledged = samples
+            # First, so that in lockstep the judgement is there before the samples go on.
+            if (judgement := self._recording.judge()) is not None:
+                self._judgement.publish(judgement_message(judgement))
+            self._received.publish(UInt64(data=samples))
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -223,7 +251,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if topic == contract.DIAGNOSTICS:
             self._note_timing(message)
         try:
-            self._recording.add_beside(topic, message)
+            self._recording.add_beside(topic, message, self._inbox.newest_ns)
         except ArmimpError as error:
             self._give_up(str(error))
 
@@ -248,13 +276,15 @@ class ImpedanceEstimatorNode(LifecycleNode):
             healed = self._settings.allow_gaps and only_missed_samples(status)
             if status.reason and not healed:
                 self._note(f"trial {status.trial}: {status.reason}")
+            self._record(incomplete=status.phase is Phase.ABORTED)
+            if not self._active:
+                return
             self._recording.add_status(status)
         except ArmimpError as error:
             self._give_up(str(error))
             return
         if status.phase is Phase.ABORTED:
-            self._recording.stop()
-            self._conclude()
+            self._finish()
         elif status.phase is Phase.DONE:
             # Samples of the last trial may be under way, as topics do not wait for one another.
             self._done_at = time.monotonic()
@@ -266,8 +296,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if controller.presence.lost and self._active and not self._concluded:
             if self._done_at == math.inf:
                 self._note(controller.sentence)
-            self._recording.stop()
-            self._conclude()
+            self._finish()
 
     def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
         self._ended += 1
@@ -333,12 +362,14 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._conclude()
 
     def _on_timer(self) -> None:
+        if self._active and self._heard == self._seen:
+            self._record()  # nothing has come that would see to it
+        self._seen = self._heard
         status = self._recording.status
         if not self._active or status is None:
             return
         if time.monotonic() - self._done_at > _STRAGGLERS:
-            self._recording.stop()
-            self._conclude()
+            self._finish()
             return
         try:
             self._recording.flush_if_idle()

@@ -85,9 +85,8 @@ class SimulatedRig:
             If the simulation itself broke down.
         """
         self._resting = not any(command)
-        for joint, value in enumerate(command):
-            if not math.isfinite(value):
-                self.latch(f"command of joint {joint + 1} is not finite: {value}")
+        if not math.isfinite(sum(command)):
+            self._refuse(command)
         if not self.fault:
             self._command[0] = command
         elif self._fading > 1:
@@ -97,6 +96,12 @@ class SimulatedRig:
             self._command[:] = 0.0
         self._plant.tick(self._command, self._voluntary.take(1))
         self.tick += 1
+
+    def _refuse(self, command: Sequence[float]) -> None:
+        """Latch the fault of a command that is not finite; a sum may be too large without one."""
+        for joint, value in enumerate(command):
+            if not math.isfinite(value):
+                self.latch(f"command of joint {joint + 1} is not finite: {value}")
 
     def latch(self, reason: str) -> None:
         """Take torque away at once and until :meth:`reset`; the first reason stays."""

@@ -42,6 +42,8 @@ class CommandEncoder:
         MalformedMessageError
             If the number of values is wrong.
         """
+        if isinstance(values, np.ndarray):
+            values = values.tolist()  # numbers of Python's own are packed in a third of the time
         try:
             return self._pack(b"\0\1\0\0", 0, 0, self._n, *values)
         except struct.error:

@@ -74,6 +74,8 @@ class JointStateEncoder:
             If the number of values is wrong or the stamp does not fit the message.
         """
         sec, nanosec = divmod(stamp_ns, NS_PER_S)
+        if isinstance(values, np.ndarray):
+            values = values.tolist()  # numbers of Python's own are packed in a third of the time
         try:
             return self._pack(b"\0\1\0\0", sec, nanosec, self._before, *values, self._after)
         except struct.error:

@@ -13,12 +13,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
 
+import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -29,6 +29,9 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+from numpy.typing import NDArray
+
+from armimp_estimation.bags.message_records import BEYOND_LENGTH, MESSAGE, MESSAGE_HEAD, TickRecords
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 
@@ -44,8 +47,10 @@ FLUSH_MESSAGES: Final = 256
 FLUSH_BYTES: Final = 1 << 18
 """A chunk is closed when its messages take more bytes than this."""
 
-MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
-"""Head of a message record: opcode, length, channel, sequence, log time, publish time."""
+_COMPRESSION: Final = b"zstd"
+_CHUNK_HEAD: Final = struct.Struct(f"<BQQQQII{len(_COMPRESSION)}sQ")
+"""Head of a chunk record: opcode, length, first and last time, size and checksum of what it holds
+without compression; compression, and size with it."""
 
 # Level 1: on these streams it compresses as well as level 3 in less than half of the time.
 _LEVEL: Final = 1
@@ -80,7 +85,9 @@ class McapFile:
         with suppress(OSError):  # Not every file system has locks.
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._position = 0
-        self._compress: Callable[[bytes], bytes] = zstandard.ZstdCompressor(level=_LEVEL).compress
+        self._compress: Callable[[bytearray], bytes] = zstandard.ZstdCompressor(
+            level=_LEVEL
+        ).compress
         self._pack = MESSAGE_HEAD.pack
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -94,6 +101,7 @@ class McapFile:
         self._deadline_ns = 0
         # Log time and offset of each message of the chunk in turn, by channel.
         self._index: dict[int, list[int]] = {}
+        self._records = TickRecords(())
         try:
             self._write(MAGIC + _encoded(Header(profile="ros2", library=library)))
         except OSError:
@@ -150,7 +158,7 @@ class McapFile:
             If the log time is negative or beyond 64 bits; nothing is written then.
         """
         chunk = self._chunk
-        head = self._pack(5, 22 + len(data), channel, 0, log_time_ns, log_time_ns)
+        head = self._pack(MESSAGE, BEYOND_LENGTH + len(data), channel, 0, log_time_ns, log_time_ns)
         offset = len(chunk)
         if not offset:
             self._deadline_ns = log_time_ns + FLUSH_INTERVAL_NS
@@ -165,6 +173,37 @@ class McapFile:
         ):
             self.flush()
 
+    def add_block(
+        self, log_times: NDArray[np.int64], channels: Mapping[int, NDArray[np.uint8]]
+    ) -> None:
+        """Append messages of several channels for each of some times, and flush as is due.
+
+        Parameters
+        ----------
+        log_times : ndarray, shape (N,)
+            Not negative, in rising order (ns).
+        channels : mapping of int to ndarray, shape (N, length)
+            The messages of each channel, in the order in which those of one time are appended.
+        """
+        lengths = tuple((channel, table.shape[1]) for channel, table in channels.items())
+        if lengths != self._records.lengths:
+            self._records = TickRecords(lengths)
+        start = len(self._chunk)
+        first_ns, last_ns = int(log_times[0]), int(log_times[-1])
+        if not start:
+            self._deadline_ns = first_ns + FLUSH_INTERVAL_NS
+        self._chunk += self._records.encode(log_times, channels)
+        for channel, entries in self._records.index(log_times, start):
+            self._index[channel] += entries
+        self._pending += len(channels) * log_times.size
+        # Another block like this must not lead beyond what may be lost.
+        if (
+            2 * last_ns - first_ns >= self._deadline_ns
+            or 2 * self._pending >= FLUSH_MESSAGES
+            or len(self._chunk) > FLUSH_BYTES
+        ):
+            self.flush()
+
     def flush(self) -> None:
         """Hand everything added so far to the operating system, where a kill cannot reach it.
 
@@ -172,21 +211,24 @@ class McapFile:
         """
         if not self._pending:
             return
-        messages = bytes(self._chunk)
+        messages = self._chunk
         start_ns = min(min(entries[::2]) for entries in self._index.values() if entries)
         end_ns = max(max(entries[::2]) for entries in self._index.values() if entries)
         compressed = self._compress(messages)
-        record = _encoded(
-            Chunk(
-                compression="zstd",
-                data=compressed,
-                message_start_time=start_ns,
-                message_end_time=end_ns,
-                uncompressed_crc=zlib.crc32(messages),
-                uncompressed_size=len(messages),
-            )
+        head = _CHUNK_HEAD.pack(
+            Opcode.CHUNK,
+            _CHUNK_HEAD.size - 9 + len(compressed),
+            start_ns,
+            end_ns,
+            len(messages),
+            zlib.crc32(messages),
+            len(_COMPRESSION),
+            _COMPRESSION,
+            len(compressed),
         )
-        output = bytearray(record)
+        output = bytearray(head)
+        output += compressed
+        length = len(output)
         offsets: dict[int, int] = {}
         for channel, entries in self._index.items():
             if entries:
@@ -194,14 +236,14 @@ class McapFile:
                 output += _message_index(channel, entries)
         entry = ChunkIndex(
             chunk_start_offset=self._position,
-            chunk_length=len(record),
-            compression="zstd",
+            chunk_length=length,
+            compression=_COMPRESSION.decode(),
             compressed_size=len(compressed),
             uncompressed_size=len(messages),
             message_start_time=start_ns,
             message_end_time=end_ns,
             message_index_offsets=offsets,
-            message_index_length=len(output) - len(record),
+            message_index_length=len(output) - length,
         )
         self._write(output)
         self._chunks.append(entry)

@@ -8,6 +8,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armimp_common import contract
 from armimp_common.errors import BagError, ConfigurationError
 from armimp_estimation.bags.definitions import message_definition
@@ -104,9 +107,7 @@ class BagWriter:
         """
         if self._closed:
             raise BagError(f"{self._path}: cannot be written: the bag is closed")
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._register(topic)
+        channel = self._channel(topic)
         try:
             self._add_message(channel, log_time_ns, raw)
         except (OSError, ValueError) as error:
@@ -115,6 +116,31 @@ class BagWriter:
             raise BagError(
                 f"{self._path}: log time of {topic} is out of range: {log_time_ns}"
             ) from None
+
+    def write_block(
+        self, log_times: NDArray[np.int64], tables: Mapping[str, NDArray[np.uint8]]
+    ) -> None:
+        """Append messages of several topics for each of some times at once.
+
+        Parameters
+        ----------
+        log_times : ndarray, shape (N,)
+            Times of reception (ns), not negative, in rising order.
+        tables : mapping of str to ndarray, shape (N, length)
+            The serialised messages by topic, in the order in which those of one time are written.
+
+        Raises
+        ------
+        BagError
+            As `write`.
+        """
+        if self._closed:
+            raise BagError(f"{self._path}: cannot be written: the bag is closed")
+        channels = {self._channel(topic): table for topic, table in tables.items()}
+        try:
+            self._file.add_block(log_times, channels)
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
         """Add to the metadata what is known only after recording.
@@ -187,6 +213,10 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _channel(self, topic: str) -> int:
+        channel = self._channels.get(topic)
+        return self._register(topic) if channel is None else channel
 
     def _register(self, topic: str) -> int:
         if topic not in self._names:
