@@ -221,17 +221,19 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._heard += 1
         if self._heard % contract.RECEIVED_EVERY == 0:
             if self._heard % self._together == 0:
-                self._record()
+                self._record(flush=self._heard % TOGETHER == 0)
             if self._active:
                 self._acknowledge()
 
-    def _record(self, *, incomplete: bool = False) -> None:
+    def _record(self, *, incomplete: bool = False, flush: bool = False) -> None:
         """Record what waits for it."""
         try:
             self._recording.add_many(
                 self._inbox.take(incomplete=incomplete),
                 lambda topic, error: self._note(f"{topic}: {error}"),
             )
+            if flush:
+                self._recording.flush()
         except ArmimpError as error:
             self._give_up(str(error))
 

@@ -208,9 +208,20 @@ class Recording:
         BagError
             If that fails.
         """
-        if self._writer is not None and self.samples == self._seen:
-            self._writer.flush()
+        if self.samples == self._seen:
+            self.flush()
         self._seen = self.samples
+
+    def flush(self) -> None:
+        """Hand what was recorded to the operating system, where a kill cannot reach it.
+
+        Raises
+        ------
+        BagError
+            If that fails.
+        """
+        if self._writer is not None:
+            self._writer.flush()
 
     def _open(self, status: TrialStatus) -> None:
         self.close()

@@ -157,6 +157,16 @@ class McapFile:
         struct.error
             If the log time is negative or beyond 64 bits; nothing is written then.
         """
+        self.append(channel, log_time_ns, data)
+        if (
+            log_time_ns >= self._deadline_ns
+            or self._pending >= FLUSH_MESSAGES
+            or len(self._chunk) > FLUSH_BYTES
+        ):
+            self.flush()
+
+    def append(self, channel: int, log_time_ns: int, data: bytes) -> None:
+        """Append a message to the current chunk, however long it gets; see `add_message`."""
         chunk = self._chunk
         head = self._pack(MESSAGE, BEYOND_LENGTH + len(data), channel, 0, log_time_ns, log_time_ns)
         offset = len(chunk)
@@ -166,12 +176,6 @@ class McapFile:
         chunk += data
         self._index[channel] += (log_time_ns, offset)
         self._pending += 1
-        if (
-            log_time_ns >= self._deadline_ns
-            or self._pending >= FLUSH_MESSAGES
-            or offset > FLUSH_BYTES
-        ):
-            self.flush()
 
     def add_block(
         self, log_times: NDArray[np.int64], channels: Mapping[int, NDArray[np.uint8]]
