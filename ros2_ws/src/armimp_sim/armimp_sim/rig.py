@@ -25,6 +25,8 @@ class SimulatedRig:
 
     Attributes
     ----------
+    position : (n,) encoder readings, rad; valid until the next step
+    torque : (n,) torque transducer readings, N·m; likewise
     tick : number of the present sample, from 0
     fault : why no torque is applied any more; empty while all is well
 
@@ -37,6 +39,8 @@ class SimulatedRig:
     def __init__(self, parameters: SimulatorParameters) -> None:
         config = parameters.plant_config()
         self._plant = Plant([config])
+        self.position: NDArray[np.float64] = self._plant.position[0]
+        self.torque: NDArray[np.float64] = self._plant.torque[0]
         self._voluntary = VoluntaryTorque(
             parameters.voluntary_config(),
             joints=config.joints,
@@ -54,18 +58,6 @@ class SimulatedRig:
     def stamp_ns(self) -> int:
         """Time of the present sample since the start, ns."""
         return self.tick * PERIOD_NS
-
-    @property
-    def position(self) -> NDArray[np.float64]:
-        """Encoder readings (n,), rad; valid until the next step."""
-        reading: NDArray[np.float64] = self._plant.position[0]
-        return reading
-
-    @property
-    def torque(self) -> NDArray[np.float64]:
-        """Torque transducer readings (n,), N·m; valid until the next step."""
-        reading: NDArray[np.float64] = self._plant.torque[0]
-        return reading
 
     @property
     def applied(self) -> tuple[float, ...]:
