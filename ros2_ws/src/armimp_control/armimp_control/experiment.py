@@ -58,7 +58,7 @@ class Experiment:
         self._ticks = self._perturbed_ticks(1)
         self._due: int | None = None
         self._start_ns: int | None = None
-        self._last_stamp_ns: int | None = None
+        self._next_ns: int | None = None  # stamp that is expected
         self._signal: NDArray[np.float64] = np.zeros(0)
         # In lockstep made when its trial begins, as memory is worth more there than time.
         self._signals = (
@@ -71,11 +71,11 @@ class Experiment:
             else {}
         )
         self._sample = np.zeros((2, n))
-        self._theta, self._tau_h = self._sample
         self._fill = struct.Struct(f"{2 * n}d").pack_into
         self._tick = 0
         self._reason = self._malformed = ""
         self.command, self.tau_delta = self._law.command, np.zeros(n)
+        self._compute = self._law.ticker(*self._sample, self.tau_delta)
         self._clips = ClipLedger()
         self.fault = ""
         self.lost = 0
@@ -98,9 +98,11 @@ class Experiment:
         if len(theta) == self._joints == len(tau_h):
             self._malformed = ""
             if not self.finished:
-                self._check(stamp_ns)
-            if not self.finished and self._tick >= self._until:
-                self._advance(stamp_ns)
+                if stamp_ns != self._next_ns:
+                    self._check(stamp_ns)
+                self._next_ns = stamp_ns + PERIOD_NS
+                if self._tick >= self._until and not self.finished:
+                    self._advance(stamp_ns)
             self._control(theta, tau_h)
         else:
             self._malformed = self._wrong_length(theta, tau_h)
@@ -185,9 +187,9 @@ class Experiment:
 
     def _check(self, stamp_ns: int) -> None:
         """Check what the gate can not know: the order of the samples, and gaps between them."""
-        last, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
-        if last is None or stamp_ns - last == PERIOD_NS:
+        if self._next_ns is None:
             return
+        last = self._next_ns - PERIOD_NS
         if stamp_ns <= last:
             self.abort(f"stamp {stamp_ns} ns follows {last} ns: samples must move forward")
             return
@@ -244,7 +246,7 @@ class Experiment:
             place = self._tick - segment.first
             self.tau_delta[segment.joint] = self._signal[place]
         self._fill(self._sample, 0, *theta, *tau_h)
-        clipped = self._law.tick(self._theta, self._tau_h, self.tau_delta)
+        clipped = self._compute()
         if clipped and place is not None:
             self._clips.add(place, clipped)
         if not self.finished and self._law.closed:

@@ -10,12 +10,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
-from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
     CommandPublisher,
+    CountSubscription,
     JointStatePublisher,
     JointStateSubscription,
 )
@@ -72,7 +72,7 @@ class ImbicControllerNode(LifecycleNode):
         self._diagnostics: Publisher | None = None
         self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
-        self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
+        CountSubscription(self, contract.RECEIVED, self._on_received)
         self.create_subscription(
             DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
         )
@@ -299,9 +299,9 @@ class ImbicControllerNode(LifecycleNode):
         if watch.presence.mute and not waits:
             self._take_away(watch.sentence)
 
-    def _on_received(self, message: UInt64) -> None:
+    def _on_received(self, samples: int) -> None:
         """Hear from the recorder; without one a trial is of no use to anybody."""
-        recorded, self._recorded = self._recorded, message.data != contract.RECORDER_GONE
+        recorded, self._recorded = self._recorded, samples != contract.RECORDER_GONE
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
 

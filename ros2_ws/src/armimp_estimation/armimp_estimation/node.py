@@ -15,10 +15,10 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, UInt64
+from std_msgs.msg import Float64MultiArray
 
 from armimp_common import contract, qos
-from armimp_common.channels import RawSubscription
+from armimp_common.channels import CountPublisher, RawSubscription
 from armimp_common.diagnostics import judgement_message, values_of
 from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import (
@@ -90,7 +90,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._check_metadata()
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
-        self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        self._received = CountPublisher(self, contract.RECEIVED)
         self._judgement = self.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
         self._streams = [
             RawSubscription(
@@ -127,7 +127,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._active = True
         self._inbox.clear()
         self._heard = self._seen = self._acknowledged = 0
-        self._received.publish(UInt64(data=0))
+        self._received.publish(0)
         self._timer.reset()
         return super().on_activate(state)
 
@@ -144,7 +144,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self.destroy_timer(self._timer)
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
-        self.destroy_publisher(self._received)
+        self.destroy_publisher(self._received.publisher)
         self.destroy_publisher(self._judgement)
         self.destroy_publisher(self._progress)
         self.destroy_publisher(self._result)
@@ -191,7 +191,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     def _stop(self, reason: str) -> None:
         self._active = False
-        self._received.publish(UInt64(data=contract.RECORDER_GONE))
+        self._received.publish(contract.RECORDER_GONE)
         self._timer.cancel()
         if not self._concluded:
             # Before the trial is finished, which may be the last one that was awaited.
@@ -245,7 +245,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
             # First, so that in lockstep the judgement is there before the samples go on.
             if (judgement := self._recording.judge()) is not None:
                 self._judgement.publish(judgement_message(judgement))
-            self._received.publish(UInt64(data=samples))
+            self._received.publish(samples)
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -355,7 +355,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         """Recording failed: keep what there is, and say so."""
         self._note(problem)
         self._active = False
-        self._received.publish(UInt64(data=contract.RECORDER_GONE))
+        self._received.publish(contract.RECORDER_GONE)
         self._timer.cancel()
         try:
             self._recording.close()

@@ -9,12 +9,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
-from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
     CommandSubscription,
+    CountSubscription,
     JointStatePublisher,
 )
 from armimp_common.diagnostics import Level, make_array, make_status
@@ -85,9 +85,7 @@ class ArmSimNode(LifecycleNode):
         self._backlog = Backlog()
         self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
-        self._received = self.create_subscription(
-            UInt64, contract.RECEIVED, self._on_received, qos.LATCHED
-        )
+        self._received = CountSubscription(self, contract.RECEIVED, self._on_received)
         self._timers = [self.create_timer(_FAULT_PERIOD, self._on_fault_timer)]
         if parameters.mode == "realtime":
             self._timers.append(self.create_timer(_LOOK_PERIOD, self._on_look_timer))
@@ -132,7 +130,7 @@ class ArmSimNode(LifecycleNode):
         ):
             self.destroy_publisher(publisher)
         self.destroy_subscription(self._commands.subscription)
-        self.destroy_subscription(self._received)
+        self.destroy_subscription(self._received.subscription)
         self._rig = None
         return TransitionCallbackReturn.SUCCESS
 
@@ -268,8 +266,8 @@ class ArmSimNode(LifecycleNode):
         if bool(rig.fault) is not self._faulty or rig.tick - self._told >= _DIAGNOSTICS_TICKS:
             self._report(rig)
 
-    def _on_received(self, message: UInt64) -> None:
-        self._backlog.acknowledge(message.data)
+    def _on_received(self, samples: int) -> None:
+        self._backlog.acknowledge(samples)
         self._go_on()
 
     def _go_on(self) -> None:

@@ -5,6 +5,7 @@ and then reused with one comparison and one ``struct`` call.
 """
 
 from armimp_common.cdr.command import CommandDecoder, CommandEncoder
+from armimp_common.cdr.count import decode_count, encode_count
 from armimp_common.cdr.joint_state import (
     JointStateDecoder,
     JointStateEncoder,
@@ -19,6 +20,8 @@ __all__ = [
     "CommandEncoder",
     "JointStateDecoder",
     "JointStateEncoder",
+    "decode_count",
+    "encode_count",
     "joint_names_of",
     "stamp_of",
 ]
