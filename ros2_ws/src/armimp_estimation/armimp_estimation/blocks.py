@@ -1,12 +1,15 @@
-"""Messages of some ticks at once: what recording them one by one would find out many times over."""
+"""Messages of some ticks at once: what recording them one by one would find out many times over.
+
+Plain Python on purpose. Once in fifty ticks nothing of numpy is in the processor's caches, and a
+few of its operations take longer than a loop of the interpreter, which is.
+"""
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from operator import itemgetter, lt
 
 from armimp_common.contract import (
     COMMANDS,
@@ -20,10 +23,10 @@ from armimp_common.contract import (
 ORDER = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
 """Messages of a tick in the order in which they are recorded."""
 
-_STAMPED = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION)
-_LITTLE_ENDIAN = (0, 1)
-_STAMP = slice(4, 12)
-"""Where a message that begins with a ``std_msgs/Header`` has its stamp."""
+_HEAD = struct.Struct("<4siI")
+"""Beginning of a message with a ``std_msgs/Header``: encapsulation and stamp."""
+_LITTLE_ENDIAN = b"\0\1\0\0"
+_head_of = itemgetter(slice(_HEAD.size))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,22 +35,20 @@ class TickBlock:
 
     Attributes
     ----------
-    stamps : ndarray, shape (N,)
+    stamps : list of int
         Stamps of the ticks (ns), rising and none of them negative.
     messages : mapping of str to list of bytes
-        N of each stream, by topic of the contract.
-    tables : mapping of str to ndarray, shape (N, length)
-        The bytes of the same messages, in the order of :data:`ORDER`.
+        As many of each stream, by topic of the contract in the order of :data:`ORDER`; those of a
+        stream are of equal length.
     """
 
-    stamps: NDArray[np.int64]
+    stamps: list[int]
     messages: Mapping[str, list[bytes]]
-    tables: Mapping[str, NDArray[np.uint8]]
 
     @property
     def ticks(self) -> int:
-        """Number of ticks N."""
-        return self.stamps.size
+        """Number of ticks."""
+        return len(self.stamps)
 
     def first(self, ticks: int) -> TickBlock:
         """The first ticks of the block; all of them if it has no more."""
@@ -56,7 +57,6 @@ class TickBlock:
         return TickBlock(
             stamps=self.stamps[:ticks],
             messages={topic: raws[:ticks] for topic, raws in self.messages.items()},
-            tables={topic: table[:ticks] for topic, table in self.tables.items()},
         )
 
 
@@ -70,33 +70,23 @@ def block_of(messages: Mapping[str, Sequence[bytes]]) -> TickBlock | None:
         not of equal length: then each has to be looked at for itself.
     """
     count = len(messages[PERTURBATION])
-    if not count or any(len(messages[topic]) != count for topic in DATA_STREAMS):
+    if not count:
         return None
-    tables: dict[str, NDArray[np.uint8]] = {}
-    for topic in ORDER:
+    for topic in DATA_STREAMS:
         raws = messages[topic]
-        length = len(raws[0])
-        if length < _STAMP.stop or set(map(len, raws)) != {length}:
+        if len(raws) != count or len(set(map(len, raws))) != 1:
             return None
-        tables[topic] = np.frombuffer(b"".join(raws), np.uint8).reshape(count, length)
-    stamps = _stamps(tables[PERTURBATION])
-    if stamps is None or stamps[0] < 0 or not (stamps[1:] > stamps[:-1]).all():
-        return None
-    leading = tables[PERTURBATION][:, _STAMP]
-    for topic in _STAMPED:
-        head = tables[topic][:, : _STAMP.stop]
-        if not ((head[:, :2] == _LITTLE_ENDIAN).all() and (head[:, _STAMP] == leading).all()):
-            return None
-    return TickBlock(
-        stamps=stamps,
-        messages={topic: list(messages[topic]) for topic in DATA_STREAMS},
-        tables=tables,
+    heads, states, sensors = (
+        list(map(_head_of, messages[topic]))
+        for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
     )
-
-
-def _stamps(table: NDArray[np.uint8]) -> NDArray[np.int64] | None:
-    """Stamps (ns) of messages whose byte order is little endian."""
-    parts = np.ascontiguousarray(table[:, _STAMP]).view("<i4")
-    seconds, nanoseconds = parts[:, 0].astype(np.int64), parts[:, 1].view("<u4")
-    stamps: NDArray[np.int64] = seconds * NS_PER_S + nanoseconds.astype(np.int64)
-    return stamps
+    if len(heads[0]) != _HEAD.size or not heads == states == sensors:
+        return None
+    stamps: list[int] = []
+    for head, seconds, nanoseconds in _HEAD.iter_unpack(b"".join(heads)):
+        if head != _LITTLE_ENDIAN:
+            return None
+        stamps.append(seconds * NS_PER_S + nanoseconds)
+    if stamps[0] < 0 or not all(map(lt, stamps, stamps[1:])):
+        return None
+    return TickBlock(stamps=stamps, messages={topic: list(messages[topic]) for topic in ORDER})

@@ -254,7 +254,7 @@ class TrialCollector:
             return 0
         for topic in DATA_STREAMS:
             self._messages[topic] += block.messages[topic]
-        self._up_to_ns = int(block.stamps[-1])
+        self._up_to_ns = block.stamps[-1]
         self._latest = dict.fromkeys(DATA_STREAMS, self._up_to_ns)
         self._finished = len(self._messages[PERTURBATION]) >= self._ticks
         self._sink_block(block)
@@ -266,7 +266,7 @@ class TrialCollector:
         if self._block_sink is not None:
             self._block_sink(block)
             return
-        for tick, stamp_ns in enumerate(block.stamps.tolist()):
+        for tick, stamp_ns in enumerate(block.stamps):
             for topic in ORDER:
                 self._sink(topic, block.messages[topic][tick], stamp_ns)
 

@@ -254,12 +254,12 @@ class Recording:
             self._write_statuses(self._collector.statuses, time_ns)
 
     def _write_block(self, block: TickBlock) -> None:
-        first_ns, last_ns = int(block.stamps[0]), int(block.stamps[-1])
-        self._begin_at(first_ns)
+        self._begin_at(block.stamps[0])
+        last_ns = block.stamps[-1]
         if self._writer is not None:
             # Each stream goes on after what was written of it: stamps of a block are later.
-            self._latest_ns.update(dict.fromkeys(block.tables, last_ns))
-            self._writer.write_block(block.stamps, block.tables)
+            self._latest_ns.update(dict.fromkeys(block.messages, last_ns))
+            self._writer.write_block(block.stamps, block.messages)
         self._last_ns = last_ns
 
     def _write_statuses(self, statuses: Sequence[TrialStatus], time_ns: int) -> None:

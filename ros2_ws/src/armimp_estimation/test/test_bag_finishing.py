@@ -70,8 +70,8 @@ def test_bag_written_by_the_block_is_finished_as_that_of_a_recorder_that_lived(
         for start in range(0, 150, 50):
             writer.write(CLOCK, b"\0\1\0\0" + bytes(8), start * PERIOD_NS)
             part = slice(start, start + 50)
-            tables = {topic: table[part] for topic, table in block.tables.items()}
-            writer.write_block(block.stamps[part], tables)
+            messages = {topic: raws[part] for topic, raws in block.messages.items()}
+            writer.write_block(block.stamps[part], messages)
     writers[0]._file.abandon()
     writers[1].close()
 

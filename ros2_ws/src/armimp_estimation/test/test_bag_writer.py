@@ -336,13 +336,10 @@ class TestBlocks:
     def write_blocks(
         self, writer: BagWriter, topics: dict[str, list[bytes]], size: int, first: int = 0
     ) -> None:
-        tables = {
-            topic: np.array([list(raw) for raw in raws], np.uint8) for topic, raws in topics.items()
-        }
-        times = contract.PERIOD_NS * np.arange(self.TICKS)
+        times = [tick * contract.PERIOD_NS for tick in range(self.TICKS)]
         for start in range(first, self.TICKS, size):
             part = slice(start, start + size)
-            writer.write_block(times[part], {topic: table[part] for topic, table in tables.items()})
+            writer.write_block(times[part], {topic: raws[part] for topic, raws in topics.items()})
 
     @pytest.mark.parametrize("size", [1, 10, 50, 500])
     def test_messages_and_times_are_those_of_messages_written_one_by_one(
@@ -374,11 +371,9 @@ class TestBlocks:
         most = 0
         for start in range(0, self.TICKS, size):
             part = {topic: raws[start : start + size] for topic, raws in recording.items()}
-            times = contract.PERIOD_NS * np.arange(start, min(start + size, self.TICKS))
-            writer.write_block(
-                times,
-                {t: np.array([list(raw) for raw in raws], np.uint8) for t, raws in part.items()},
-            )
+            ticks = range(start, min(start + size, self.TICKS))
+            times = [tick * contract.PERIOD_NS for tick in ticks]
+            writer.write_block(times, part)
             try:
                 last_ns = max(time for _, time, _ in iterate_messages(tmp_path / "bag"))
             except BagError:
@@ -404,12 +399,23 @@ class TestBlocks:
     ) -> None:
         writer = BagWriter(tmp_path / "bag", metadata={})
         with pytest.raises(BagError, match="not part of the contract") as error:
-            writer.write_block(np.zeros(1, np.int64), {"other": np.zeros((1, 4), np.uint8)})
+            writer.write_block([0], {"other": [bytes(4)]})
         one_line(error)
         writer.close()
         with pytest.raises(BagError, match="the bag is closed") as error:
             self.write_blocks(writer, recording, 50)
         one_line(error)
+
+
+    def test_messages_of_unequal_length_are_refused_and_harmless(
+        self, tmp_path: Path, recording: dict[str, list[bytes]]
+    ) -> None:
+        with BagWriter(tmp_path / "bag", metadata={}) as writer:
+            with pytest.raises(BagError, match="not all of 36 bytes") as error:
+                writer.write_block([0, 1], {contract.COMMANDS: [bytes(36), bytes(37)]})
+            one_line(error)
+            self.write_blocks(writer, recording, 50)
+        assert len(list(iterate_messages(tmp_path / "bag"))) == 4 * self.TICKS
 
 
 class TestKilledWriter:

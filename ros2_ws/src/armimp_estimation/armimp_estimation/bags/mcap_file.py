@@ -8,12 +8,11 @@ well, so that a killed process loses little. All other records are those of the 
 import fcntl
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
 
-import numpy as np
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -29,7 +28,6 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
-from numpy.typing import NDArray
 
 from armimp_estimation.bags.message_records import BEYOND_LENGTH, MESSAGE, MESSAGE_HEAD, TickRecords
 
@@ -51,6 +49,13 @@ _COMPRESSION: Final = b"zstd"
 _CHUNK_HEAD: Final = struct.Struct(f"<BQQQQII{len(_COMPRESSION)}sQ")
 """Head of a chunk record: opcode, length, first and last time, size and checksum of what it holds
 without compression; compression, and size with it."""
+
+_INDEX_HEAD: Final = struct.Struct("<BQHI")
+"""Head of a message index: opcode, length, channel, bytes of the entries."""
+_INDEX_BEYOND: Final = 6
+"""Bytes of it that the length counts."""
+_ENTRY: Final = struct.Struct("<QQ")
+"""Entry of a message index: log time, offset in the chunk."""
 
 # Level 1: on these streams it compresses as well as level 3 in less than half of the time.
 _LEVEL: Final = 1
@@ -99,8 +104,9 @@ class McapFile:
         self._chunk = bytearray()
         self._pending = 0
         self._deadline_ns = 0
-        # Log time and offset of each message of the chunk in turn, by channel.
-        self._index: dict[int, list[int]] = {}
+        self._start_ns = self._end_ns = 0
+        # Log time and offset of each message of the chunk, by channel, as they are written.
+        self._index: dict[int, bytearray] = {}
         self._records = TickRecords(())
         try:
             self._write(MAGIC + _encoded(Header(profile="ros2", library=library)))
@@ -139,7 +145,7 @@ class McapFile:
         self._write(_encoded(channel))
         self._channels.append(channel)
         self._counts[channel.id] = 0
-        self._index[channel.id] = []
+        self._index[channel.id] = bytearray()
         return channel.id
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -170,36 +176,50 @@ class McapFile:
         chunk = self._chunk
         head = self._pack(MESSAGE, BEYOND_LENGTH + len(data), channel, 0, log_time_ns, log_time_ns)
         offset = len(chunk)
-        if not offset:
-            self._deadline_ns = log_time_ns + FLUSH_INTERVAL_NS
+        self._span(log_time_ns, log_time_ns)
         chunk += head
         chunk += data
-        self._index[channel] += (log_time_ns, offset)
+        self._index[channel] += _ENTRY.pack(log_time_ns, offset)
         self._pending += 1
 
+    def _span(self, first_ns: int, last_ns: int) -> None:
+        """Take account of the log times of messages that are about to be appended."""
+        if not self._chunk:
+            self._deadline_ns = first_ns + FLUSH_INTERVAL_NS
+            self._start_ns, self._end_ns = first_ns, last_ns
+        else:
+            self._start_ns = min(self._start_ns, first_ns)
+            self._end_ns = max(self._end_ns, last_ns)
+
     def add_block(
-        self, log_times: NDArray[np.int64], channels: Mapping[int, NDArray[np.uint8]]
+        self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]
     ) -> None:
         """Append messages of several channels for each of some times, and flush as is due.
 
         Parameters
         ----------
-        log_times : ndarray, shape (N,)
+        log_times : sequence of int
             Not negative, in rising order (ns).
-        channels : mapping of int to ndarray, shape (N, length)
-            The messages of each channel, in the order in which those of one time are appended.
+        channels : mapping of int to sequence of bytes
+            As many messages of each channel, in the order in which those of one time are appended;
+            those of a channel are of equal length.
+
+        Raises
+        ------
+        BagError
+            If they are not; nothing is appended then.
         """
-        lengths = tuple((channel, table.shape[1]) for channel, table in channels.items())
+        lengths = tuple((channel, len(raws[0])) for channel, raws in channels.items())
         if lengths != self._records.lengths:
             self._records = TickRecords(lengths)
+        records = self._records.encode(log_times, channels)
         start = len(self._chunk)
-        first_ns, last_ns = int(log_times[0]), int(log_times[-1])
-        if not start:
-            self._deadline_ns = first_ns + FLUSH_INTERVAL_NS
-        self._chunk += self._records.encode(log_times, channels)
+        first_ns, last_ns = log_times[0], log_times[-1]
+        self._span(first_ns, last_ns)
+        self._chunk += records
         for channel, entries in self._records.index(log_times, start):
             self._index[channel] += entries
-        self._pending += len(channels) * log_times.size
+        self._pending += len(channels) * len(log_times)
         # Another block like this must not lead beyond what may be lost.
         if (
             2 * last_ns - first_ns >= self._deadline_ns
@@ -216,8 +236,7 @@ class McapFile:
         if not self._pending:
             return
         messages = self._chunk
-        start_ns = min(min(entries[::2]) for entries in self._index.values() if entries)
-        end_ns = max(max(entries[::2]) for entries in self._index.values() if entries)
+        start_ns, end_ns = self._start_ns, self._end_ns
         compressed = self._compress(messages)
         head = _CHUNK_HEAD.pack(
             Opcode.CHUNK,
@@ -237,7 +256,10 @@ class McapFile:
         for channel, entries in self._index.items():
             if entries:
                 offsets[channel] = self._position + len(output)
-                output += _message_index(channel, entries)
+                output += _INDEX_HEAD.pack(
+                    Opcode.MESSAGE_INDEX, _INDEX_BEYOND + len(entries), channel, len(entries)
+                )
+                output += entries
         entry = ChunkIndex(
             chunk_start_offset=self._position,
             chunk_length=length,
@@ -252,7 +274,7 @@ class McapFile:
         self._write(output)
         self._chunks.append(entry)
         for channel, entries in self._index.items():
-            self._counts[channel] += len(entries) // 2
+            self._counts[channel] += len(entries) // _ENTRY.size
         self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
         self._last_ns = max(self._last_ns, end_ns)
         self.discard()
@@ -345,8 +367,3 @@ def _encoded(record: _Record) -> bytes:
     data: bytes = builder.end()
     return data
 
-
-def _message_index(channel: int, entries: list[int]) -> bytes:
-    size = 8 * len(entries)
-    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel, size)
-    return head + struct.pack(f"<{len(entries)}Q", *entries)

@@ -1,11 +1,13 @@
 """Message records of an MCAP file, one by one and many at once."""
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import repeat
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+from armimp_common.errors import BagError
 
 MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
 """Head of a message record: opcode, length, channel, sequence, log time, publish time."""
@@ -28,6 +30,9 @@ MESSAGE: Final = 5
 BEYOND_LENGTH: Final = 22
 """Bytes of the head that the length counts."""
 
+_SAME: Final = 15
+"""Bytes of the head before the times, which all messages of a stream share."""
+
 
 class TickRecords:
     """Records of one message of each of some channels, tick after tick.
@@ -40,32 +45,39 @@ class TickRecords:
 
     def __init__(self, lengths: tuple[tuple[int, int], ...]) -> None:
         self.lengths = lengths
-        fields: list[Any] = []
+        self._heads: list[bytes] = []
+        self._offsets: list[int] = []
+        layout, size = "<", 0
         for channel, length in lengths:
-            fields += [(f"head {channel}", HEAD), (f"data {channel}", "u1", (length,))]
-        tick = np.dtype(fields)
-        self._size = tick.itemsize
-        self._offsets = {channel: tick.fields[f"head {channel}"][1] for channel, _ in lengths}
-        self._pattern = np.zeros((), tick)
-        for channel, length in lengths:
-            self._pattern[f"head {channel}"] = (MESSAGE, BEYOND_LENGTH + length, channel, 0, 0, 0)
+            head = MESSAGE_HEAD.pack(MESSAGE, BEYOND_LENGTH + length, channel, 0, 0, 0)
+            self._heads.append(head[:_SAME])
+            self._offsets.append(size)
+            layout += f"{_SAME}sQQ{length}s"
+            size += MESSAGE_HEAD.size + length
+        self._pack, self._size = struct.Struct(layout).pack, size
 
-    def encode(
-        self, log_times: NDArray[np.int64], messages: Mapping[int, NDArray[np.uint8]]
-    ) -> bytes:
-        """Encode the messages (N, length) of each channel with their log times (N,), ns."""
-        records = np.full(log_times.size, self._pattern)
-        for channel, table in messages.items():
-            head = records[f"head {channel}"]
-            head["log_time"] = head["publish_time"] = log_times
-            records[f"data {channel}"] = table
-        return records.tobytes()
+    def encode(self, log_times: Sequence[int], messages: Mapping[int, Sequence[bytes]]) -> bytes:
+        """Encode as many messages of each channel as there are log times (ns).
 
-    def index(self, log_times: NDArray[np.int64], start: int) -> Iterator[tuple[int, list[int]]]:
-        """Log time and place of each message in turn, by channel, if the first is at `start`."""
-        entries = np.empty((log_times.size, 2), np.int64)
-        entries[:, 0] = log_times
-        ticks = start + self._size * np.arange(log_times.size)
-        for channel, offset in self._offsets.items():
-            entries[:, 1] = ticks + offset
-            yield channel, entries.ravel().tolist()
+        Raises
+        ------
+        BagError
+            If a message has another length.
+        """
+        columns: list[Any] = []
+        for head, (channel, length) in zip(self._heads, self.lengths, strict=True):
+            if set(map(len, messages[channel])) != {length}:
+                raise BagError(f"messages of channel {channel} are not all of {length} bytes")
+            columns += [repeat(head), log_times, log_times, messages[channel]]
+        pack = self._pack
+        return b"".join([pack(*row) for row in zip(*columns, strict=False)])
+
+    def index(self, log_times: Sequence[int], start: int) -> Iterator[tuple[int, bytes]]:
+        """Index entries of each channel, if the first record is at `start` in its chunk."""
+        entries = [0] * (2 * len(log_times))
+        entries[::2] = log_times
+        pack = struct.Struct(f"<{len(entries)}Q").pack
+        stop = start + self._size * len(log_times)
+        for offset, (channel, _) in zip(self._offsets, self.lengths, strict=True):
+            entries[1::2] = range(start + offset, stop, self._size)
+            yield channel, pack(*entries)

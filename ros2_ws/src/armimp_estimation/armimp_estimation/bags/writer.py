@@ -3,13 +3,10 @@
 import errno
 import shutil
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Final
-
-import numpy as np
-from numpy.typing import NDArray
 
 from armimp_common import contract
 from armimp_common.errors import BagError, ConfigurationError
@@ -118,16 +115,17 @@ class BagWriter:
             ) from None
 
     def write_block(
-        self, log_times: NDArray[np.int64], tables: Mapping[str, NDArray[np.uint8]]
+        self, log_times: Sequence[int], messages: Mapping[str, Sequence[bytes]]
     ) -> None:
         """Append messages of several topics for each of some times at once.
 
         Parameters
         ----------
-        log_times : ndarray, shape (N,)
+        log_times : sequence of int
             Times of reception (ns), not negative, in rising order.
-        tables : mapping of str to ndarray, shape (N, length)
-            The serialised messages by topic, in the order in which those of one time are written.
+        messages : mapping of str to sequence of bytes
+            A serialised message for each of them, by topic, in the order in which those of one
+            time are written; those of a topic are of equal length.
 
         Raises
         ------
@@ -136,7 +134,7 @@ class BagWriter:
         """
         if self._closed:
             raise BagError(f"{self._path}: cannot be written: the bag is closed")
-        channels = {self._channel(topic): table for topic, table in tables.items()}
+        channels = {self._channel(topic): raws for topic, raws in messages.items()}
         try:
             self._file.add_block(log_times, channels)
         except (OSError, ValueError) as error:
