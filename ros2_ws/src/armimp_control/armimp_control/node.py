@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from typing import Any
@@ -36,6 +35,7 @@ from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_common.urgency import Urgency
 from armimp_control.experiment import Experiment
+from armimp_control.pairs import Reading, SamplePairs, first_bad
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.safety import Limit
 from armimp_control.watchdog import Watchdog
@@ -72,7 +72,9 @@ class ImbicControllerNode(LifecycleNode):
         self._diagnostics: Publisher | None = None
         self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
-        CountSubscription(self, contract.RECEIVED, self._on_received)
+        CountSubscription(
+            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
+        )
         self.create_subscription(
             DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
         )
@@ -178,10 +180,8 @@ class ImbicControllerNode(LifecycleNode):
 
     def _prepare(self) -> Experiment:
         self._experiment = Experiment(self._settings, self._announce)
-        # Readings of the two sensor topics that still wait for their partner, by stamp.
-        self._positions: dict[int, tuple[float, ...]] = {}
-        self._torques: dict[int, tuple[float, ...]] = {}
-        self._held: tuple[int, tuple[float, ...], tuple[float, ...]] | None = None
+        self._pairs = SamplePairs()
+        self._held: tuple[int, Reading, Reading] | None = None
         self._garbled = ""
         self._clips_told = 0
         return self._experiment
@@ -205,42 +205,29 @@ class ImbicControllerNode(LifecycleNode):
         if status.phase is Phase.ABORTED and self._active:
             self._latch(status.reason)
 
-    def _on_position(self, stamp_ns: int, theta: tuple[float, ...]) -> None:
-        tau_h = self._torques.pop(stamp_ns, None)
-        if tau_h is None:
-            self._keep(self._positions, stamp_ns, theta, "position")
-        else:
+    def _on_position(self, stamp_ns: int, theta: Reading) -> None:
+        tau_h = self._pairs.with_position(stamp_ns, theta)
+        if tau_h is not None:
             self._answer(stamp_ns, theta, tau_h)
+        elif (bad := first_bad(theta)) is not None:
+            self._refuse_reading("position", bad, theta)
 
-    def _on_torque(self, stamp_ns: int, tau_h: tuple[float, ...]) -> None:
-        theta = self._positions.pop(stamp_ns, None)
-        if theta is None:
-            self._keep(self._torques, stamp_ns, tau_h, "torque reading")
-        else:
+    def _on_torque(self, stamp_ns: int, tau_h: Reading) -> None:
+        theta = self._pairs.with_torque(stamp_ns, tau_h)
+        if theta is not None:
             self._answer(stamp_ns, theta, tau_h)
+        elif (bad := first_bad(tau_h)) is not None:
+            self._refuse_reading("torque reading", bad, tau_h)
 
-    def _keep(
-        self,
-        waiting: dict[int, tuple[float, ...]],
-        stamp_ns: int,
-        values: tuple[float, ...],
-        what: str,
-    ) -> None:
-        """Keep a reading for its partner. That may never come, so nonsense is a fault already."""
-        waiting[stamp_ns] = values
-        if math.isfinite(sum(values)):  # as it is with almost every reading
-            return
-        bad = next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
-        if bad is not None and self._experiment is not None and not self._experiment.at_rest:
+    def _refuse_reading(self, what: str, bad: int, values: Reading) -> None:
+        """Nonsense is a fault already while its partner is still to come, which may be never."""
+        if self._experiment is not None and not self._experiment.at_rest:
             self._refuse(f"{what} of joint {bad + 1} is not finite: {values[bad]}")
 
-    def _answer(self, stamp_ns: int, theta: tuple[float, ...], tau_h: tuple[float, ...]) -> None:
+    def _answer(self, stamp_ns: int, theta: Reading, tau_h: Reading) -> None:
         experiment = self._experiment
         if not self._active or experiment is None:
             return
-        for waiting in (self._positions, self._torques):
-            if waiting:
-                _drop_older(waiting, stamp_ns)
         now = time.monotonic()
         if not self._lockstep and self._watchdog.expired(now):
             # The sample came before the timer, as after a stall of this process.
@@ -260,8 +247,8 @@ class ImbicControllerNode(LifecycleNode):
         self,
         experiment: Experiment,
         stamp_ns: int,
-        theta: tuple[float, ...],
-        tau_h: tuple[float, ...],
+        theta: Reading,
+        tau_h: Reading,
     ) -> None:
         experiment.answer(stamp_ns, theta, tau_h)
         self._commands.publish(experiment.command)
@@ -304,6 +291,9 @@ class ImbicControllerNode(LifecycleNode):
         recorded, self._recorded = self._recorded, samples != contract.RECORDER_GONE
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
+
+    def _on_malformed_count(self, error: ArmimpError) -> None:
+        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
 
     def _on_judgement(self, message: DiagnosticStatus) -> None:
         """Hear from the estimator how good the trial is already."""
@@ -400,12 +390,6 @@ class ImbicControllerNode(LifecycleNode):
             },
         )
         self._diagnostics.publish(make_array(self._stamp_ns, [status]))
-
-
-def _drop_older(waiting: dict[int, tuple[float, ...]], stamp_ns: int) -> None:
-    """Give up readings whose partner was lost: lost samples, which the experiment counts."""
-    for old in [stamp for stamp in waiting if stamp < stamp_ns]:
-        del waiting[old]
 
 
 def main() -> int:

@@ -406,7 +406,6 @@ class TestBlocks:
             self.write_blocks(writer, recording, 50)
         one_line(error)
 
-
     def test_messages_of_unequal_length_are_refused_and_harmless(
         self, tmp_path: Path, recording: dict[str, list[bytes]]
     ) -> None:

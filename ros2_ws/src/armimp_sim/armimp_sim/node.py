@@ -85,7 +85,9 @@ class ArmSimNode(LifecycleNode):
         self._backlog = Backlog()
         self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
-        self._received = CountSubscription(self, contract.RECEIVED, self._on_received)
+        self._received = CountSubscription(
+            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
+        )
         self._timers = [self.create_timer(_FAULT_PERIOD, self._on_fault_timer)]
         if parameters.mode == "realtime":
             self._timers.append(self.create_timer(_LOOK_PERIOD, self._on_look_timer))
@@ -269,6 +271,9 @@ class ArmSimNode(LifecycleNode):
     def _on_received(self, samples: int) -> None:
         self._backlog.acknowledge(samples)
         self._go_on()
+
+    def _on_malformed_count(self, error: ArmimpError) -> None:
+        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
 
     def _go_on(self) -> None:
         if self._holding and self._active and not self._backlog.full:

@@ -191,9 +191,7 @@ class McapFile:
             self._start_ns = min(self._start_ns, first_ns)
             self._end_ns = max(self._end_ns, last_ns)
 
-    def add_block(
-        self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]
-    ) -> None:
+    def add_block(self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]) -> None:
         """Append messages of several channels for each of some times, and flush as is due.
 
         Parameters
@@ -366,4 +364,3 @@ def _encoded(record: _Record) -> bytes:
     record.write(builder)
     data: bytes = builder.end()
     return data
-
