@@ -126,7 +126,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         )
         self._active = True
         self._inbox.clear()
-        self._heard = self._seen = self._acknowledged = 0
+        self._heard = self._acknowledged = self._recorded = self._flushed = 0
+        self._seen, self._behind = -1, False
         self._received.publish(0)
         self._timer.reset()
         return super().on_activate(state)
@@ -210,6 +211,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         def on_message(message: bytes) -> None:
             if self._active:
                 receive(message)
+                if self._behind:
+                    self._take_stock()
 
         return on_message
 
@@ -220,32 +223,48 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._receive_perturbation(message)
         self._heard += 1
         if self._heard % contract.RECEIVED_EVERY == 0:
-            if self._heard % self._together == 0:
-                self._record(flush=self._heard % TOGETHER == 0)
-            if self._active:
-                self._acknowledge()
+            self._take_stock()
 
-    def _record(self, *, incomplete: bool = False, flush: bool = False) -> None:
+    def _take_stock(self) -> None:
+        """Tell now and then how many samples are here with all of their messages; record them."""
+        every = contract.RECEIVED_EVERY
+        samples = self._inbox.samples // every * every
+        # Then the last message of a sample is none of the perturbation.
+        self._behind = samples < self._heard // every * every
+        if samples <= self._acknowledged:
+            return
+        if samples - self._recorded >= self._together:
+            self._recorded = samples
+            self._record()
+        if self._active and samples - self._flushed >= TOGETHER:
+            self._flushed = samples
+            self._flush()
+        if self._active:
+            self._acknowledge(samples)
+
+    def _acknowledge(self, samples: int) -> None:
+        self._acknowledged = samples
+        # First, so that in lockstep the judgement is there before the samples go on.
+        if (judgement := self._recording.judge()) is not None:
+            self._judgement.publish(judgement_message(judgement))
+        self._received.publish(samples)
+
+    def _record(self, *, incomplete: bool = False) -> None:
         """Record what waits for it."""
         try:
             self._recording.add_many(
                 self._inbox.take(incomplete=incomplete),
                 lambda topic, error: self._note(f"{topic}: {error}"),
             )
-            if flush:
-                self._recording.flush()
         except ArmimpError as error:
             self._give_up(str(error))
 
-    def _acknowledge(self) -> None:
-        """Tell how many samples are here with all of their messages."""
-        samples = self._inbox.samples // contract.RECEIVED_EVERY * contract.RECEIVED_EVERY
-        if samples > self._acknowledged:
-            self._acknowledged = samples
-            # First, so that in lockstep the judgement is there before the samples go on.
-            if (judgement := self._recording.judge()) is not None:
-                self._judgement.publish(judgement_message(judgement))
-            self._received.publish(samples)
+    def _flush(self) -> None:
+        """Hand on what was recorded, so that a kill of this process cannot reach it."""
+        try:
+            self._recording.flush()
+        except ArmimpError as error:
+            self._give_up(str(error))
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -364,9 +383,9 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._conclude()
 
     def _on_timer(self) -> None:
-        if self._active and self._heard == self._seen:
-            self._record()  # nothing has come that would see to it
-        self._seen = self._heard
+        if self._active and self._acknowledged == self._seen:
+            self._record()  # nothing has come that would see to it, or not from all
+        self._seen = self._acknowledged
         status = self._recording.status
         if not self._active or status is None:
             return
