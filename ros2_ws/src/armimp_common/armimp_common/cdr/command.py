@@ -80,11 +80,11 @@ class CommandDecoder:
             On truncated or foreign bytes, or another number of values.
         """
         layout = self._layout
-        if (
-            len(data) != layout.length
-            or int.from_bytes(data, "little") & layout.mask != layout.constant
-        ):
-            layout = self._layout = self._parse(data)
+        if len(data) == layout.length:
+            items = layout.unpack(data)
+            if (items[0] == layout.before and items[-1] == layout.after) or layout.matches(data):
+                return layout.values(items)
+        layout = self._layout = self._parse(data)
         return layout.values(layout.unpack(data))
 
     def decode_many(self, messages: Sequence[Buffer]) -> NDArray[np.float64]:
