@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,11 +72,11 @@ class Experiment:
             else {}
         )
         self._sample = np.zeros((2, n))
-        self._fill = struct.Struct(f"{2 * n}d").pack_into
+        self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._sample.data, 0)
         self._tick = 0
         self._reason = self._malformed = ""
         self.command, self.tau_delta = self._law.command, np.zeros(n)
-        self._compute = self._law.ticker(*self._sample, self.tau_delta)
+        self._compute = self._law.ticker(self._sample[0], self._sample[1], self.tau_delta)
         self._clips = ClipLedger()
         self.fault = ""
         self.lost = 0
@@ -245,7 +246,7 @@ class Experiment:
         if not self.finished and segment is not None and segment.phase is Phase.PERTURB:
             place = self._tick - segment.first
             self.tau_delta[segment.joint] = self._signal[place]
-        self._fill(self._sample, 0, *theta, *tau_h)
+        self._fill(*theta, *tau_h)
         clipped = self._compute()
         if clipped and place is not None:
             self._clips.add(place, clipped)

@@ -156,7 +156,7 @@ class Controller:
             self._journal,
             self.command,
         )
-        self._notes = memoryview(self._journal)  # read in half the time
+        self._notes = self._journal.data  # read in half the time
 
     @property
     def closed(self) -> bool:

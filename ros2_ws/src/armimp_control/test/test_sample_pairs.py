@@ -29,9 +29,8 @@ def test_in_any_order_readings_meet_only_those_of_their_stamp_and_the_latest_alw
 @pytest.mark.parametrize("swapped", [False, True])
 def test_readings_in_turn_are_all_paired(swapped: bool) -> None:
     pairs = SamplePairs()
-    first, second = pairs.with_position, pairs.with_torque
-    if swapped:
-        first, second = second, first
+    takes = [pairs.with_position, pairs.with_torque]
+    first, second = reversed(takes) if swapped else takes
     for stamp in range(10):
         assert first(stamp, (1.0,)) is None
         assert second(stamp, (2.0,)) == (1.0,)
