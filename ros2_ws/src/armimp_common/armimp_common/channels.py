@@ -10,16 +10,18 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
 
-from armimp_common import qos
+from armimp_common import contract, qos
 from armimp_common.cdr import (
     CommandDecoder,
     CommandEncoder,
     JointStateDecoder,
     JointStateEncoder,
     decode_count,
+    encode_clock,
     encode_count,
 )
 from armimp_common.contract import ValueField
@@ -99,6 +101,18 @@ class CountPublisher:
     def publish(self, count: int) -> None:
         """Publish a count from 0 to 2⁶⁴ − 1."""
         self._send(encode_count(count))
+
+
+class ClockPublisher:
+    """Publisher of simulated time."""
+
+    def __init__(self, node: Node) -> None:
+        self.publisher: Publisher = node.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
+        self._send = sender(self.publisher)
+
+    def publish(self, stamp_ns: int) -> None:
+        """Publish a time (ns)."""
+        self._send(encode_clock(stamp_ns))
 
 
 def sender(publisher: Publisher) -> Callable[[bytes], None]:

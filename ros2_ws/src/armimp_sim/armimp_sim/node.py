@@ -8,11 +8,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
+    ClockPublisher,
     CommandSubscription,
     CountSubscription,
     JointStatePublisher,
@@ -26,7 +26,6 @@ from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.pacing import Pacer
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
-from armimp_common.stamps import to_time
 from armimp_common.urgency import Urgency
 from armimp_sim.backlog import Backlog
 from armimp_sim.paced import PacedRig
@@ -75,7 +74,7 @@ class ArmSimNode(LifecycleNode):
             self._rig.latch(_STOPPED)
         self._joint_states = JointStatePublisher(self, contract.JOINT_STATES, names, "position")
         self._torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "effort")
-        self._clock_publisher = self.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
+        self._clock_publisher = ClockPublisher(self)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
         )
@@ -127,7 +126,7 @@ class ArmSimNode(LifecycleNode):
         for publisher in (
             self._joint_states.publisher,
             self._torque_sensors.publisher,
-            self._clock_publisher,
+            self._clock_publisher.publisher,
             self._diagnostics,
         ):
             self.destroy_publisher(publisher)
@@ -301,7 +300,7 @@ class ArmSimNode(LifecycleNode):
         self._joint_states.publish(stamp_ns, rig.position)
         self._torque_sensors.publish(stamp_ns, rig.torque)
         if rig.tick % _CLOCK_TICKS == 0:
-            self._clock_publisher.publish(Clock(clock=to_time(stamp_ns)))
+            self._clock_publisher.publish(stamp_ns)
 
     def _report(self, rig: SimulatedRig) -> None:
         with self._alone:

@@ -4,6 +4,7 @@ Messages of one stream differ only in their stamp and their numbers, so a layout
 and then reused with one comparison and one ``struct`` call.
 """
 
+from armimp_common.cdr.clock import encode_clock
 from armimp_common.cdr.command import CommandDecoder, CommandEncoder
 from armimp_common.cdr.count import decode_count, encode_count
 from armimp_common.cdr.joint_state import (
@@ -21,6 +22,7 @@ __all__ = [
     "JointStateDecoder",
     "JointStateEncoder",
     "decode_count",
+    "encode_clock",
     "encode_count",
     "joint_names_of",
     "stamp_of",
