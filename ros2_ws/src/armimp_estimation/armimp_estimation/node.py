@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -252,12 +253,12 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def _record(self, *, incomplete: bool = False) -> None:
         """Record what waits for it."""
         try:
-            self._recording.add_many(
-                self._inbox.take(incomplete=incomplete),
-                lambda topic, error: self._note(f"{topic}: {error}"),
-            )
+            self._add(self._inbox.take(incomplete=incomplete))
         except ArmimpError as error:
             self._give_up(str(error))
+
+    def _add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
+        self._recording.add_many(messages, lambda topic, error: self._note(f"{topic}: {error}"))
 
     def _flush(self) -> None:
         """Hand on what was recorded, so that a kill of this process cannot reach it."""
@@ -376,6 +377,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._active = False
         self._received.publish(contract.RECORDER_GONE)
         self._timer.cancel()
+        with suppress(ArmimpError):
+            self._add(self._inbox.take())  # goes into the bag as that is closed
         try:
             self._recording.close()
         except ArmimpError as error:
