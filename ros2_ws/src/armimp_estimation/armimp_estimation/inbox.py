@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from armimp_common.cdr import stamp_of
-from armimp_common.contract import DATA_STREAMS, PERTURBATION
+from armimp_common.contract import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
 from armimp_common.errors import MalformedMessageError
 
 TOGETHER = 50
@@ -15,15 +15,59 @@ _PATIENCE = 20
 
 
 class Inbox:
-    """The messages of the four streams, each in the order in which they came."""
+    """The messages of the four streams, each in the order in which they came.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    on_samples : callable, optional
+        Called with the number of samples of which all messages have come, whenever it has passed
+        another multiple of :data:`armimp_common.contract.RECEIVED_EVERY`; with that multiple.
+    """
+
+    def __init__(self, on_samples: Callable[[int], None] = lambda _: None) -> None:
+        self._on_samples = on_samples
         self._waiting: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
+        self.open()
+
+    def open(self) -> None:
+        """Begin anew, as if nothing had come."""
+        for waiting in self._waiting.values():
+            waiting.clear()
         self._taken = dict.fromkeys(DATA_STREAMS, 0)
+        self._leading = self._told = 0
+        self._open, self._behind = True, False
+
+    def close(self) -> None:
+        """Take no more messages; what waits can still be taken out."""
+        self._open = False
 
     def receiver(self, topic: str) -> Callable[[bytes], None]:
         """What takes the messages of a topic of the contract."""
-        return self._waiting[topic].append
+        receive = self._waiting[topic].append
+
+        def on_message(message: bytes) -> None:
+            if self._open:
+                receive(message)
+                if self._behind:
+                    self._take_stock()
+
+        def on_leading(message: bytes) -> None:
+            if self._open:
+                receive(message)
+                self._leading += 1
+                if self._leading % RECEIVED_EVERY == 0:
+                    self._take_stock()
+
+        # The perturbation is mostly the last message of its sample.
+        return on_leading if topic == PERTURBATION else on_message
+
+    def _take_stock(self) -> None:
+        samples = self.samples // RECEIVED_EVERY * RECEIVED_EVERY
+        # Another stream is the last, then, as after a halt of the process.
+        self._behind = samples < self._leading // RECEIVED_EVERY * RECEIVED_EVERY
+        if samples > self._told:
+            self._told = samples
+            self._on_samples(samples)
 
     @property
     def samples(self) -> int:
@@ -56,12 +100,6 @@ class Inbox:
             del waiting[:count]
             self._taken[topic] += len(taken[topic])
         return taken
-
-    def clear(self) -> None:
-        """Forget everything, as if nothing had come."""
-        for topic, waiting in self._waiting.items():
-            waiting.clear()
-            self._taken[topic] = 0
 
     def _counts(self) -> list[int]:
         """Number of messages so far, of each stream."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -84,8 +84,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._settings = load(self, EstimatorParameters)
         # Judgements are made from what is recorded.
         self._together = contract.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
-        self._inbox = Inbox()
-        self._receive_perturbation = self._inbox.receiver(contract.PERTURBATION)
+        self._inbox = Inbox(self._on_samples)
+        self._inbox.close()
         self._metadata = self._settings.bag_metadata()
         self._reset()
         self._check_metadata()
@@ -98,7 +98,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
                 self,
                 topic,
                 _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]],
-                self._on_perturbation if topic == contract.PERTURBATION else self._receiver(topic),
+                self._inbox.receiver(topic),
             )
             for topic in contract.DATA_STREAMS
         ]
@@ -126,9 +126,9 @@ class ImpedanceEstimatorNode(LifecycleNode):
             watches=[self._rig, self._controller],
         )
         self._active = True
-        self._inbox.clear()
-        self._heard = self._acknowledged = self._recorded = self._flushed = 0
-        self._seen, self._behind = -1, False
+        self._inbox.open()
+        self._acknowledged = self._recorded = self._flushed = 0
+        self._seen = -1
         self._received.publish(0)
         self._timer.reset()
         return super().on_activate(state)
@@ -193,6 +193,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     def _stop(self, reason: str) -> None:
         self._active = False
+        self._inbox.close()
         self._received.publish(contract.RECORDER_GONE)
         self._timer.cancel()
         if not self._concluded:
@@ -206,34 +207,8 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._recording.stop()
         self._conclude()
 
-    def _receiver(self, topic: str) -> Callable[[bytes], None]:
-        receive = self._inbox.receiver(topic)
-
-        def on_message(message: bytes) -> None:
-            if self._active:
-                receive(message)
-                if self._behind:
-                    self._take_stock()
-
-        return on_message
-
-    def _on_perturbation(self, message: bytes) -> None:
-        """Take the message that is mostly the last one of its sample."""
-        if not self._active:
-            return
-        self._receive_perturbation(message)
-        self._heard += 1
-        if self._heard % contract.RECEIVED_EVERY == 0:
-            self._take_stock()
-
-    def _take_stock(self) -> None:
-        """Tell now and then how many samples are here with all of their messages; record them."""
-        every = contract.RECEIVED_EVERY
-        samples = self._inbox.samples // every * every
-        # Then the last message of a sample is none of the perturbation.
-        self._behind = samples < self._heard // every * every
-        if samples <= self._acknowledged:
-            return
+    def _on_samples(self, samples: int) -> None:
+        """Record so many samples that came since the activation, and tell that they are here."""
         if samples - self._recorded >= self._together:
             self._recorded = samples
             self._record()
@@ -241,14 +216,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._flushed = samples
             self._flush()
         if self._active:
-            self._acknowledge(samples)
-
-    def _acknowledge(self, samples: int) -> None:
-        self._acknowledged = samples
-        # First, so that in lockstep the judgement is there before the samples go on.
-        if (judgement := self._recording.judge()) is not None:
-            self._judgement.publish(judgement_message(judgement))
-        self._received.publish(samples)
+            # First, so that in lockstep the judgement is there before the samples go on.
+            if (judgement := self._recording.judge()) is not None:
+                self._judgement.publish(judgement_message(judgement))
+            self._acknowledged = samples
+            self._received.publish(samples)
 
     def _record(self, *, incomplete: bool = False) -> None:
         """Record what waits for it."""
@@ -375,6 +347,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         """Recording failed: keep what there is, and say so."""
         self._note(problem)
         self._active = False
+        self._inbox.close()
         self._received.publish(contract.RECORDER_GONE)
         self._timer.cancel()
         with suppress(ArmimpError):

@@ -72,13 +72,46 @@ def test_newest_stamp_is_that_of_the_last_perturbation_that_waits() -> None:
     assert inbox.newest_ns is None
 
 
+@pytest.mark.parametrize("last", DATA_STREAMS)
+def test_samples_are_told_by_tens_whichever_stream_comes_last(last: str) -> None:
+    told: list[int] = []
+    inbox = Inbox(told.append)
+    receivers = {topic: inbox.receiver(topic) for topic in DATA_STREAMS}
+    order = [*(topic for topic in DATA_STREAMS if topic != last), last]
+
+    for _ in range(25):
+        for topic in order:
+            receivers[topic](b"in turn")
+    assert told == [10, 20]
+    for topic in order:
+        for _ in range(25):
+            receivers[topic](b"one stream after the other")
+
+    assert told == [10, 20, 30, 40, 50]
+
+
+def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
+    told: list[int] = []
+    inbox = Inbox(told.append)
+    receivers = [inbox.receiver(topic) for topic in DATA_STREAMS]
+    for receive in receivers * 9:
+        receive(b"1")
+
+    inbox.close()
+    for receive in receivers * 9:
+        receive(b"2")
+
+    assert told == []
+    assert inbox.take() == {topic: [b"1"] * 9 for topic in DATA_STREAMS}
+
+
 @pytest.mark.parametrize("topic", DATA_STREAMS)
-def test_once_cleared_it_begins_anew(topic: str) -> None:
+def test_once_opened_it_begins_anew(topic: str) -> None:
     inbox = filled(others=3)
     inbox.take()
     inbox.receiver(topic)(b"1")
 
-    inbox.clear()
+    inbox.open()
 
     assert inbox.samples == 0
     assert inbox.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
