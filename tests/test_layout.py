@@ -37,6 +37,7 @@ WITH_ROS = {
     "armimp_driver_template.node",
     "armimp_estimation.messages",
     "armimp_estimation.node",
+    "armimp_ros2_control.node",
     "armimp_sim.node",
     "armimp_bringup.display",
     "armimp_bringup.driver_check.conversation",

@@ -86,7 +86,7 @@ class Layout:
         self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
             f"{byte_order}{before}{numbers[0] - skipped}x{count}d{self.length - numbers[1]}x"
         ).unpack
-        self.values = _picker([head + index for index in self._order], head + count)
+        self.values = _picker([head + index for index in self._order])
 
     def matches(self, data: Buffer) -> bool:
         """Tell whether a message has this layout."""
@@ -143,11 +143,12 @@ class _NoLayout(Layout):
         self.length = -1
 
 
-def _picker(indices: Sequence[int], total: int) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
-    """Return a function that picks these items of a tuple of `total` items, as a tuple."""
+def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
+    """Return a function that picks these items of a tuple, as a tuple."""
     first = indices[0] if indices else 0
-    if list(indices) == list(range(first, total)):
-        return itemgetter(slice(first, None))
+    end = first + len(indices)
+    if list(indices) == list(range(first, end)):
+        return itemgetter(slice(first, end))
     # With a single index itemgetter would not return a tuple, hence the slice above for n = 1.
     return itemgetter(*indices)
 

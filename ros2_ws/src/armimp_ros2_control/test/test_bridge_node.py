@@ -1,0 +1,231 @@
+"""The bridge through a real graph: a robot on one side, a controller on the other."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import qos_profile_system_default
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from armimp_common import contract, qos
+from armimp_common.channels import CommandPublisher, JointStateSubscription
+from armimp_common.contract import PERIOD_NS
+from armimp_common.diagnostics import Level
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.spin import Spinner
+from armimp_common.stamps import to_time
+from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
+from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
+from armimp_ros2_control.parameters import BridgeParameters
+
+JOINTS = ("shoulder", "elbow")
+Sample = tuple[int, tuple[float, ...]]
+
+
+class World:
+    """Both sides of a bridge: what a robot publishes and is told, what a controller hears and says.
+
+    Samples are sent by hand, so the time of the bridge's watchdog is that of the test.
+    """
+
+    def __init__(self, node: Node, spinner: Spinner) -> None:
+        self.spinner = spinner
+        self.tick = 0
+        self.told: list[tuple[float, ...]] = []
+        self.angles: list[Sample] = []
+        self.torques: list[Sample] = []
+        self.faults: list[str] = []
+        self.states = node.create_publisher(JointState, STATES, qos_profile_system_default)
+        self.commands = CommandPublisher(node, contract.COMMANDS, 2)
+        # Kept, as they would end with the last reference.
+        self.listeners = [
+            node.create_subscription(
+                Float64MultiArray,
+                EFFORTS,
+                lambda message: self.told.append(tuple(message.data)),
+                qos_profile_system_default,
+            ),
+            JointStateSubscription(
+                node, contract.JOINT_STATES, JOINTS, "position", self._keep(self.angles)
+            ),
+            JointStateSubscription(
+                node, contract.TORQUE_SENSORS, JOINTS, "effort", self._keep(self.torques)
+            ),
+            node.create_subscription(
+                DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+            ),
+        ]
+        self.services = {
+            name: node.create_client(Trigger, name)
+            for name in (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE)
+        }
+
+    @staticmethod
+    def _keep(kept: list[Sample]) -> Callable[[int, tuple[float, ...]], None]:
+        return lambda stamp, values: kept.append((stamp, values))
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        self.faults += [s.message for s in array.status if s.level == bytes([Level.ERROR])]
+
+    def feed(self, stamp_ms: float | None = None, **changes: object) -> None:
+        """Publish one joint state of the robot, with a joint more than is asked for."""
+        fields: dict[str, object] = {
+            "name": ["elbow", "pan", "shoulder"],
+            "position": [1.3, 9.0, 1.1],
+            "velocity": [0.0, 0.0, 0.0],
+            "effort": [0.5, 9.0, -0.5],
+            **changes,
+        }
+        self.tick += 1
+        state = JointState(**fields)
+        stamp = self.tick if stamp_ms is None else stamp_ms
+        state.header.stamp = to_time(round(PERIOD_NS * stamp))
+        self.states.publish(state)
+
+    def command(self, *torque: float) -> None:
+        self.commands.publish(torque)
+        eventually(self.spinner, lambda: bool(self.told) and self.told[-1] == torque, "obedience")
+
+    def until_told(self, *torque: float) -> None:
+        eventually(self.spinner, lambda: self.told[-1] == torque, f"efforts {torque}")
+
+    def until_fault(self, words: str) -> None:
+        eventually(self.spinner, lambda: any(words in f for f in self.faults), f"fault {words}")
+
+    def call(self, service: str) -> Trigger.Response:
+        future = self.services[service].call_async(Trigger.Request())
+        assert self.spinner.spin_until(future, PATIENCE)
+        return future.result()
+
+
+@pytest.fixture
+def world(context: Context, node: Node) -> Iterator[World]:
+    bridge = Ros2ControlBridge(
+        context=context, parameter_overrides=overrides(BridgeParameters(), {})
+    )
+    with Spinner([node, bridge]) as spinner:
+        world = World(node, spinner)
+        manager = LifecycleManager(
+            node, [contract.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+        )
+        manager.wait_for_nodes()
+        manager.configure(contract.SIM_NODE)
+        manager.activate(contract.SIM_NODE)
+        eventually(spinner, lambda: world.told == [(0.0, 0.0)], "no torque to begin with")
+        yield world
+    bridge.destroy_node()
+
+
+def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World) -> None:
+    for _ in range(3):
+        world.feed()
+    eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
+    stamps = [PERIOD_NS * k for k in (1, 2, 3)]
+    assert world.angles == [(stamp, (1.1, 1.3)) for stamp in stamps]
+    assert world.torques == [(stamp, (-0.5, 0.5)) for stamp in stamps]
+
+
+def test_commands_reach_the_robot_in_the_order_of_the_joints(world: World) -> None:
+    world.command(2.0, -3.0)
+
+
+def test_a_sample_that_is_too_early_is_left_out_of_both_streams(world: World) -> None:
+    for stamp in (1.0, 2.7, 3.0, 4.0):
+        world.feed(stamp)
+    eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
+    assert [stamp for stamp, _ in world.angles] == [stamp for stamp, _ in world.torques]
+    assert [stamp / PERIOD_NS for stamp, _ in world.angles] == [1.0, 2.7, 4.0]
+
+
+def test_when_commands_stay_away_expect_torque_to_fall_to_zero_and_the_fault_told(
+    world: World,
+) -> None:
+    world.feed()
+    world.command(5.0, 0.0)
+    for _ in range(40):
+        world.feed()
+    world.until_told(0.0, 0.0)
+    world.until_fault("no command for 5 periods")
+    told = [torque for torque, _ in world.told]
+    assert told[told.index(5.0) :] == sorted(told[told.index(5.0) :], reverse=True)
+
+
+def test_when_joint_states_stop_expect_zero_torque(world: World) -> None:
+    world.feed()
+    world.command(5.0, 0.0)
+    world.until_told(0.0, 0.0)
+    world.until_fault("nothing for 10 ms")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"name": ["elbow", "pan", "hip"]}, "lacks joint 'shoulder'; it has 'elbow', 'pan', 'hip'"),
+        ({"effort": []}, "has 0 effort values for 3 joints"),
+        ({"effort": [0.0, 0.0, math.nan]}, "the effort of 'shoulder' is not a number"),
+        ({"position": [math.nan, 0.0, 0.0]}, "position beyond"),
+        ({"stamp_ms": 0.5}, "does not come after the last one"),
+    ],
+    ids=["unknown joint", "no effort", "effort NaN", "position NaN", "back in time"],
+)
+def test_what_cannot_be_used_takes_the_torque_away_and_is_told(
+    world: World, changes: dict[str, object], words: str
+) -> None:
+    world.feed()
+    world.command(5.0, 0.0)
+    world.feed(**changes)  # type: ignore[arg-type]
+    world.until_told(0.0, 0.0)
+    world.until_fault(words)
+
+
+def test_readings_that_are_not_finite_reach_the_controller_that_has_to_see_them(
+    world: World,
+) -> None:
+    world.feed(position=[math.nan, 0.0, 0.0])
+    eventually(world.spinner, lambda: len(world.angles) == 1, "the sample")
+    assert math.isnan(world.angles[0][1][1])
+
+
+def test_a_command_that_is_not_finite_is_never_passed_on(world: World) -> None:
+    world.feed()
+    world.command(5.0, 0.0)
+    world.commands.publish((math.nan, 0.0))
+    world.until_told(0.0, 0.0)
+    assert all(math.isfinite(value) for torque in world.told for value in torque)
+
+
+def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under_torque(
+    world: World,
+) -> None:
+    world.feed()
+    world.command(5.0, 0.0)
+    assert world.call(contract.SIM_STOP_SERVICE).success
+    world.until_told(0.0, 0.0)
+    world.until_fault("emergency stop")
+    world.commands.publish((5.0, 0.0))
+    a_moment(world.spinner)
+    assert world.told[-1] == (0.0, 0.0)
+    refused = world.call(contract.SIM_RESET_SERVICE)
+    assert not refused.success
+    assert "not zero torque" in refused.message
+    world.commands.publish((0.0, 0.0))
+    # Commands and services are not heard in the order in which they were sent.
+    a_moment(world.spinner)
+    assert world.call(contract.SIM_RESET_SERVICE).success
+    world.command(3.0, 0.0)
+
+
+def test_the_fault_is_repeated_and_zero_torque_is_told_again_and_again(world: World) -> None:
+    world.feed()
+    assert world.call(contract.SIM_STOP_SERVICE).success
+    before, begin = len(world.told), time.monotonic()
+    eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
+    assert time.monotonic() - begin < 5.0
+    assert set(world.told[before:]) == {(0.0, 0.0)}
+    assert len(world.told) - before > 10
