@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armimp_bringup.driver_check.findings import Verdict, failures, report
+from armimp_bringup.driver_check.findings import Verdict, failures, open_questions, report
 from armimp_bringup.driver_check.judge import judge
 from armimp_bringup.driver_check.responses import letting
 from armimp_bringup.driver_check.samples import Call, Ending, Endpoint, Message, Push, Record
+from armimp_bringup.driver_check.witness import stalls
 from armimp_common import contract
 from armimp_common.contract import COMMANDS, JOINT_STATES, PERIOD_NS, TORQUE_SENSORS
 from armimp_sim.parameters import SimulatorParameters
@@ -92,6 +93,21 @@ def ending(bench: Bench, end: Callable[[Bench, Torque], list[Torque]]) -> Ending
     )
 
 
+def renewed(bench: Bench, share: float = 0.0) -> Push:
+    """Torque that is commanded anew after a fault, of which a share acts."""
+    bench.play([ZERO] * 500)
+    position, effort = bench.play([ZERO] * REST + [(share, 0.0)] * REST)
+    last = bench.play([ZERO] * AFTER)
+    return Push(
+        joint=0,
+        torque=1.0,
+        position=np.hstack([position, last[0]]),
+        effort=np.hstack([effort, last[1]]),
+        on=REST,
+        off=2 * REST - 1,
+    )
+
+
 def messages(topic: str, edit: Edit = lambda message: message) -> list[Message]:
     """A second of a sound stream, with readings that change by a count now and then."""
     rng = np.random.default_rng(7)
@@ -127,7 +143,7 @@ def endpoint(topic: str) -> Endpoint:
 @pytest.fixture(scope="module")
 def sound() -> Record:
     bench = Bench()
-    silence = ending(bench, ramp(5, 10))
+    silence = replace(ending(bench, ramp(5, 10)), again=renewed(bench))
     stop = ending(bench, lambda bench, torque: [ZERO] * AFTER)
     return Record(
         joints=JOINTS,
@@ -137,6 +153,8 @@ def sound() -> Record:
         services=frozenset({contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE}),
         lifecycle="unconfigured",
         pushes=pushes(bench),
+        moved=0.002,
+        most=0.3,
         stale=silence,
         stop=replace(stop, stop=Call(success=True, seconds=0.01)),
     )
@@ -294,7 +312,8 @@ def test_transducers_with_a_wrong_sign_are_named(sound: Record) -> None:
 def test_the_end_of_torque_is_judged_by_motion_alone(
     sound: Record, wait: int, length: int, good: bool
 ) -> None:
-    failed = failures(judge(replace(sound, stale=ending(Bench(), ramp(wait, length)))))
+    stale = replace(ending(Bench(), ramp(wait, length)), again=renewed(Bench()))
+    failed = failures(judge(replace(sound, stale=stale)))
     assert failed == ([] if good else ["stale commands"])
 
 
@@ -340,4 +359,93 @@ def test_nothing_is_judged_by_motion_where_nothing_moved(sound: Record) -> None:
     ]
     findings = {f.check: f.verdict for f in judge(replace(sound, pushes=still))}
     for check in ("torque: joint and sign", "torque_sensors: sign", "torque: delay"):
-        assert findings[check] is Verdict.NOT_CHECKED
+        assert findings[check] is Verdict.INCONCLUSIVE
+
+
+def test_when_torque_acts_again_before_the_reset_expect_that_named_alone(sound: Record) -> None:
+    assert sound.stale is not None
+    for share, named in ((1.0, ["stale commands: latched"]), (0.0, [])):
+        stale = replace(sound.stale, again=renewed(Bench(), share))
+        assert failures(judge(replace(sound, stale=stale))) == named
+
+
+def given_up(sound: Record, **changes: object) -> Record:
+    given: dict[str, object] = {"pushes": (), "stale": None, "stop": None, **changes}
+    return replace(sound, **given)  # type: ignore[arg-type]
+
+
+def test_when_the_rig_moved_too_far_expect_motion_named_and_the_rest_inconclusive(
+    sound: Record,
+) -> None:
+    reason = "elbow went 0.31 rad from where it was: torque taken away"
+    findings = judge(given_up(sound, broken=reason))
+    assert failures(findings) == ["torque: motion"]
+    assert {"torque: joint and sign", "stale commands", "emergency stop"} <= set(
+        open_questions(findings)
+    )
+
+
+def test_when_a_driver_stops_under_regular_commands_expect_that_named(sound: Record) -> None:
+    words = "arm_sim: rig: no command for 5 periods"
+    findings = judge(given_up(sound, broken=f"the driver stopped: {words}", stopped=words))
+    assert failures(findings) == ["torque: no stop"]
+    assert {"torque: delay", "stale commands"} <= set(open_questions(findings))
+
+
+def test_when_the_machine_held_up_all_attempts_expect_no_verdict_on_the_driver(
+    sound: Record,
+) -> None:
+    broken = "commands were held up 8 times, by up to 12 ms"
+    findings = judge(given_up(sound, broken=broken, repeated=8, gap=0.012))
+    assert failures(findings) == []
+    assert {"torque: no stop", "torque: delay", "emergency stop"} <= set(open_questions(findings))
+    assert not report(findings)["passed"]
+
+
+def test_a_fault_at_rest_is_named_and_what_was_asked_for_in_vain_is_inconclusive(
+    sound: Record,
+) -> None:
+    fault = "arm_sim: rig: emergency stop"
+    record = given_up(
+        sound, moved=None, faults=[fault], troubled=True, skipped=f"there is a fault: {fault}"
+    )
+    findings = judge(record)
+    assert failures(findings) == ["no fault at rest"]
+    assert "torque: delay" in open_questions(findings)
+    # Without --move nothing was asked for.
+    findings = judge(replace(record, troubled=False, skipped="not without --move"))
+    assert open_questions(findings) == []
+
+
+def test_jitter_is_the_drivers_only_where_the_checker_was_awake(sound: Record) -> None:
+    record = edited(sound, JOINT_STATES, _held_up)
+    late = [m.stamp_ns for m in record.streams[JOINT_STATES] if m.stamp_ns // PERIOD_NS % 20 == 3]
+    asleep = [(10**12 + stamp - 100_000, 10**12 + stamp + 500_000) for stamp in late]
+    check = f"{JOINT_STATES}: jitter"
+    for found, verdict in (
+        ([], Verdict.FAIL),
+        (asleep[: len(asleep) // 2], Verdict.FAIL),
+        (asleep, Verdict.INCONCLUSIVE),
+    ):
+        judged = judge(replace(record, stalls=stalls(found, 10**9)))
+        assert {f.check: f.verdict for f in judged}[check] is verdict
+
+
+def test_a_wrong_rate_is_the_drivers_unless_the_checker_was_held_up_for_long(
+    sound: Record,
+) -> None:
+    slow = {topic: kept[::2] for topic, kept in sound.streams.items()}
+    check = f"{JOINT_STATES}: rate"
+    for longest, verdict in ((1_000_000, Verdict.FAIL), (20_000_000, Verdict.INCONCLUSIVE)):
+        record = replace(sound, streams=slow, stalls=stalls([(10**12, 10**12 + longest)], 10**9))
+        assert {f.check: f.verdict for f in judge(record)}[check] is verdict
+
+
+def test_a_single_stall_at_the_end_of_a_recording_is_no_wrong_rate(sound: Record) -> None:
+    kept = list(sound.streams[JOINT_STATES])
+    late = [
+        replace(m, arrival_ns=m.arrival_ns + 30_000_000 - i * 900_000)
+        for i, m in enumerate(kept[-30:])
+    ]
+    record = replace(sound, streams={**sound.streams, JOINT_STATES: [*kept[:-30], *late]})
+    assert f"{JOINT_STATES}: rate" not in failures(judge(record))

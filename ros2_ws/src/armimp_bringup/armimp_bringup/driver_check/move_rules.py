@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from armimp_bringup.driver_check.findings import Finding, judged, not_checked
+from armimp_bringup.driver_check.findings import Finding, inconclusive, judged, not_checked
 from armimp_bringup.driver_check.limits import Limits
 from armimp_bringup.driver_check.responses import (
     Letting,
@@ -22,22 +22,72 @@ from armimp_common.contract import NS_PER_S, PERIOD_NS
 _STALE = "stale commands"
 _STOP = "emergency stop"
 _PERIOD = PERIOD_NS / NS_PER_S
+_LEAST = 0.35
+"""Share of the usual motion that counts as one."""
 
 
 def judge_moves(record: Record, limits: Limits) -> Iterator[Finding]:
     """Judge the answers to torque, to its absence, and to the emergency stop."""
+    yield _judge_motion(record)
+    yield _judge_obedience(record)
     yield from _judge_pushes(record, limits)
     limit = _ending_limit(limits)
     if record.stale is None:
         waits = "" if record.paced else "in lockstep time stands still without commands"
-        reason = record.skipped or waits or "not tried"
-        yield not_checked(_STALE, reason, limit)
+        yield not_checked(_STALE, waits, limit) if waits else _missing(record, _STALE, limit)
     else:
         yield from _judge_end(_STALE, record.stale, limits)
+        yield _judge_latch(record.stale)
     if record.stop is None:
-        yield not_checked(_STOP, record.skipped or "not tried", limit)
+        yield _missing(record, _STOP, limit)
     else:
         yield from _judge_stop(record.stop, limits)
+
+
+def _missing(record: Record, check: str, limit: str) -> Finding:
+    """Return the finding for something that was not done: why, and whether it was asked for."""
+    if record.broken:
+        return inconclusive(check, f"given up: {record.broken}", limit)
+    if record.troubled:
+        return inconclusive(check, record.skipped, limit)
+    return not_checked(check, record.skipped or "not tried", limit)
+
+
+def _judge_motion(record: Record) -> Finding:
+    check, limit = "torque: motion", f"≤ {record.most:g} rad from where each joint was"
+    if record.moved is None:
+        return _missing(record, check, limit)
+    # Nothing else gives up while the driver goes on obeying.
+    if record.broken and not record.stopped and "torque taken away" in record.broken:
+        return judged(check, False, record.broken, limit)
+    return judged(check, True, f"{record.moved:.3g} rad", limit)
+
+
+def _judge_obedience(record: Record) -> Finding:
+    check, limit = "torque: no stop", "no fault while commands come as they should"
+    if record.stopped:
+        return judged(check, False, record.stopped, limit)
+    if record.moved is None or record.broken:
+        return _missing(record, check, limit)
+    figure = "none"
+    if record.repeated:
+        figure += (
+            f"; {record.repeated} repeated, as commands came up to {1e3 * record.gap:.3g} ms apart"
+        )
+    return judged(check, True, figure, limit)
+
+
+def _judge_latch(ending: Ending) -> Finding:
+    check, limit = f"{_STALE}: latched", "no torque before the reset, whatever is commanded"
+    if ending.again is None or ending.push is None:
+        return not_checked(check, "not tried", limit)
+    joint = ending.again.joint
+    seen = float(np.abs(displacement(ending.again)[joint]))
+    usual = float(np.abs(displacement(ending.push)[joint]))
+    if usual <= threshold(ending.push.position, ending.push.on)[joint]:
+        return inconclusive(check, "the torque had no effect: try a larger --torque", limit)
+    share = seen / usual
+    return judged(check, share <= _LEAST, f"{100 * share:.0f} % of the usual motion", limit)
 
 
 def _judge_pushes(record: Record, limits: Limits) -> Iterator[Finding]:
@@ -45,17 +95,16 @@ def _judge_pushes(record: Record, limits: Limits) -> Iterator[Finding]:
     sign_limit = "the reading of torque rises with the torque"
     delay_limit = f"≤ {limits.reaction} periods from command to effect"
     if not record.pushes:
-        reason = record.skipped or "not tried"
-        yield not_checked("torque: joint and sign", reason, limit)
-        yield not_checked("torque_sensors: sign", reason, sign_limit)
-        yield not_checked("torque: delay", reason, delay_limit)
+        yield _missing(record, "torque: joint and sign", limit)
+        yield _missing(record, "torque_sensors: sign", sign_limit)
+        yield _missing(record, "torque: delay", delay_limit)
         return
     yield _judge_directions(record, limit)
     answers = [first_effect(push) for push in record.pushes]
     seen = [answer for answer in answers if answer is not None]
     if len(seen) < len(answers):
         reason = "readings of torque do not answer: try a larger --torque"
-        yield not_checked("torque_sensors: sign", reason, sign_limit)
+        yield inconclusive("torque_sensors: sign", reason, sign_limit)
     else:
         # In proportion to the torque, so that a push in the negative direction counts alike.
         changes = [
@@ -72,7 +121,7 @@ def _judge_pushes(record: Record, limits: Limits) -> Iterator[Finding]:
         figure = f"{worst} periods"
         yield judged("torque: delay", worst <= limits.reaction, figure, delay_limit)
     else:
-        yield not_checked("torque: delay", "readings of torque do not answer", delay_limit)
+        yield inconclusive("torque: delay", "readings of torque do not answer", delay_limit)
 
 
 def _judge_directions(record: Record, limit: str) -> Finding:
@@ -100,7 +149,7 @@ def _judge_directions(record: Record, limit: str) -> Finding:
     if wrong:
         return judged(check, False, "; ".join(wrong), limit)
     if still:
-        return not_checked(check, f"{'; '.join(still)}: try a larger --torque", limit)
+        return inconclusive(check, f"{'; '.join(still)}: try a larger --torque", limit)
     figure = ", ".join(
         f"{record.joints[push.joint]} {moved[push.joint, column] * push.torque:+.3g} rad"
         f" at {push.torque:+g} N·m"
@@ -146,7 +195,7 @@ def _ending_limit(limits: Limits) -> str:
 
 def _judge_letting(check: str, found: Letting | None, limits: Limits, limit: str) -> Finding:
     if found is None:
-        return not_checked(check, "the torque had no effect: try a larger --torque", limit)
+        return inconclusive(check, "the torque had no effect: try a larger --torque", limit)
     if found.share < limits.share:
         figure = f"{100 * max(1 - found.share, 0):.0f} % of the torque seems to stay"
         return judged(check, False, figure, limit)
