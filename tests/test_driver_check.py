@@ -1,13 +1,8 @@
 """``armimp check-driver`` and the driver template through the real graph."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,12 +10,9 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.driver_check.findings import Finding, Verdict, failures
-from armimp_bringup.driver_check.judge import judge
-from armimp_bringup.driver_check.probe import CheckOptions, probe
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import COMMANDS, CONTROLLER_NODE, ESTIMATOR_NODE
-from armimp_common.domain import DomainClaim
 from armimp_estimation.bags import read_bag
 
 TESTS = Path(__file__).resolve().parent
@@ -29,42 +21,7 @@ SIMULATOR = ["-m", "armimp_sim.node"]
 TEMPLATE = ["-m", "armimp_driver_template.node"]
 DEFECTIVE = str(TESTS / "defective_driver.py")
 Start = Callable[..., None]
-pytestmark = pytest.mark.usefixtures("environment")
-
-
-@pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """A domain that is free: the checker will claim it, not this test."""
-    with DomainClaim() as claim:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
-        return claim.domain_id
-
-
-@pytest.fixture
-def start(domain: int) -> Iterator[Start]:
-    """Starts nodes as somebody else would."""
-    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
-    processes: list[subprocess.Popen[bytes]] = []
-
-    def run(arguments: list[str], *ros: str) -> None:
-        command = [sys.executable, *arguments, *(["--ros-args", *ros] if ros else [])]
-        processes.append(subprocess.Popen(command, env=environment, start_new_session=True))
-
-    yield run
-    for process in processes:
-        process.send_signal(signal.SIGINT)
-    for process in processes:
-        try:
-            process.wait(30.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
-def check(domain: int, **options: Any) -> dict[str, Finding]:
-    found = judge(probe(CheckOptions(joints=JOINTS, duration=1.0, **options), domain))
-    return {finding.check: finding for finding in found}
+Check = Callable[..., dict[str, Finding]]
 
 
 def names(findings: dict[str, Finding]) -> list[str]:
@@ -73,11 +30,11 @@ def names(findings: dict[str, Finding]) -> list[str]:
 
 @pytest.mark.parametrize("driver", [SIMULATOR, TEMPLATE], ids=["simulator", "template"])
 def test_simulator_and_template_pass_every_check_that_lockstep_allows(
-    start: Start, domain: int, driver: list[str]
+    start: Start, check: Check, driver: list[str]
 ) -> None:
     start(driver, "-p", "mode:=lockstep")
 
-    findings = check(domain, move=True)
+    findings = check(move=True)
 
     assert names(findings) == []
     left = {name for name, f in findings.items() if f.verdict is Verdict.NOT_CHECKED}
@@ -88,13 +45,13 @@ def test_simulator_and_template_pass_every_check_that_lockstep_allows(
         "stale commands",
     }
     # It was given back as it was found, so that it can be checked again.
-    assert names(check(domain)) == []
+    assert names(check()) == []
 
 
-def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, domain: int) -> None:
+def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=realtime")
 
-    findings = check(domain)
+    findings = check()
 
     # How regular samples are depends on what else the machine does.
     pace = ("rate", "jitter")
@@ -103,39 +60,23 @@ def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, doma
     assert findings["stale commands"].figure == "not without --move"
 
 
-def test_when_frames_get_lost_expect_that_named(start: Start, domain: int) -> None:
+def test_when_frames_get_lost_expect_that_named(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=lockstep", "-p", "mock.dropout:=0.05")
-    assert "joint_states: stamps 1 ms apart" in names(check(domain))
-
-
-@pytest.mark.parametrize(
-    ("defect", "expected"),
-    [
-        ("WrongField", ["torque_sensors: field"]),
-        ("WrongSign", ["torque: joint and sign", "torque_sensors: sign"]),
-        ("NoStop", ["service arm_sim/emergency_stop", "emergency stop: answer"]),
-        ("DeafStop", ["emergency stop", "emergency stop: told"]),
-    ],
-)
-def test_a_planted_defect_is_named_and_nothing_else(
-    start: Start, domain: int, defect: str, expected: list[str]
-) -> None:
-    start([DEFECTIVE, defect], "-p", "mode:=lockstep")
-    assert names(check(domain, move=True)) == expected
+    assert "joint_states: stamps 1 ms apart" in names(check())
 
 
 def test_when_topics_have_wrong_types_or_are_missing_expect_them_named(
-    start: Start, domain: int
+    start: Start, check: Check
 ) -> None:
     start([DEFECTIVE, "WrongType"])
-    failed = names(check(domain))
+    failed = names(check())
     assert {"joint_states: type", "torque_sensors: type", f"{COMMANDS}: type"} <= set(failed)
 
 
-def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, domain: int) -> None:
+def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: Check) -> None:
     start([DEFECTIVE, "Slow"])
 
-    findings = check(domain)
+    findings = check()
 
     assert findings["lifecycle"].verdict is Verdict.NOT_CHECKED
     expected = {f"service arm_sim/{name}" for name in ("emergency_stop", "reset")}
@@ -151,21 +92,25 @@ def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, domain: 
     [("InUse", "the driver is in use: /arm_sim commands it"), (None, "no driver: neither")],
 )
 def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
-    start: Start, domain: int, defect: str | None, words: str, capfd: pytest.CaptureFixture[str]
+    start: Start,
+    driver_domain: int,
+    defect: str | None,
+    words: str,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     if defect is not None:
         start([DEFECTIVE, defect])
-    assert main(["check-driver", "--domain-id", str(domain)]) == 1
+    assert main(["check-driver", "--domain-id", str(driver_domain)]) == 1
     said = capfd.readouterr().err
     assert words in said
     assert said.count("\n") == 1
 
 
 def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
-    start: Start, domain: int, capfd: pytest.CaptureFixture[str]
+    start: Start, driver_domain: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
     start(SIMULATOR, "-p", "mode:=lockstep")
-    options = ["check-driver", "--domain-id", str(domain), "--duration", "1"]
+    options = ["check-driver", "--domain-id", str(driver_domain), "--duration", "1"]
 
     assert main([*options, "--json"]) == 0
     printed = json.loads(capfd.readouterr().out)

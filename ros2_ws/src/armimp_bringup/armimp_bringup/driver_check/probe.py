@@ -106,19 +106,21 @@ class _Probe:
                 lead=self._lead,
                 known=frozenset(error.name for error in faults),
             )
-            moves = Moves()
+            moves, begin = Moves(), {}
             if options.move and not trouble:
                 self._begin_to_answer(manager, state)
+                begin = {topic: node.messages(topic) for topic in kept}
                 moves = mover.move()
             elif contract.SIM_STOP_SERVICE in node.safety_services():
                 moves = Moves(stop=mover.stop())
             endpoints, services = node.endpoints(), node.safety_services()
-        everything, _ = node.recorded()
+        everything, malformed = node.recorded()
         return Record(
             joints=options.joints,
             paced=self._paced,
             endpoints=endpoints,
             streams=streams,
+            moving={topic: everything[topic][first:] for topic, first in begin.items()},
             malformed=malformed,
             answered=answers,
             services=services,

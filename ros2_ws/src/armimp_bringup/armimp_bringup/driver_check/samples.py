@@ -129,6 +129,7 @@ class Record:
     paced : whether samples come by themselves; else one comes for each command
     endpoints : who publishes and listens, without the checker itself
     streams : messages by topic
+    moving : messages by topic that came while torque was commanded
     malformed : messages that could not be decoded, by topic
     answered : commands sent in lockstep while the streams were recorded
     services : names of the services that are there, relative to the namespace
@@ -153,6 +154,7 @@ class Record:
     paced: bool
     endpoints: Sequence[Endpoint]
     streams: Mapping[str, Sequence[Message]]
+    moving: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     malformed: Mapping[str, int] = field(default_factory=dict)
     answered: int = 0
     services: frozenset[str] = frozenset()
