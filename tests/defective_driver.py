@@ -224,7 +224,7 @@ class NoWatchdog(ArmSimNode):
     """Holds the last torque for ever, in real time."""
 
     def _pace(self, rig: SimulatedRig) -> None:
-        rig.fade = lambda reason, ticks: None  # type: ignore[method-assign]
+        rig.fade = lambda reason, steps: None  # type: ignore[method-assign]
         super()._pace(rig)
 
 
