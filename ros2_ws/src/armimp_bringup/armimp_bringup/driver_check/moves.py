@@ -110,11 +110,15 @@ class Mover:
             self._make(moves)
         except _GivenUpError as reason:
             moves.broken = str(reason)
-            self._node.call(contract.SIM_RESET_SERVICE, self._spinner, TOLD)
         finally:
             # However this ends, and be it by Ctrl-C: nothing of what was commanded may stay.
             self._node.let_go()
             self._node.guard = None
+        if guard.reason:
+            # Zero torque may not be enough where a driver does something else than it is told.
+            self._node.call(contract.SIM_STOP_SERVICE, self._spinner, TOLD)
+        elif moves.broken:
+            self._reset()
         moves.moved = guard.largest
         return moves
 
