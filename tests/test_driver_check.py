@@ -1,27 +1,45 @@
 """``armimp check-driver`` and the driver template through the real graph."""
 
+import io
 import json
+import signal
+import subprocess
+import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.driver_check.findings import Finding, Verdict, failures
+from armimp_bringup.driver_check.command import ask
+from armimp_bringup.driver_check.findings import Finding, Verdict, failures, open_questions
+from armimp_bringup.driver_check.probe import CheckOptions
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import COMMANDS, CONTROLLER_NODE, ESTIMATOR_NODE
+from armimp_common.errors import ConfigurationError
+from armimp_common.testing import PATIENCE
 from armimp_estimation.bags import read_bag
+from armimp_sim.node import ArmSimNode
 
 TESTS = Path(__file__).resolve().parent
 JOINTS = ("shoulder", "elbow")
 SIMULATOR = ["-m", "armimp_sim.node"]
 TEMPLATE = ["-m", "armimp_driver_template.node"]
 DEFECTIVE = str(TESTS / "defective_driver.py")
-Start = Callable[..., None]
+Start: TypeAlias = Callable[..., None]
+Host: TypeAlias = Start
 Check = Callable[..., dict[str, Finding]]
+
+
+def but_for_pace(names: list[str]) -> list[str]:
+    """How regular samples are, and how quick answers, depends on what else the machine does."""
+    pace = ("rate", "jitter", "sample to command")
+    return [name for name in names if not name.endswith(pace)]
 
 
 def names(findings: dict[str, Finding]) -> list[str]:
@@ -51,13 +69,15 @@ def test_simulator_and_template_pass_every_check_that_lockstep_allows(
 def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=realtime")
 
-    findings = check()
+    for _ in range(4):
+        findings = check(move=True)
+        # What the machine has spoiled is looked at once more.
+        if not but_for_pace(open_questions(findings.values())):
+            break
 
-    # How regular samples are depends on what else the machine does.
-    pace = ("rate", "jitter")
-    assert [name for name in names(findings) if name.rpartition(": ")[2] not in pace] == []
-    assert findings["emergency stop: told"].verdict is Verdict.PASS
-    assert findings["stale commands"].figure == "not without --move"
+    assert but_for_pace(names(findings)) == []
+    for name in ("stale commands", "stale commands: latched", "emergency stop", "torque: delay"):
+        assert findings[name].verdict is Verdict.PASS, findings[name]
 
 
 def test_when_frames_get_lost_expect_that_named(start: Start, check: Check) -> None:
@@ -129,6 +149,9 @@ def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
         (["--joints", "2", "--joint", "elbow"], "two ways to say the same"),
         (["--joint", "elbow", "--joint", "elbow"], "names are not distinct"),
         (["--torque", "-1"], "--torque: -1 N·m is not above 0"),
+        (["--torque", "21"], "--torque: 21 N·m is not above 0 and at most 20"),
+        (["--most-motion", "nan"], "--most-motion: nan rad is not above 0 and at most 1"),
+        (["--move"], "--move: there is nobody to ask; --yes says that it is safe"),
         (["--duration", "0"], "--duration: 0 is not within"),
     ],
 )
@@ -139,6 +162,62 @@ def test_wrong_options_end_in_one_line(
     said = capfd.readouterr().err
     assert words in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(("answer", "allowed"), [("yes\n", True), ("y\n", False), ("", False)])
+def test_before_anything_moves_somebody_is_asked_and_only_yes_is_one(
+    answer: str,
+    allowed: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    terminal = io.StringIO(answer)
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "stdin", terminal)
+    options = CheckOptions(joints=JOINTS, move=True, torque=2.0, most=0.1)
+    if allowed:
+        ask(options, 5)
+    else:
+        with pytest.raises(ConfigurationError, match="not without a yes"):
+            ask(options, 5)
+    said = capsys.readouterr()
+    assert said.out == ""
+    for words in ("Nobody may be in the rig", "2 N·m", "0.1 rad", "shoulder, elbow", "domain 5"):
+        assert words in said.err
+
+
+class Listening(ArmSimNode):
+    """The simulator, which calls back when the first torque is commanded."""
+
+    commands: ClassVar[list[tuple[float, ...]]] = []
+    pushed: ClassVar[threading.Event]
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        self.commands.append(command)
+        if any(command):
+            self.pushed.set()
+        super()._on_command(command)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_last(
+    host: Host, driver_domain: int, number: signal.Signals
+) -> None:
+    Listening.commands, Listening.pushed = [], threading.Event()
+    host(Listening, mode="realtime")
+    command = [sys.executable, "-m", "armimp_bringup.cli", "check-driver", "--duration", "1"]
+    command += ["--domain-id", str(driver_domain), "--move", "--yes"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert Listening.pushed.wait(PATIENCE)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 130, said
+    assert said.count("\n") == 1
+    assert Listening.commands[-5:] == [(0.0, 0.0)] * 5
 
 
 def test_the_experiment_runs_on_the_template_with_the_samples_of_the_simulator(

@@ -60,10 +60,12 @@ class World:
         self.faults: list[str] = []
         self._commands = CommandPublisher(node, contract.COMMANDS, 2)
         self._listeners = [
-            JointStateSubscription(node, topic, ("shoulder", "elbow"), field, answer)
-            for topic, field, answer in (
-                (contract.JOINT_STATES, "position", lambda *_: None),
-                (contract.TORQUE_SENSORS, "effort", self._answer),
+            JointStateSubscription(
+                node, topic, ("shoulder", "elbow"), contract.VALUE_FIELD[topic], answer
+            )
+            for topic, answer in (
+                (contract.JOINT_STATES, lambda *_: None),
+                (contract.TORQUE_SENSORS, self._answer),
             )
         ]
         self._listener = node.create_subscription(
@@ -102,13 +104,13 @@ def world(context: Context, node: Node, monkeypatch: pytest.MonkeyPatch) -> Iter
     assert device.closed
 
 
-def test_when_the_bus_is_silent_expect_zero_torque_within_fifty_milliseconds(world: World) -> None:
+def test_when_the_bus_is_silent_expect_zero_torque_within_200_milliseconds(world: World) -> None:
     world.push()
     begin = time.monotonic()
     world.device.silent = True
     world.until(lambda: world.device.sent[-1][1] == ZERO, "zero torque")
     gone = min(when for when, torque in world.device.sent if when > begin and torque == ZERO)
-    assert gone - begin < 0.05
+    assert gone - begin < 0.2
     world.until(lambda: any("nothing for 5 periods" in f for f in world.faults), "the fault told")
 
 

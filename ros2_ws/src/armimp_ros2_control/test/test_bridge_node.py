@@ -48,7 +48,7 @@ class World:
             node.create_subscription(
                 Float64MultiArray,
                 EFFORTS,
-                lambda message: self.told.append(tuple(message.data)),
+                self._on_efforts,
                 qos_profile_system_default,
             ),
             JointStateSubscription(
@@ -65,6 +65,9 @@ class World:
             name: node.create_client(Trigger, name)
             for name in (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE)
         }
+
+    def _on_efforts(self, message: Float64MultiArray) -> None:
+        self.told.append(tuple(message.data))
 
     @staticmethod
     def _keep(kept: list[Sample]) -> Callable[[int, tuple[float, ...]], None]:

@@ -36,12 +36,12 @@ def judge_moves(record: Record, limits: Limits) -> Iterator[Finding]:
         waits = "" if record.paced else "in lockstep time stands still without commands"
         yield not_checked(_STALE, waits, limit) if waits else _missing(record, _STALE, limit)
     else:
-        yield from _judge_end(_STALE, record.stale, limits)
+        yield from _judge_end(_STALE, record, record.stale, limits)
         yield _judge_latch(record.stale)
     if record.stop is None:
         yield _missing(record, _STOP, limit)
     else:
-        yield from _judge_stop(record.stop, limits)
+        yield from _judge_stop(record, record.stop, limits)
 
 
 def _missing(record: Record, check: str, limit: str) -> Finding:
@@ -158,7 +158,7 @@ def _judge_directions(record: Record, limit: str) -> Finding:
     return judged(check, True, figure, limit)
 
 
-def _judge_stop(ending: Ending, limits: Limits) -> Iterator[Finding]:
+def _judge_stop(record: Record, ending: Ending, limits: Limits) -> Iterator[Finding]:
     call, limit = ending.stop, f"success within {limits.answer:g} s"
     check = f"{_STOP}: answer"
     if call is None or call.success is None:
@@ -166,13 +166,16 @@ def _judge_stop(ending: Ending, limits: Limits) -> Iterator[Finding]:
         return
     figure = f"{'success' if call.success else f'refused: {call.message}'}, {call.seconds:.3f} s"
     yield judged(check, call.success and call.seconds <= limits.answer, figure, limit)
-    yield from _judge_end(_STOP, ending, limits)
+    yield from _judge_end(_STOP, record, ending, limits)
 
 
-def _judge_end(check: str, ending: Ending, limits: Limits) -> Iterator[Finding]:
+def _judge_end(check: str, record: Record, ending: Ending, limits: Limits) -> Iterator[Finding]:
     limit = _ending_limit(limits)
     if ending.push is None or ending.released is None or ending.held is None:
-        yield not_checked(check, "no torque was there: --move", limit)
+        if record.troubled:
+            yield _missing(record, check, limit)
+        else:
+            yield not_checked(check, "no torque was there: --move", limit)
     else:
         found = letting(ending.push, ending.released, ending.held)
         yield _judge_letting(check, found, limits, limit)

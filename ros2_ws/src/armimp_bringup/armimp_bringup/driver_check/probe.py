@@ -111,6 +111,8 @@ class _Probe:
                 self._begin_to_answer(manager, state)
                 begin = {topic: node.messages(topic) for topic in kept}
                 moves = mover.move()
+                if not moves.broken:
+                    self._leave(state)
             elif contract.SIM_STOP_SERVICE in node.safety_services():
                 moves = Moves(stop=mover.stop())
             endpoints, services = node.endpoints(), node.safety_services()
@@ -234,6 +236,13 @@ class _Probe:
         node.torque = self._zero
         if again:
             manager.activate(name)
+
+    def _leave(self, state: str | None) -> None:
+        """Have a driver that stays active forget the silence which begins now, as for a fault."""
+        if self._paced and state in (None, "active"):
+            self._node.torque = None
+            self._node.wait(self._spinner, lambda: False, _LISTEN)
+            self._node.call(contract.SIM_RESET_SERVICE, self._spinner, _PATIENCE)
 
     def _trouble(
         self,
