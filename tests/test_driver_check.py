@@ -1,5 +1,6 @@
 """``armimp check-driver`` and the driver template through the real graph."""
 
+import functools
 import io
 import json
 import signal
@@ -78,6 +79,11 @@ def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, chec
     assert but_for_pace(names(findings)) == []
     for name in ("stale commands", "stale commands: latched", "emergency stop", "torque: delay"):
         assert findings[name].verdict is Verdict.PASS, findings[name]
+
+
+def test_a_driver_in_a_namespace_is_found_there(host: Host, check: Check) -> None:
+    host(functools.partial(ArmSimNode, namespace="/exo"), mode="lockstep")
+    assert names(check(namespace="/exo")) == []
 
 
 def test_when_frames_get_lost_expect_that_named(start: Start, check: Check) -> None:
