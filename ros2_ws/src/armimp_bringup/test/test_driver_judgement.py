@@ -449,3 +449,22 @@ def test_a_single_stall_at_the_end_of_a_recording_is_no_wrong_rate(sound: Record
     ]
     record = replace(sound, streams={**sound.streams, JOINT_STATES: [*kept[:-30], *late]})
     assert f"{JOINT_STATES}: rate" not in failures(judge(record))
+
+
+def test_a_quick_motion_that_leaves_levels_out_says_nothing_of_the_resolution(
+    sound: Record,
+) -> None:
+    count = 2.0 * np.pi / 51200
+    check = f"{JOINT_STATES}: resolution"
+    for levels, verdict in (
+        ((0, 3, 8, 15), Verdict.NOT_CHECKED),
+        ((0, 4, 8, 12), Verdict.FAIL),
+        ((0, 3, 8, 9), Verdict.PASS),
+    ):
+
+        def edit(m: Message, levels: tuple[int, ...] = levels) -> Message:
+            angle = count * levels[min(m.stamp_ns // PERIOD_NS // 50, 3)]
+            return replace(m, position=(angle, 0.0))
+
+        found = judge(edited(sound, JOINT_STATES, edit))
+        assert {f.check: f.verdict for f in found}[check] is verdict

@@ -112,26 +112,39 @@ def _judge_values(
         yield judged(f"{topic}: jumps", jump <= limits.step, f"{jump:.3g} rad", limit)
     coarsest = limits.encoder if angles else limits.transducer
     limit = f"≤ {coarsest:.4g} {unit}, the coarsest of the study"
-    step = resolution(sound)
-    if step is None:
+    found = resolution(sound)
+    if found is None:
         reason = "readings do not change" + ("" if not angles else ": move the arm, or --move")
         yield not_checked(f"{topic}: resolution", reason, limit)
+        return
+    step, certain = found
+    good = step <= 1.01 * coarsest
+    if not good and not certain:
+        yield not_checked(f"{topic}: resolution", "too few readings that differ", limit)
     else:
-        good = step <= 1.01 * coarsest
         yield judged(f"{topic}: resolution", good, f"{step:.4g} {unit}", limit)
 
 
-def resolution(readings: NDArray[np.float64]) -> float | None:
+def resolution(readings: NDArray[np.float64]) -> tuple[float, bool] | None:
     """Smallest step between readings (n, N) of the joint with the largest one, None if none moves.
 
     Readings that are rounded lie on a grid, whose step this is as soon as neighbours occur.
+
+    Returns
+    -------
+    step : float
+        It is no smaller than the step of the grid.
+    certain : bool
+        Whether all readings lie on a grid of this step.
     """
-    steps: list[float] = []
+    steps: list[tuple[float, bool]] = []
     for row in readings:
         levels = np.unique(row)
         gaps = np.diff(levels)
         # Levels of one grid differ in the last bits.
         gaps = gaps[gaps > 1e-9 * max(float(np.max(np.abs(levels))), 1e-3)]
         if gaps.size:
-            steps.append(float(np.min(gaps)))
+            step = float(np.min(gaps))
+            ratios = gaps / step
+            steps.append((step, float(np.max(np.abs(ratios - np.rint(ratios)))) < 0.1))
     return max(steps, default=None)
