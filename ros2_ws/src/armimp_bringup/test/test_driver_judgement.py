@@ -287,7 +287,7 @@ def test_another_order_of_names_passes_only_if_commands_were_seen_to_obey(sound:
     ("drive", "words"),
     [
         (lambda torque: (-torque[0], torque[1]), "shoulder turns against its torque"),
-        (lambda torque: (torque[1], torque[0]), "does not move, but others do"),
+        (lambda torque: (torque[1], torque[0]), "shoulder and elbow mixed up"),
     ],
     ids=["sign", "order"],
 )
@@ -298,6 +298,15 @@ def test_commands_with_a_wrong_sign_or_order_are_named(
     (found,) = [f for f in findings if f.check == "torque: joint and sign"]
     assert found.verdict is Verdict.FAIL
     assert words in found.figure
+
+
+def test_commands_and_transducers_are_told_apart_where_signs_are_wrong(sound: Record) -> None:
+    def turned(torque: Torque) -> Torque:
+        return (-torque[0], -torque[1])
+
+    for sign, more in ((1.0, []), (-1.0, ["torque_sensors: sign"])):
+        failed = failures(judge(replace(sound, pushes=pushes(Bench(turned), sign=sign))))
+        assert failed == ["torque: joint and sign", *more]
 
 
 def test_transducers_with_a_wrong_sign_are_named(sound: Record) -> None:
