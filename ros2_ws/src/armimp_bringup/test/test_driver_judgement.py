@@ -440,14 +440,26 @@ def test_jitter_is_the_drivers_only_where_the_checker_was_awake(sound: Record) -
         assert {f.check: f.verdict for f in judged}[check] is verdict
 
 
-def test_a_wrong_rate_is_the_drivers_unless_the_checker_was_held_up_for_long(
-    sound: Record,
+@pytest.mark.parametrize(
+    ("slower", "stall_ns", "verdict"),
+    [
+        (1.003, 0, Verdict.PASS),
+        (1.015, 1_000_000, Verdict.FAIL),
+        (1.015, 20_000_000, Verdict.INCONCLUSIVE),
+        (2.0, 20_000_000, Verdict.FAIL),
+    ],
+)
+def test_a_wrong_rate_is_the_drivers_unless_a_stall_of_the_checker_explains_it(
+    sound: Record, slower: float, stall_ns: int, verdict: Verdict
 ) -> None:
-    slow = {topic: kept[::2] for topic, kept in sound.streams.items()}
+    record = edited(
+        sound,
+        JOINT_STATES,
+        lambda m: replace(m, arrival_ns=10**12 + round(slower * (m.arrival_ns - 10**12))),
+    )
+    found = stalls([(10**12, 10**12 + stall_ns)] if stall_ns else [], 10**9)
     check = f"{JOINT_STATES}: rate"
-    for longest, verdict in ((1_000_000, Verdict.FAIL), (20_000_000, Verdict.INCONCLUSIVE)):
-        record = replace(sound, streams=slow, stalls=stalls([(10**12, 10**12 + longest)], 10**9))
-        assert {f.check: f.verdict for f in judge(record)}[check] is verdict
+    assert {f.check: f.verdict for f in judge(replace(record, stalls=found))}[check] is verdict
 
 
 def test_a_single_stall_at_the_end_of_a_recording_is_no_wrong_rate(sound: Record) -> None:

@@ -20,8 +20,6 @@ class Limits:
     torque : largest torque, N·m; chosen
     encoder, transducer : coarsest resolution that the study covers, rad and N·m
     rate : relative error of the rate by the wall clock; chosen
-    stalled : share of the time for which this process was held up, beyond which it says nothing
-        about a rate; chosen
     clock : relative error of the mean step of the stamps, which the estimator allows
     late : time after its deadline from which a sample counts as late, s
     late_share : largest share of late samples, as in a valid run
@@ -41,7 +39,6 @@ class Limits:
     encoder: float = 2.0 * math.pi / 51200
     transducer: float = 0.02
     rate: float = 0.005
-    stalled: float = 0.005
     clock: float = 2e-4
     late: float = LATE_NS / NS_PER_S
     late_share: float = 0.01

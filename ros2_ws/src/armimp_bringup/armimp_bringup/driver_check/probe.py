@@ -23,7 +23,7 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
 
 _PATIENCE, _LONG = 10.0, 60.0
-_LISTEN = 0.5
+_LISTEN, _SILENCE = 0.5, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -216,7 +216,10 @@ class _Probe:
             return first
         node.play([(round(duration * NS_PER_S / PERIOD_NS), self._zero)])
         node.answer()
-        node.wait(self._spinner, lambda: not node.playing, 10.0 * duration + _PATIENCE)
+        last = -1
+        while node.playing and node.samples > last:
+            last = node.samples
+            node.wait(self._spinner, lambda: not node.playing, _SILENCE)
         # The answer to the last command is still to come. Of a driver that was active before, the
         # first sample was missed.
         node.wait(self._spinner, lambda: node.samples > node.answered, 1.0)
