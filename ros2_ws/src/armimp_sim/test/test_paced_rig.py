@@ -203,6 +203,7 @@ class TestWatchdog:
             bench.next()
         bench.next(250)
         bench.command(0.0, 0.0)
+        bench.next()
         bench.paced.reset()
         for _ in range(20):
             bench.command(7.0, 7.0)
