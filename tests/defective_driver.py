@@ -313,7 +313,7 @@ class InUse(Slow):
         self._commander = CommandPublisher(self, contract.COMMANDS, 2)
 
 
-KINDS = (WrongType, Slow, InUse)
+KINDS = (ArmSimNode, NoWatchdog, Relapsing, WrongType, Slow, InUse)
 DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in KINDS}
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ import importlib.util
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import TypeAlias
 
 import pytest
 
@@ -12,7 +13,8 @@ from armimp_bringup.driver_check.findings import Finding, failures, open_questio
 PACE = ("rate", "jitter", "sample to command")
 """How regular samples are, and how quick answers, depends on what else the machine does."""
 STREAMS = ("joint_states", "torque_sensors")
-Host = Callable[..., None]
+Host: TypeAlias = Callable[..., None]
+Start: TypeAlias = Host
 Check = Callable[..., dict[str, Finding]]
 
 
@@ -104,14 +106,15 @@ def test_transducers_that_are_too_coarse_are_named(host: Host, check: Check) -> 
     ("defect", "expected"),
     [
         ("NoWatchdog", ["stale commands", "stale commands: told", "stale commands: latched"]),
-        ("Relapsing", ["stale commands: latched"]),
+        pytest.param("Relapsing", ["stale commands: latched"], marks=pytest.mark.faults),
         ("ArmSimNode", []),
     ],
 )
 def test_what_a_driver_does_without_commands_is_seen_in_real_time(
-    host: Host, check: Check, defect: str, expected: list[str]
+    start: Start, check: Check, defect: str, expected: list[str]
 ) -> None:
-    host(getattr(DEFECTS, defect), mode="realtime")
+    # A process of its own, as the checker's would hold it up.
+    start([DEFECTS.__file__, defect], "-p", "mode:=realtime")
     for _ in range(4):
         findings = check(move=True)
         # What the machine has spoiled is looked at once more.

@@ -3,10 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
-from armimp_common.errors import GraphError
 
 ROBOT = str(Path(__file__).resolve().parent / "fake_ros2_control.py")
 BRIDGE = ["-m", "armimp_ros2_control.node"]
@@ -46,20 +43,3 @@ def test_the_bridge_in_front_of_ros2_control_passes_every_check_with_torque(
         "pairs",
     ):
         assert findings[name].verdict.value == "pass", findings[name]
-
-
-def test_a_joint_that_ros2_control_does_not_have_is_named_by_the_bridge(
-    start: Start, check: Check
-) -> None:
-    start([ROBOT])
-    start(BRIDGE, "-p", "names:=[exo_shoulder, exo_wrist]")
-    findings = check()
-    fault = findings["no fault at rest"]
-    assert fault.verdict.value == "fail"
-    assert "lacks joint 'exo_wrist'" in fault.figure
-
-
-def test_without_ros2_control_the_bridge_says_whom_it_waits_for(start: Start, check: Check) -> None:
-    start(BRIDGE)
-    with pytest.raises(GraphError, match="arm_sim failed to activate"):
-        check()
