@@ -441,6 +441,17 @@ def test_jitter_is_the_drivers_only_where_the_checker_was_awake(sound: Record) -
 
 
 @pytest.mark.parametrize(
+    ("waited", "verdict"), [(0.001, Verdict.FAIL), (0.05, Verdict.INCONCLUSIVE)]
+)
+def test_jitter_is_not_the_drivers_where_it_waited_for_a_processor(
+    sound: Record, waited: float, verdict: Verdict
+) -> None:
+    record = replace(edited(sound, JOINT_STATES, _held_up), waited=waited)
+    check = f"{JOINT_STATES}: jitter"
+    assert {f.check: f.verdict for f in judge(record)}[check] is verdict
+
+
+@pytest.mark.parametrize(
     ("slower", "stall_ns", "verdict"),
     [
         (1.003, 0, Verdict.PASS),

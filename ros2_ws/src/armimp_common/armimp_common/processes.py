@@ -1,6 +1,7 @@
 """Identity of a process, by which others on the same machine can tell whether it still lives."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 
@@ -32,6 +33,25 @@ def lives(process: str) -> bool | None:
     except OSError:
         return False
     return started == start and state not in ("Z", "X")
+
+
+def waited_ns(process: str) -> int | None:
+    """Return how long the threads of the process with this `identity` waited for a processor, ns.
+
+    That is the time since their start in which they could have run and others did; see
+    proc_pid_schedstat(5). None if it can't be told from here.
+    """
+    if not lives(process):
+        return None
+    number = process.rpartition("] ")[2].partition(" ")[0]
+    total = 0
+    try:
+        for task in Path(f"/proc/{number}/task").iterdir():
+            with suppress(FileNotFoundError, ProcessLookupError):  # a thread that ended just now
+                total += int((task / "schedstat").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return total
 
 
 def _place() -> str:

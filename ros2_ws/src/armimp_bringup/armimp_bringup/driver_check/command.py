@@ -137,7 +137,11 @@ def about(options: CheckOptions, domain: int, record: Record) -> dict[str, objec
             "lifecycle": record.lifecycle,
         },
         "move": {"torque": options.torque, "most_motion": options.most} if options.move else None,
-        "held_up": {"share": record.stalls.share, "longest": record.stalls.longest},
+        "held_up": {
+            "share": record.stalls.share,
+            "longest": record.stalls.longest,
+            "driver": record.waited,
+        },
     }
 
 

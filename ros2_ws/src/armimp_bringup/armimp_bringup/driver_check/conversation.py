@@ -18,6 +18,7 @@ from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from armimp_bringup.driver_check.guard import MotionGuard
@@ -73,6 +74,7 @@ class Conversation(Node):
     gap : longest time between two commands that was not meant to be longer (s); may be set back
     errors : statuses of level ERROR that came
     timing : what the driver last reported of its timing
+    process : identity of the driver's process, as its sign of life has it; empty without
     """
 
     def __init__(self, graph: GraphContext, joints: Sequence[str], namespace: str = "") -> None:
@@ -87,6 +89,7 @@ class Conversation(Node):
         self.gap = 0.0
         self.errors: list[Error] = []
         self.timing: TimingFigures | None = None
+        self.process = ""
         self._raw: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in SENSOR_TOPICS}
         self._script: deque[tuple[int, tuple[float, ...] | None]] = deque()
         self._subscriptions_by_topic: dict[str, RawSubscription] = {}
@@ -97,6 +100,10 @@ class Conversation(Node):
         }
         self.create_subscription(
             DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+
+        self.create_subscription(
+            String, contract.alive(contract.SIM_NODE), self._on_alive, qos.LATCHED
         )
 
     def listen(self) -> None:
@@ -230,6 +237,9 @@ class Conversation(Node):
         if complete > self.samples:
             self.samples = complete
             self.answer()
+
+    def _on_alive(self, message: String) -> None:
+        self.process = message.data
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:

@@ -20,6 +20,7 @@ from armimp_common import contract
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.processes import waited_ns
 from armimp_common.spin import Spinner
 
 _PATIENCE, _LONG = 10.0, 60.0
@@ -91,7 +92,9 @@ class _Probe:
         state = self._find(manager)
         with self._active(manager, state):
             self._paced = self._listen()
+            before = waited_ns(node.process)
             first = self._record_at_rest()
+            after = waited_ns(node.process)
             kept, malformed = node.recorded()
             answers, faults = node.answered, list(node.errors)
             streams = {topic: messages[first:] for topic, messages in kept.items()}
@@ -132,6 +135,7 @@ class _Probe:
             most=options.most,
             faults=[str(error) for error in faults],
             stalls=self._witness.stalls(),
+            waited=None if before is None or after is None else (after - before) / NS_PER_S,
             timing=node.timing,
             **extract(moves, everything, options.joints, options.torque),
         )

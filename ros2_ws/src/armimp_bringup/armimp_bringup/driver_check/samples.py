@@ -144,6 +144,8 @@ class Record:
     most : how far it was allowed to go (rad)
     faults : statuses of level ERROR on /diagnostics before anything was commanded
     stalls : when this process was held up
+    waited : how long the driver's process waited for a processor during the recording (s), None
+        where that cannot be told
     pushes : one for each joint
     stale : commands that stopped under torque
     stop : the emergency stop
@@ -169,6 +171,7 @@ class Record:
     most: float = 0.0
     faults: Sequence[str] = ()
     stalls: Stalls = field(default_factory=stalls)
+    waited: float | None = None
     pushes: Sequence[Push] = ()
     stale: Ending | None = None
     stop: Ending | None = None

@@ -12,7 +12,7 @@ from armimp_bringup.driver_check.findings import Finding, inconclusive, judged, 
 from armimp_bringup.driver_check.limits import Limits
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Message, Record
 from armimp_bringup.driver_check.witness import Stalls
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.contract import JOINT_STATES, NS_PER_S, PERIOD_NS
 
 
 def judge_timing(record: Record, limits: Limits) -> Iterator[Finding]:
@@ -22,7 +22,7 @@ def judge_timing(record: Record, limits: Limits) -> Iterator[Finding]:
         if len(messages) >= 2:
             yield from _judge_stamps(topic, messages, limits)
             if record.paced:
-                yield from _judge_pace(topic, messages, record.stalls, limits)
+                yield from _judge_pace(record, topic, messages, limits)
             else:
                 extra = len(messages) - record.answered
                 limit = "one for each command, and the first"
@@ -38,7 +38,8 @@ def judge_timing(record: Record, limits: Limits) -> Iterator[Finding]:
         latency = record.timing.latency_p99
         figure = f"99 %: {1e3 * latency:.3g} ms"
         # Part of the way is the checker's own.
-        if not latency <= limits.latency and record.stalls.share > limits.late_share:
+        busy = max(record.stalls.share, _waited(record) / _length(record)) > limits.late_share
+        if not latency <= limits.latency and busy:
             yield inconclusive("sample to command", figure + _held_up(record.stalls), limit)
         else:
             yield judged("sample to command", latency <= limits.latency, figure, limit)
@@ -64,8 +65,9 @@ def _judge_stamps(topic: str, messages: Sequence[Message], limits: Limits) -> It
 
 
 def _judge_pace(
-    topic: str, messages: Sequence[Message], stalls: Stalls, limits: Limits
+    record: Record, topic: str, messages: Sequence[Message], limits: Limits
 ) -> Iterator[Finding]:
+    stalls = record.stalls
     arrivals = np.array([message.arrival_ns for message in messages], dtype=np.int64)
     period = beat(arrivals)
     rate = 1.0 / period if period > 0.0 else 0.0
@@ -81,14 +83,28 @@ def _judge_pace(
     delay = lateness(arrivals)
     late = delay > limits.late
     share, worst = float(np.mean(late)), 1e3 * float(np.max(delay))
-    own = float(np.mean(late & ~stalls.excuse(arrivals, delay)))
+    rest = late & ~record.stalls.excuse(arrivals, delay)
+    own = float(np.mean(rest))
     figure = f"{100 * share:.3g} %; worst {worst:.3g} ms"
     check, limit = f"{topic}: jitter", _late_limit(limits)
     if share > limits.late_share >= own:
         figure += f"; but for {100 * own:.3g} % of all, this process was held up itself"
         yield inconclusive(check, figure, limit)
+    elif own > limits.late_share and _waited(record) >= 0.5 * float(np.sum(delay[rest])):
+        figure += f"; the driver's process waited {1e3 * _waited(record):.3g} ms for a processor"
+        yield inconclusive(check, figure, limit)
     else:
         yield judged(check, share <= limits.late_share, figure, limit)
+
+
+def _length(record: Record) -> float:
+    """Length of the recording at rest, s."""
+    kept = record.streams.get(JOINT_STATES, ())
+    return max(kept[-1].arrival_ns - kept[0].arrival_ns, PERIOD_NS) / NS_PER_S if kept else 1.0
+
+
+def _waited(record: Record) -> float:
+    return record.waited or 0.0
 
 
 def _held_up(stalls: Stalls) -> str:
