@@ -97,6 +97,15 @@ def test_a_defect_that_shows_under_torque_is_named_and_nothing_else(
     assert names(check(move=True)) == expected
 
 
+def test_when_a_rig_moves_too_far_expect_its_emergency_stop_to_be_called_and_not_reset(
+    host: Host, check: Check
+) -> None:
+    host(DEFECTS.Strong, mode="lockstep")
+    moved = check(move=True)["torque: motion"]
+    assert "torque taken away" in moved.figure
+    assert check()["no fault at rest"].figure == "arm_sim: rig: emergency stop"
+
+
 def test_transducers_that_are_too_coarse_are_named(host: Host, check: Check) -> None:
     host(DEFECTS.ArmSimNode, mode="lockstep", sensors__torque_resolution=0.05)
     assert names(check(move=True)) == ["torque_sensors: resolution"]
