@@ -232,12 +232,13 @@ class Relapsing(ArmSimNode):
     """Lets go when commands stay away, and obeys again as soon as they come."""
 
     def _on_command(self, command: tuple[float, ...]) -> None:
-        rig = self._rig
-        if rig is not None and rig.fault.startswith("no command"):
+        rig, paced = self._rig, self._paced
+        if rig is not None and paced is not None and rig.fault:
             self._report(rig)
             with self._alone:
-                rig.fault = ""
-                rig._fading = 0
+                rig.fault, rig._fading = "", 0
+                paced._unanswered.clear()
+                paced._in_step = False
         super()._on_command(command)
 
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import MalformedMessageError
-from armimp_common.stamps import ns_to_tick
 from armimp_ros2_control.parameters import BridgeParameters
 
 _CROWD = 5.0
@@ -87,8 +86,8 @@ class Stamps:
             raise MalformedMessageError(
                 f"the stamp {stamp_ns} ns does not come after the last one, {self._last} ns"
             )
-        # As ns_to_tick, but a step of exactly half a period is none.
-        steps = ns_to_tick(ahead - 1)
+        # Rounded; a step of exactly half a period is none.
+        steps = (ahead - 1 + PERIOD_NS // 2) // PERIOD_NS
         self._crowd = self._crowd + 1.0 if steps == 0 else max(self._crowd - 0.1, 0.0)
         if steps:
             self._last = stamp_ns

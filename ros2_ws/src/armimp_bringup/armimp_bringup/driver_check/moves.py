@@ -18,6 +18,7 @@ from armimp_common import contract
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.contract import JOINT_STATES, TORQUE_SENSORS
 from armimp_common.errors import GraphError, MalformedMessageError
+from armimp_common.jitter import TimingFigures
 from armimp_common.spin import Spinner
 
 REST, HOLD, AFTER, LONGER = 200, 400, 250, 400
@@ -68,6 +69,7 @@ class Moves:
     repeated: int = 0
     gap: float = 0.0
     moved: float | None = None
+    timing: TimingFigures | None = None
 
 
 class Mover:
@@ -135,6 +137,8 @@ class Mover:
         moves.released = self._push(moves, 0, zero)
         moves.held = self._push(moves, 0, hold)
         if self._paced:
+            # What samples wait for that are never answered is not the driver's.
+            moves.timing = self._node.timing
             self._undisturbed(moves, lambda: self._keep_silent(moves))
         self._undisturbed(moves, lambda: self._stop_under_torque(moves))
 

@@ -136,7 +136,7 @@ class _Probe:
             faults=[str(error) for error in faults],
             stalls=self._witness.stalls(),
             waited=None if before is None or after is None else (after - before) / NS_PER_S,
-            timing=node.timing,
+            timing=moves.timing or node.timing,
             **extract(moves, everything, options.joints, options.torque),
         )
 
