@@ -51,6 +51,7 @@ class Ros2ControlBridge(LifecycleNode):
         super().__init__(contract.SIM_NODE, **kwargs)
         self.transition_error = ""
         self._active = self._stopped = False
+        self._listened = 0
         self._protection: Protection | None = None
         self._urgency: Urgency | None = None
         self._told = ""
@@ -76,7 +77,7 @@ class Ros2ControlBridge(LifecycleNode):
         self._diagnostics = self.create_publisher(
             DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
         )
-        self._states = RawSubscription(self, STATES, JointState, self._on_state)
+        self._states = self._listen()
         self._commands = CommandSubscription(
             self, contract.COMMANDS, count, self._on_command, on_malformed=self._on_malformed
         )
@@ -93,6 +94,9 @@ class Ros2ControlBridge(LifecycleNode):
             subscriptions=[self._states, self._commands],
             watches=[self._controller],
         )
+        # Robots publish always. What piled up while this was waited for would come as one burst.
+        self.destroy_subscription(self._states.subscription)
+        self._states = self._listen()
         self._urgency = Urgency(self._settings.realtime)
         self._stamps, self._ledger = Stamps(), TimingLedger()
         self._heard = self._looked_at = self._sent_ns = 0
@@ -101,6 +105,17 @@ class Ros2ControlBridge(LifecycleNode):
         # A forward controller holds what it was last told, by whomever.
         self._drive()
         return super().on_activate(state)
+
+    def _listen(self) -> RawSubscription:
+        """Listen from now on; what an older subscription still delivers is not heard any more."""
+        self._listened += 1
+        listened = self._listened
+
+        def on_state(data: bytes) -> None:
+            if listened == self._listened:
+                self._on_state(data)
+
+        return RawSubscription(self, STATES, JointState, on_state)
 
     def _on_state(self, data: bytes) -> None:
         protection = self._protection

@@ -1,6 +1,7 @@
 """The bridge through a real graph: a robot on one side, a controller on the other."""
 
 import math
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -13,13 +14,14 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher, JointStateSubscription
+from armimp_common.channels import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.contract import PERIOD_NS
 from armimp_common.diagnostics import Level
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
 from armimp_common.stamps import to_time
 from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
+from armimp_ros2_control import node as node_module
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
 
@@ -34,6 +36,8 @@ class World:
     Each sample that comes out of the bridge is answered by a command and followed by the next joint
     state, so nothing depends on how quick the machine is.
     """
+
+    manager: LifecycleManager
 
     def __init__(self, node: Node, spinner: Spinner) -> None:
         self.spinner = spinner
@@ -120,21 +124,49 @@ class World:
 
 
 @pytest.fixture
-def world(context: Context, node: Node) -> Iterator[World]:
+def bridge(context: Context) -> Iterator[Ros2ControlBridge]:
     bridge = Ros2ControlBridge(
         context=context, parameter_overrides=overrides(BridgeParameters(), {})
     )
+    yield bridge
+    bridge.destroy_node()
+
+
+@pytest.fixture
+def waiting(node: Node, bridge: Ros2ControlBridge) -> Iterator[World]:
+    """A bridge that is not active yet."""
     with Spinner([node, bridge]) as spinner:
         world = World(node, spinner)
-        manager = LifecycleManager(
+        world.manager = LifecycleManager(
             node, [contract.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
         )
-        manager.wait_for_nodes()
-        manager.configure(contract.SIM_NODE)
-        manager.activate(contract.SIM_NODE)
-        eventually(spinner, lambda: world.told == [(0.0, 0.0)], "no torque to begin with")
+        world.manager.wait_for_nodes()
+        world.manager.configure(contract.SIM_NODE)
         yield world
-    bridge.destroy_node()
+
+
+@pytest.fixture
+def world(waiting: World, node: Node, bridge: Ros2ControlBridge) -> World:
+    waiting.manager.activate(contract.SIM_NODE)
+    eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
+    assert not wait_until_matched(node, publishers=[waiting.states], timeout_s=PATIENCE)
+    assert not wait_until_matched(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
+    return waiting
+
+
+def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_burst(
+    waiting: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wait(*args: object, **options: object) -> None:
+        # While this goes on, nothing is executed.
+        for _ in range(100):
+            waiting.feed()
+        time.sleep(0.1)
+
+    monkeypatch.setattr(node_module, "wait_for_partners", wait)
+    waiting.manager.activate(contract.SIM_NODE)
+    a_moment(waiting.spinner)
+    assert waiting.angles == []
 
 
 def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World) -> None:
