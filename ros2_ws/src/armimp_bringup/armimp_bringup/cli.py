@@ -266,7 +266,7 @@ def investigate(
 
 
 @app.command()
-def check_driver(
+def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     domain_id: Annotated[
         int | None, typer.Option(help="ROS domain of the driver; default: ROS_DOMAIN_ID.")
     ] = None,
@@ -275,11 +275,16 @@ def check_driver(
         list[str] | None, typer.Option(help="Name of a joint, in the order of commands; repeat.")
     ] = None,
     node: Annotated[str | None, typer.Option(help="Name of the node; default: arm_sim.")] = None,
+    namespace: Annotated[str, typer.Option(help="Namespace of the driver.")] = "",
     duration: Annotated[float, typer.Option(help="Length of the recording, s.")] = 5.0,
     move: Annotated[
         bool, typer.Option("--move", help="Command torque too: nobody may be in the rig.")
     ] = False,
-    torque: Annotated[float, typer.Option(help="How much torque, N·m.")] = 1.0,
+    torque: Annotated[float, typer.Option(help="How much torque, N·m; at most 20.")] = 1.0,
+    most_motion: Annotated[
+        float, typer.Option(help="Motion of a joint at which torque is taken away, rad.")
+    ] = 0.3,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether --move is safe.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> int:
     """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
@@ -289,10 +294,13 @@ def check_driver(
         joints=joints,
         joint_names=joint or (),
         node=node,
+        namespace=namespace,
         domain_id=domain_id,
         duration=duration,
         move=move,
         torque=torque,
+        most=most_motion,
+        yes=yes,
         as_json=json,
     )
 

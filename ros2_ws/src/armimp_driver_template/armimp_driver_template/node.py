@@ -34,7 +34,8 @@ from armimp_driver_template.parameters import DriverParameters
 from armimp_driver_template.protection import Protection
 from armimp_sim.backlog import Backlog
 
-_FRAME_TIMEOUT = 0.1
+_FRAME_TIMEOUT, _PATIENCE = 0.002, 0.1
+"""How long a frame is waited for (s): two periods on a bus, longer where commands set the pace."""
 _LOST_FRAMES = 5
 _REPORT_PERIOD = 1.0
 _STOPPED = "emergency stop"
@@ -122,9 +123,10 @@ class ExoDriver(LifecycleNode):
     # that a frame which is lost leaves a gap that everybody can see.
     def _listen(self) -> None:
         wake_up_exactly()
+        timeout = _FRAME_TIMEOUT if self._device.paced else _PATIENCE
         try:
             while self._running.is_set():
-                frame = self._device.receive(_FRAME_TIMEOUT)
+                frame = self._device.receive(timeout)
                 if frame is None:
                     self._miss()
                 else:
@@ -151,7 +153,7 @@ class ExoDriver(LifecycleNode):
                     self._ledger.missed()
                 # Only what the driver changes by itself; commands go out as they come.
                 if protection.fault:
-                    self._device.send(protection.torque)
+                    self._drive(protection)
         while self._backlog.full and self._running.is_set():
             time.sleep(0.0005)  # in lockstep only: a recorder that is behind would lose samples
         if not self._device.paced:
@@ -172,7 +174,13 @@ class ExoDriver(LifecycleNode):
         self._ledger.answered(time.monotonic_ns() - self._sent_ns)
         with self._lock:
             protection.command(command)
+            self._drive(protection)
+
+    def _drive(self, protection: Protection) -> None:
+        try:
             self._device.send(protection.torque)
+        except Exception as error:  # noqa: BLE001 (of whatever kind: the drives are out of hand)
+            protection.latch(f"the device takes no commands: {error}")
 
     def _on_received(self, message: UInt64) -> None:
         self._backlog.acknowledge(message.data)
@@ -191,7 +199,7 @@ class ExoDriver(LifecycleNode):
             protection.latch(reason)
             # In lockstep torque is an answer, and no sample has asked for one.
             if self._active and self._device.paced:
-                self._device.send(protection.torque)
+                self._drive(protection)
 
     def _on_controller(self, controller: Watch) -> None:
         if controller.presence.lost:
@@ -279,7 +287,7 @@ class ExoDriver(LifecycleNode):
             assert self._protection is not None
             with self._lock:
                 self._protection.rest()
-                self._device.send(self._protection.torque)
+                self._drive(self._protection)
                 self._device.close()
 
 

@@ -230,9 +230,10 @@ class ArmSimNode(LifecycleNode):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            if self._rig is not None:
-                with self._alone:
-                    self._rig.reset()
+            if self._paced is not None:
+                self._paced.reset()
+            elif self._rig is not None:
+                self._rig.reset()
         except GraphError as error:
             response.success, response.message = False, str(error)
             return response

@@ -97,6 +97,8 @@ class JointStateDecoder:
         The joints that every message must have, no more and no less.
     field
         The array that carries the numbers; others may be filled and are ignored.
+    others
+        Whether messages may have further joints, which are ignored.
 
     Raises
     ------
@@ -104,8 +106,9 @@ class JointStateDecoder:
         If a name is empty, doubled or not encodable, or the field is not known.
     """
 
-    def __init__(self, names: Sequence[str], field: ValueField) -> None:
+    def __init__(self, names: Sequence[str], field: ValueField, *, others: bool = False) -> None:
         _check(names, field)
+        self._others = others
         self._names = [name.encode() for name in names]
         self._field: ValueField = field
         self._layout = NO_LAYOUT
@@ -207,7 +210,7 @@ class JointStateDecoder:
         for name in self._names:
             if name not in index:
                 raise reader.error(f"lacks joint {_joined([name])}; it has {_joined(names)}")
-        if len(names) != len(self._names):
+        if len(names) != len(self._names) and not self._others:
             unknown = [name for name in names if name not in self._names]
             raise reader.error(f"has unknown joint {_joined(unknown)}")
         return [index[name] for name in self._names]

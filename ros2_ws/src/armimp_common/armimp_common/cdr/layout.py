@@ -96,7 +96,7 @@ class Layout:
         first = 1 if stamp is None else 4
         self.head = bytes(data[:stamp]) if stamp is not None else b""
         self.before, self.after = bytes(data[skipped : numbers[0]]), bytes(data[numbers[1] :])
-        self.values = _picker([first + index for index in self._order], first, first + count)
+        self.values = _picker([first + index for index in self._order])
 
     def matches(self, data: Buffer) -> bool:
         """Tell whether a message has this layout."""
@@ -153,12 +153,12 @@ class _NoLayout(Layout):
         self.length = -1
 
 
-def _picker(
-    indices: Sequence[int], first: int, stop: int
-) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
-    """Return a function that picks these items, which are from `first` to `stop`, as a tuple."""
-    if list(indices) == list(range(first, stop)):
-        return itemgetter(slice(first, stop))
+def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
+    """Return a function that picks these items of a tuple, as a tuple."""
+    first = indices[0] if indices else 0
+    end = first + len(indices)
+    if list(indices) == list(range(first, end)):
+        return itemgetter(slice(first, end))
     # With a single index itemgetter would not return a tuple, hence the slice above for n = 1.
     return itemgetter(*indices)
 
