@@ -41,6 +41,10 @@ _Estimators = Annotated[
 _AllowGaps = Annotated[
     bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
 ]
+_TorqueDelay = Annotated[
+    float | None,
+    typer.Option(help="How late torque readings are, s, for the estimates to correct."),
+]
 _Out = Annotated[Path | None, typer.Option("--out", help="New directory for the results.")]
 _Json = Annotated[bool, typer.Option("--json", help="Print summary.json instead of tables.")]
 
@@ -68,6 +72,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         str | None,
         typer.Option(help="End a trial once the standard errors of M, B, K are below: 2% or 0.02."),
     ] = None,
+    torque_delay: _TorqueDelay = None,
     out: _Out = None,
     domain_id: Annotated[
         int | None,
@@ -95,6 +100,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             "joints": joints,
             "estimators": tuple(estimator) if estimator else None,
             "until_error": None if until_error is None else _share(until_error),
+            "torque_delay": torque_delay,
         },
     )
     directory = out if out is not None else _new_directory("run")
@@ -110,13 +116,14 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
 
 
 @app.command()
-def estimate(
+def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     bags: _Bags,
     estimator: _Estimators = None,
     namespace: Annotated[
         str | None, typer.Option(help="Namespace of the topics; default: found by itself.")
     ] = None,
     allow_gaps: _AllowGaps = False,
+    torque_delay: _TorqueDelay = None,
     out: _Out = None,
     json: _Json = False,
 ) -> int:
@@ -126,8 +133,14 @@ def estimate(
 
     if out is not None:
         prepare_directory(out)
+    if torque_delay is not None and not 0.0 <= torque_delay <= 0.1:
+        raise ConfigurationError(f"--torque-delay: {torque_delay} is not within 0 to 0.1 s")
     conclusion, notes = estimate_bags(
-        bags, tuple(estimator or ()), namespace=namespace, allow_gaps=allow_gaps
+        bags,
+        tuple(estimator or ()),
+        namespace=namespace,
+        allow_gaps=allow_gaps,
+        torque_delay=torque_delay,
     )
     for note in notes:
         _say(f"note: {note}")

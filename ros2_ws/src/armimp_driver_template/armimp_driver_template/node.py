@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
@@ -27,7 +28,7 @@ from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.urgency import wake_up_exactly
-from armimp_driver_template.conversion import Encoders, Transducers
+from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Device, Frame
 from armimp_driver_template.mock import MockDevice
 from armimp_driver_template.parameters import DriverParameters
@@ -76,6 +77,8 @@ class ExoDriver(LifecycleNode):
         self._device = make_device(parameters)
         if parameters.mode == "lockstep" and self._device.paced:
             raise GraphError("mode lockstep is for a device that can wait")
+        self._wiring = Wiring(self._device.names, parameters.names_at_device())
+        self._drives = parameters.drives()
         self._protection = Protection(len(names), parameters.limits.limits())
         if self._stopped:
             self._protection.latch(_STOPPED)
@@ -105,9 +108,8 @@ class ExoDriver(LifecycleNode):
             subscriptions=[self._commands],
             watches=[self._controller],
         )
-        encoder, transducer = self._settings.encoder, self._settings.transducer
-        self._encoders = Encoders(encoder.resolution, encoder.zero)
-        self._transducers = Transducers(transducer.resolution, transducer.zero)
+        self._encoders = Encoders(self._settings.encoders())
+        self._transducers = Transducers(self._settings.transducers())
         self._ledger = TimingLedger()
         self._begin_ns = self._sent_ns = 0
         self._lost = 0
@@ -140,8 +142,8 @@ class ExoDriver(LifecycleNode):
 
     # Step 5: a sample. Counts become radians and newton metres, and both messages get one stamp.
     def _publish(self, frame: Frame) -> None:
-        angles = self._encoders.angles(frame.encoder)
-        torques = self._transducers.torques(frame.transducer)
+        angles = self._encoders.angles(self._wiring.to_joints(frame.encoder))
+        torques = self._transducers.torques(self._wiring.to_joints(frame.transducer))
         protection = self._protection
         assert protection is not None
         with self._lock:
@@ -151,7 +153,7 @@ class ExoDriver(LifecycleNode):
                     self._ledger.missed()
                 # Only what the driver changes by itself; commands go out as they come.
                 if protection.fault:
-                    self._device.send(protection.torque)
+                    self._send(protection.torque)
         while self._backlog.full and self._running.is_set():
             time.sleep(0.0005)  # in lockstep only: a recorder that is behind would lose samples
         if not self._device.paced:
@@ -172,7 +174,12 @@ class ExoDriver(LifecycleNode):
         self._ledger.answered(time.monotonic_ns() - self._sent_ns)
         with self._lock:
             protection.command(command)
-            self._device.send(protection.torque)
+            self._send(protection.torque)
+
+    def _send(self, torque: Sequence[float]) -> None:
+        """Give the drives torques of the joints (n,), N·m, in the device's order and directions."""
+        pairs = zip(self._drives, torque, strict=True)
+        self._device.send(self._wiring.to_device([drive.torque(value) for drive, value in pairs]))
 
     def _on_received(self, message: UInt64) -> None:
         self._backlog.acknowledge(message.data)
@@ -180,7 +187,7 @@ class ExoDriver(LifecycleNode):
     def _on_malformed(self, error: ArmimpError) -> None:
         self._latch(f"malformed command: {error}")
         if self._active and not self._device.paced:
-            self._device.send((0.0,) * len(self._settings.joints))
+            self._send((0.0,) * len(self._settings.joints))
 
     # Step 7: faults. One latch for all of them; the first reason stays until the reset.
     def _latch(self, reason: str) -> None:
@@ -191,7 +198,7 @@ class ExoDriver(LifecycleNode):
             protection.latch(reason)
             # In lockstep torque is an answer, and no sample has asked for one.
             if self._active and self._device.paced:
-                self._device.send(protection.torque)
+                self._send(protection.torque)
 
     def _on_controller(self, controller: Watch) -> None:
         if controller.presence.lost:
@@ -279,7 +286,7 @@ class ExoDriver(LifecycleNode):
             assert self._protection is not None
             with self._lock:
                 self._protection.rest()
-                self._device.send(self._protection.torque)
+                self._send(self._protection.torque)
                 self._device.close()
 
 

@@ -18,6 +18,7 @@ from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.sample_ledger import SampleLedger
+from armimp_estimation.torque_reading import ReadingSummary
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -169,6 +170,8 @@ class Summary(JsonModel):
     truth: TruthSummary | None
     timing: TimingSummary | None = None
     """Of a run in real time."""
+    torque_reading: ReadingSummary | None = None
+    """What is known of the torque readings, and so was corrected."""
 
     @model_validator(mode="after")
     def _check_shapes(self) -> "Summary":

@@ -16,9 +16,10 @@ from armimp_bringup.study.errors import StudyError
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.versions import git_revision, versions
+from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import identify
-from armimp_estimation.lpm import LpmConfig, TorqueTiming
+from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.results import TrialLedger, summarise
@@ -179,7 +180,10 @@ def estimate_condition(
     options = _identify_config(parameters, min(record.samples for record in records))
     try:
         identification = identify(
-            [TrialData.from_record(record, options.welch) for record in records],
+            [
+                TrialData.from_record(record, options.welch, options.lpm.reading)
+                for record in records
+            ],
             batch.base.estimators,
             MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness),
             options,
@@ -221,8 +225,8 @@ def _record(trial: OfflineTrial, joint_names: tuple[str, ...], seed: int) -> Tri
 
 
 def _identify_config(parameters: NodeParameters, samples: int) -> IdentifyConfig:
-    timing = TorqueTiming(parameters.simulator.sensors.sampling.value)
-    return IdentifyConfig(welch=WelchConfig.for_samples(samples), lpm=LpmConfig(timing=timing))
+    reading = reading_of(parameters.estimator.bag_metadata())
+    return IdentifyConfig(welch=WelchConfig.for_samples(samples), lpm=LpmConfig(reading=reading))
 
 
 def _described(batch: Batch, parameters: NodeParameters) -> dict[str, Any]:
