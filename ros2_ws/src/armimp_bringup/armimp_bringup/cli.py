@@ -116,7 +116,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
 
 
 @app.command()
-def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
+def estimate(
     bags: _Bags,
     estimator: _Estimators = None,
     namespace: Annotated[

@@ -140,9 +140,10 @@ class ImbicConfig:
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
         """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
 
-        With None all joints yield, with NO_JOINT all lock. Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd
-        (N·m·s/rad), K_rd (N·m/rad), what a tick leaves of the distance between target and θ_rd,
-        amplitude (rad) and angle per tick (rad) of the dither in the target, tare (N·m; 0).
+        With None all joints yield, with NO_JOINT all lock. Rows: share of τ_h' sensed (1 or 0),
+        M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a tick leaves of the distance between
+        target and θ_rd, amplitude (rad) and angle per tick (rad) of the dither in the target, tare
+        (N·m; 0).
         """
         every = np.arange(self.joints)
         locked = every != (every if perturbed is None else perturbed)

@@ -177,7 +177,7 @@ class Controller:
         self.perturb_joint(NO_JOINT)
 
     def tare(self, offset: Sequence[float]) -> None:
-        """Take what the torque transducers read at rest (n,), N·m, from their readings, from now on.
+        """From now on take what torque transducers read at rest (n,), N·m, from their readings.
 
         Only what a law makes of them changes; the gate looks at the readings themselves.
         """

@@ -91,8 +91,8 @@ class PdConfig:
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
         """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
 
-        With None all joints yield, with NO_JOINT all lock. Rows as of :meth:`armimp_control.imbic.ImbicConfig.role`; no
-        joint senses τ_h.
+        With None all joints yield, with NO_JOINT all lock. Rows as of
+        :meth:`armimp_control.imbic.ImbicConfig.role`; no joint senses τ_h.
         """
         every = np.arange(self.joints)
         locked = every != (every if perturbed is None else perturbed)

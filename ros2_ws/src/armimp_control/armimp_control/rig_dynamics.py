@@ -1,4 +1,4 @@
-"""What is known of the rig between command and reading: lag of drives, low-pass and delay of τ_h."""
+"""What is known of the rig between command and reading: lag of drives; low-pass, delay of τ_h."""
 
 from __future__ import annotations
 

@@ -20,8 +20,8 @@ class MockDevice:
     """The rig of the study, sampled each millisecond, or after each command.
 
     Commands act late by `latency` periods, frames get lost, encoders wrap, transducers have an
-    offset that drifts, a low-pass and a delay, and drives lag. Signs, gears and zeros of its sensors
-    and drives, and the order of its joints, are those that the driver is told.
+    offset that drifts, a low-pass and a delay, and drives lag. Signs, gears and zeros of its
+    sensors and drives, and the order of its joints, are those that the driver is told.
 
     Parameters
     ----------

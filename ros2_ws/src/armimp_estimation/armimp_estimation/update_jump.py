@@ -10,10 +10,10 @@ readings and jumps by the Euler-Maclaurin formula (coefficients 1/2 and 1/12):
     τ(ω) = τ_before(ω) + [D (1/2 - jωL/12) + S/12] Δu(ω)
 
 up to fourth order in ωL. Readings that pass a filter or are late lack other multiples of D and S,
-see :mod:`armimp_estimation.torque_reading`. A delay of half a sample, ``T exp(jωL/2)``, puts the inertial torque
-right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and ``B L/2`` to M, and
-does not know of the part of u that overcomes friction. D need not be precise: an error of 10 %
-leaves 10 % of the skew.
+see :mod:`armimp_estimation.torque_reading`. A delay of half a sample, ``T exp(jωL/2)``, puts the
+inertial torque right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and
+``B L/2`` to M, and does not know of the part of u that overcomes friction. D need not be precise:
+an error of 10 % leaves 10 % of the skew.
 """
 
 from collections.abc import Sequence

@@ -312,6 +312,7 @@ def _torque(
 
 @compiled
 def sample_block(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Torque on the arm at this instant in one block, as :func:`sample_now`."""
     _slopes(w, block, joints, width)
     _torque(w, block, joints, width, (THETA, VELOCITY, _SLOPE_V))
 

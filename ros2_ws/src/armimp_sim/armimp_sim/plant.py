@@ -127,7 +127,7 @@ class Plant:
     ----------
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
-    transmission : what :mod:`armimp_sim.transmission` knows of the lanes; None without imperfections
+    transmission : the lanes of :mod:`armimp_sim.transmission`; None without imperfections
     """
 
     def __init__(self, configs: Sequence[PlantConfig]) -> None:

@@ -129,7 +129,7 @@ def settle(w: NDArray[np.float64], joints: Tag, width: Tag, lanes: NDArray[np.fl
 
 
 @compiled_entry
-def advance(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+def advance(
     w: NDArray[np.float64],
     joints: Tag,
     width: Tag,
