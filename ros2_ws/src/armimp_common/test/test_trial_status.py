@@ -43,12 +43,25 @@ def statuses(draw: st.DrawFn) -> TrialStatus:
         reason=draw(st.text()),
         clipped=draw(counts),
         clipped_intervals=" ".join(draw(st.lists(st.just("3-17") | st.just("0-0"), max_size=100))),
+        tare=tuple(draw(st.lists(st.floats(allow_nan=False), max_size=7))),
+        tare_error=tuple(draw(st.lists(st.floats(allow_nan=False), max_size=7))),
     )
 
 
 @given(status=statuses())
 def test_any_status_survives_a_round_trip(status: TrialStatus) -> None:
     assert TrialStatus.from_values(status.to_values()) == status
+
+
+def test_when_a_tare_is_not_numbers_expect_it_refused() -> None:
+    with pytest.raises(MalformedMessageError, match="tare is not numbers: '0.1 much'"):
+        TrialStatus.from_values({**STATUS.to_values(), "tare": "0.1 much"})
+
+
+def test_a_status_of_an_older_bag_has_no_tare() -> None:
+    values = STATUS.to_values()
+    del values["tare"], values["tare_error"]
+    assert TrialStatus.from_values(values) == STATUS
 
 
 def test_joint_counts_from_one_on_the_wire() -> None:

@@ -35,9 +35,9 @@ def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
 
 
 def _late(
-    config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int, steps: int = 200
+    config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int, steps: int = 50
 ) -> Array:
-    """Largest acceleration (ticks,) of the same rig with lag, low-pass and delay, in small steps."""
+    """As `_sizes`, of a rig with lag, low-pass and delay, in small steps."""
     controller = Controller(config, safety=torque_only(1e300))
     controller.perturb_joint(perturbed)
     inverse, h = np.linalg.inv(ROBOT + ARM), config.period / steps
@@ -91,7 +91,7 @@ def test_a_loop_that_the_check_takes_for_stable_with_delays_comes_to_rest() -> N
             config, perturbed=k, robot_inertia=ROBOT, arm_inertia=ARM, dynamics=dynamics
         )
         assert radius < 1.0
-        sizes = _late(config, k, dynamics, ticks=400, steps=100)
+        sizes = _late(config, k, dynamics, ticks=400, steps=20)
         assert np.max(sizes[300:]) < 0.2 * np.max(sizes[:50])
 
 

@@ -133,7 +133,7 @@ def test_an_offset_that_was_tared_does_not_move_the_joint_and_one_that_was_not_d
         held = bench.run(WAIT + READ, OFFSET)
         # In its posture, without any torque to feel, a held joint needs none.
         assert np.max(np.abs(held)) == 0.0
-        settling = bench.run(SETTLE, OFFSET + [shift, 0.0])
+        settling = bench.run(SETTLE, OFFSET + np.array([shift, 0.0]))
         assert (np.max(np.abs(settling)) > 0.1) == moved
 
 

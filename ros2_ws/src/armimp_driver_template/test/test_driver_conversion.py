@@ -110,7 +110,7 @@ def test_values_come_back_from_any_order_of_the_device(
 
 @pytest.mark.parametrize("joints", [("a", "c"), ("a", "a"), ("a",)])
 def test_joints_that_the_device_does_not_have_are_refused(joints: tuple[str, ...]) -> None:
-    with pytest.raises(ConfigurationError, match="'device_names' is a.*; the device has a, b"):
+    with pytest.raises(ConfigurationError, match=r"'device_names' is a.*; the device has a, b"):
         Wiring(("a", "b"), joints)
 
 
