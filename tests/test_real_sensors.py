@@ -1,4 +1,4 @@
-"""The experiment with the sensors and drives of a real rig, without ROS: what calibration is worth."""
+"""The experiment with sensors and drives of a real rig, without ROS: what calibration is worth."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def test_any_status_survives_a_round_trip(status: TrialStatus) -> None:
 
 
 def test_when_a_tare_is_not_numbers_expect_it_refused() -> None:
-    with pytest.raises(MalformedMessageError, match="tare is not numbers: '0.1 much'"):
+    with pytest.raises(MalformedMessageError, match=r"tare is not numbers: '0.1 much'"):
         TrialStatus.from_values({**STATUS.to_values(), "tare": "0.1 much"})
 
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
-from scipy.signal import butter, zpk2ss
 
 from armimp_common.errors import ConfigurationError
 
@@ -55,6 +53,9 @@ class RigDynamics:
         a, b, reads = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
         lag, cutoff = self.actuator_lag, self.torque_cutoff
         if cutoff > 0.0:
+            # Where there is no low-pass, nobody has to wait for this import.
+            from scipy.signal import butter, zpk2ss
+
             zpk = butter(self.torque_order, 2.0 * np.pi * cutoff, analog=True, output="zpk")
             a, b, reads, _ = zpk2ss(*zpk)
         if lag > 0.0:
@@ -115,6 +116,10 @@ class SampledDynamics:
 def _over(a: FloatArray, b: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
     """Transition of a linear system over a time (s) with constant input."""
     q = len(a)
+    if not q:
+        return a, b
+    from scipy.linalg import expm
+
     system = np.zeros((q + 1, q + 1))
     system[:q, :q], system[:q, q:] = a * time, b * time
     over = expm(system)

@@ -22,7 +22,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, residue
 
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.json_model import JsonModel
@@ -242,6 +241,9 @@ class TorqueReading:
 
     @cached_property
     def _low_pass(self) -> tuple[FloatArray, FloatArray]:
+        # Where there is no low-pass, nobody has to wait for this import.
+        from scipy.signal import butter
+
         b, a = butter(self.order, 2.0 * np.pi * self.cutoff, analog=True)
         return np.asarray(b), np.asarray(a)
 
@@ -256,5 +258,7 @@ class TorqueReading:
         if len(a) == 1:
             nothing = np.zeros(0, dtype=np.complex128)
             return nothing, nothing
+        from scipy.signal import residue
+
         residues, poles, _ = residue(b, a)
         return np.asarray(residues / poles, dtype=np.complex128), np.asarray(poles)

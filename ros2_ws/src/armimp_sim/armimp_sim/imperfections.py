@@ -9,8 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
-from scipy.signal import butter, zpk2ss
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import transmission as t
@@ -138,6 +136,10 @@ class Imperfections:
 
     def _filter(self, numbers: NDArray[np.float64], step: float) -> None:
         """Exact transition of the low-pass for a torque that is linear over a step."""
+        # Where there is no low-pass, nobody has to wait for these imports.
+        from scipy.linalg import expm
+        from scipy.signal import butter, zpk2ss
+
         p = self.order
         zpk = butter(p, 2.0 * np.pi * self.cutoff, analog=True, output="zpk")
         a, b, c, _ = zpk2ss(*zpk)
