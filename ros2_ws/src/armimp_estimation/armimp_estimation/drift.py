@@ -45,19 +45,24 @@ class Drift:
     torque: FloatArray
     torque_error: FloatArray
 
-    def removed_from(self, record: TrialRecord) -> TrialRecord:
-        """The record without those slopes that are beyond chance; itself if there are none."""
-        found = [
+    @property
+    def significant(self) -> bool:
+        """Whether there is any beyond chance."""
+        return any(slope.any() for slope in self._found())
+
+    def _found(self) -> list[FloatArray]:
+        return [
             np.where(np.abs(slope) > SIGNIFICANT * error, slope, 0.0)
             for slope, error in (
                 (self.position, self.position_error),
                 (self.torque, self.torque_error),
             )
         ]
-        if not any(slope.any() for slope in found):
-            return record
+
+    def removed_from(self, record: TrialRecord) -> TrialRecord:
+        """A record of the trial without those slopes that are beyond chance."""
         t = (np.arange(record.samples) - 0.5 * (record.samples - 1)) / record.rate
-        position, torque = (slope[:, None] * t for slope in found)
+        position, torque = (slope[:, None] * t for slope in self._found())
         return replace(record, position=record.position - position, torque=record.torque - torque)
 
 

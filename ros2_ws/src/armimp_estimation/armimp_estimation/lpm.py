@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.drift import drift_of
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.fit import FitConfig, fit_column
 from armimp_estimation.frf import order_trials
@@ -177,6 +178,9 @@ class LpmFull:
         DataError
             If the record is too short, or joint k does not move.
         """
+        drift = drift_of(record)
+        if drift is not None and drift.significant:
+            record = drift.removed_from(record)
         n, k = record.joints, record.perturbed_joint
         jump = self._jump([record])
         (response,) = self._columns([record], with_steps=jump is not None)

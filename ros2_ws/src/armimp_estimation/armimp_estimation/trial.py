@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
+from armimp_estimation.drift import drift_of
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
 from armimp_estimation.torque_reading import TorqueReading
@@ -177,7 +178,8 @@ class TrialData:
     ) -> "TrialData":
         """Compute the spectra of the intact stretches of a trial; no segment spans a gap.
 
-        They are those of torques without the delay and the filter of their ``reading``.
+        They are those of torques without the delay and the filter of their ``reading``. Drift, as
+        the longest stretch tells it, is taken out of record and spectra.
 
         Raises
         ------
@@ -185,6 +187,10 @@ class TrialData:
             If none of them is as long as one segment.
         """
         record = max(stretches, key=lambda stretch: stretch.samples)
+        drift = drift_of(record)
+        if drift is not None and drift.significant:
+            stretches = [drift.removed_from(stretch) for stretch in stretches]
+            record = max(stretches, key=lambda stretch: stretch.samples)
         accumulator = TrialAccumulator(record.joints, record.perturbed_joint, record.rate, config)
         for stretch in stretches:
             accumulator.interrupt()
