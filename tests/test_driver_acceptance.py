@@ -28,18 +28,18 @@ pytestmark = pytest.mark.usefixtures("environment")
 MOCK = {
     "mock.offset": "[0.8, -0.5]",
     "mock.drift": "[0.01, -0.005]",
-    "mock.delay": "0.002",
+    "mock.delay": "0.0017",
     "mock.cutoff": "200.0",
-    "mock.lag": "0.0005",
+    "mock.lag": "0.0003",
 }
 """A transducer and a drive as they are."""
 CALIBRATION: dict[str, Any] = {
-    "torque_delay": 0.002,
+    "torque_delay": 0.0017,
     "imbic_controller": {
         "tare": {"duration": 1.0},
-        "known": {"torque_delay": 0.002, "torque_cutoff": 200.0, "actuator_lag": 0.0005},
+        "known": {"torque_delay": 0.0017, "torque_cutoff": 200.0, "actuator_lag": 0.0003},
     },
-    "impedance_estimator": {"torque": {"cutoff": 200.0, "actuator_lag": 0.0005}},
+    "impedance_estimator": {"torque": {"cutoff": 200.0, "actuator_lag": 0.0003}},
 }
 """And what the experiment is told of them."""
 
@@ -114,7 +114,7 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_and_spoil_the_resu
     assert summary.problems == []
     assert summary.truth is None
     assert summary.torque_reading is not None
-    assert summary.torque_reading.delay == 0.002
+    assert summary.torque_reading.delay == 0.0017
     bags = [tmp_path / "out" / str(trial.bag) for trial in summary.trials]
     # What was tared is in the bag, the torques are raw.
     for number, bag in enumerate(bags):

@@ -61,7 +61,7 @@ CASES: dict[str, NodeParameters] = {
     "filter": chosen({"cutoff": 200.0}),
     "lag": chosen(lag=0.001),
     "everything": chosen(
-        {"offset": OFFSET, "drift": DRIFT, "delay": 0.002, "cutoff": 200.0}, lag=0.0005
+        {"offset": OFFSET, "drift": DRIFT, "delay": 0.0017, "cutoff": 200.0}, lag=0.0003
     ),
 }
 

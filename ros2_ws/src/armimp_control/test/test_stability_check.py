@@ -84,7 +84,7 @@ def test_a_loop_that_delays_make_unstable_grows_as_the_check_says(dynamics: RigD
 
 
 def test_a_loop_that_the_check_takes_for_stable_with_delays_comes_to_rest() -> None:
-    dynamics = RigDynamics(torque_delay=0.0023, torque_cutoff=200.0, actuator_lag=0.0005)
+    dynamics = RigDynamics(torque_delay=0.0017, torque_cutoff=200.0, actuator_lag=0.0003)
     config = _config()
     for k in (0, 1):
         radius = spectral_radius(
