@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_common.contract import PERIOD_NS
@@ -196,3 +198,36 @@ def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> N
     case = chosen({"offset": (7.0, 0.0)}, duration=10.0)
     with pytest.raises(DataError, match=r"the torque of joint 1 reads 7 N·m at rest, tare\.limit"):
         run_offline([case.rig()])
+
+
+def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> None:
+    sensors = {"sensors": {"torque_delay": 0.002, "torque_cutoff": 150.0, "torque_order": 2}}
+    values = {"arm_sim": {**sensors, "actuators": {"lag": 0.0003}}}
+
+    def known(**more: Any) -> TorqueReading:
+        config = ExperimentConfig.model_validate({**values, **more})
+        return reading_of(node_parameters(config, None).estimator.bag_metadata())
+
+    everything = TorqueReading(delay=0.002, cutoff=150.0, order=2, actuator_lag=0.0003)
+    assert known() == everything
+    assert known(torque_delay=0.001) == replace(everything, delay=0.001)
+    assert known(torque_delay=0.0) == replace(everything, delay=0.0)
+    blind = {"torque": {"delay": 0.0, "cutoff": 0.0, "actuator_lag": 0.0}}
+    assert known(impedance_estimator=blind) == TorqueReading()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["estimate", "nowhere", "--torque-delay", "0.5"], "0.5 is not within 0 to 0.1 s"),
+        (["estimate", "nowhere", "--torque-delay", "nan"], "nan is not within 0 to 0.1 s"),
+        (["run", "--torque-delay", "-0.001"], "torque_delay"),
+    ],
+)
+def test_a_delay_that_no_rig_has_ends_in_one_line(
+    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    said = capfd.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1

@@ -35,7 +35,7 @@ def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
 
 
 def _late(
-    config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int, steps: int = 50
+    config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int, steps: int = 20
 ) -> Array:
     """As `_sizes`, of a rig with lag, low-pass and delay, in small steps."""
     controller = Controller(config, safety=torque_only(1e300))
@@ -77,10 +77,12 @@ def test_a_loop_that_delays_make_unstable_grows_as_the_check_says(dynamics: RigD
     radius = spectral_radius(
         config, perturbed=0, robot_inertia=ROBOT, arm_inertia=ARM, dynamics=dynamics
     )
-    sizes = _late(config, 0, dynamics, ticks=300)
-    measured = (np.max(sizes[240:]) / np.max(sizes[120:180])) ** (1.0 / 120.0)
     assert radius > 1.002
-    assert measured == pytest.approx(radius, abs=2e-3)
+    # By a factor of some hundred altogether; swinging modes make single sizes erratic.
+    third = int(2.0 / np.log(radius)) + 50
+    sizes = _late(config, 0, dynamics, ticks=3 * third)
+    grown = np.max(sizes[2 * third :]) / np.max(sizes[third : 2 * third])
+    assert np.log(grown) / third == pytest.approx(np.log(radius), rel=0.15)
 
 
 def test_a_loop_that_the_check_takes_for_stable_with_delays_comes_to_rest() -> None:
@@ -91,7 +93,7 @@ def test_a_loop_that_the_check_takes_for_stable_with_delays_comes_to_rest() -> N
             config, perturbed=k, robot_inertia=ROBOT, arm_inertia=ARM, dynamics=dynamics
         )
         assert radius < 1.0
-        sizes = _late(config, k, dynamics, ticks=400, steps=20)
+        sizes = _late(config, k, dynamics, ticks=400)
         assert np.max(sizes[300:]) < 0.2 * np.max(sizes[:50])
 
 

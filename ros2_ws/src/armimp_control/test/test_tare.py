@@ -28,13 +28,13 @@ WAIT, READ, SETTLE, PERTURB, REST = 100, 400, 50, 200, 60
 TRIAL = WAIT + READ + SETTLE + PERTURB + REST
 
 
-@pytest.mark.parametrize("ticks", [400, 1000, 1003])
-def test_dither_and_mains_hum_do_not_reach_the_tare(ticks: int) -> None:
+@pytest.mark.parametrize(("ticks", "left"), [(400, 0.02), (1000, 0.002), (1003, 0.002)])
+def test_dither_and_mains_hum_do_not_reach_the_tare(ticks: int, left: float) -> None:
     t = 1e-3 * np.arange(ticks)
     hum = sum(np.sin(2.0 * np.pi * f * t + f) for f in (35.0, 45.5, 50.0))
     found = tare(np.array([0.7 + 2.0 * hum, -0.3 - hum]))
-    assert found.offset == pytest.approx((0.7, -0.3), abs=0.01)
-    assert max(found.error) < 0.01
+    assert found.offset == pytest.approx((0.7, -0.3), abs=left)
+    assert max(found.error) < left
 
 
 def test_the_standard_error_covers_noise_and_shows_unrest() -> None:
