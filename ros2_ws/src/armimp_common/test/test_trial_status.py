@@ -58,12 +58,6 @@ def test_when_a_tare_is_not_numbers_expect_it_refused() -> None:
         TrialStatus.from_values({**STATUS.to_values(), "tare": "0.1 much"})
 
 
-def test_a_status_of_an_older_bag_has_no_tare() -> None:
-    values = STATUS.to_values()
-    del values["tare"], values["tare_error"]
-    assert TrialStatus.from_values(values) == STATUS
-
-
 def test_joint_counts_from_one_on_the_wire() -> None:
     assert STATUS.joint == 1
     assert STATUS.to_values()["joint"] == "2"
@@ -73,10 +67,10 @@ def test_when_keys_are_unknown_expect_them_ignored() -> None:
     assert TrialStatus.from_values({**STATUS.to_values(), "added_later": "x"}) == STATUS
 
 
-ADDED_LATER = {"clipped", "clipped_intervals"}
+ADDED_LATER = {"clipped", "clipped_intervals", "tare", "tare_error"}
 
 
-def test_status_of_an_old_bag_that_tells_nothing_of_clipping_can_be_read() -> None:
+def test_status_of_an_old_bag_that_tells_nothing_of_clipping_and_tare_can_be_read() -> None:
     values = STATUS.to_values()
     old = {key: value for key, value in values.items() if key not in ADDED_LATER}
     assert TrialStatus.from_values(old) == STATUS
