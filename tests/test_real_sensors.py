@@ -155,7 +155,9 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
 ):
     """By c/(K_rd + K_h), joint by joint; without friction, which would hold it as well."""
     options: dict[str, Any] = {"duration": 10.0, "friction": 0, "resolution": 1}
-    tared, not_tared = (chosen({"offset": (2.0, -1.5)}, tare=tare, **options) for tare in (1, 0))
+    tared, not_tared = (
+        chosen({"offset": (2.0, -1.5)}, tare=tare, **options) for tare in (True, False)
+    )
     arm = tared.simulator.human_arm()
     expected = [-offset / (10.0 + arm.stiffness[k, k]) for k, offset in enumerate((2.0, -1.5))]
     away = []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import Field
 
@@ -11,6 +11,9 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
 from armimp_driver_template.conversion import Calibration, Drive
 from armimp_driver_template.protection import ProtectionLimits
+
+
+Kind = TypeVar("Kind")
 
 
 class SensorParameters(Schema):
@@ -142,9 +145,9 @@ class DriverParameters(Schema):
             )
 
 
-def _of_joints(kind: Any, name: str, joints: int, values: Schema) -> Any:
+def _of_joints(kind: type[Kind], name: str, joints: int, values: Schema) -> tuple[Kind, ...]:
     """One object of a kind for each joint, from fields with one value or as many as joints."""
-    fields = dict(values)
+    fields: dict[str, Any] = dict(values)
     for field, given in fields.items():
         if len(given) not in (1, joints):
             raise ConfigurationError(

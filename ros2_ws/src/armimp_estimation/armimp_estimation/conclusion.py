@@ -146,10 +146,9 @@ def conclude(
         seed = trials[0].assembled.window.seed
     try:
         parts = [trial.assembled.intact(allow_gaps=options.allow) for trial in trials]
+        reading = reading_of(metadata) if config is None else config.lpm.reading
         if config is None:
-            reading = reading_of(metadata)
             config = IdentifyConfig(welch=segments_for(parts), lpm=LpmConfig(reading=reading))
-        reading = config.lpm.reading
         data = [TrialData.from_stretches(stretches, config.welch, reading) for stretches in parts]
         identification = identify(data, estimators, truth, config)
         found += [problem for one in trials for problem in judge_gaps(one.assembled, options)]
@@ -179,7 +178,7 @@ def conclude(
         problems=tuple(found),
         timing=None if told.timing is None else told.timing.summary,
     )
-    told_of_torques = {"torque_reading": ReadingSummary.of(config.lpm.reading)}
+    told_of_torques = {"torque_reading": ReadingSummary.of(reading)}
     summary = summary.model_copy(update=told_of_torques)
     return Conclusion(summary=summary, identification=identification)
 

@@ -145,7 +145,7 @@ class TorqueReading:
         if self.cutoff > 0.0:
             b, a = self._low_pass
             low_pass = np.polyval(b, 2j * np.pi * f) / np.polyval(a, 2j * np.pi * f)
-        return low_pass * late
+        return np.asarray(low_pass * late, dtype=np.complex128)
 
     def folded(self, f: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
         """What readings lack per jump and per jump of the slope, (e, b) of the module.
@@ -250,11 +250,12 @@ class TorqueReading:
     @cached_property
     def _modes(self) -> tuple[ComplexArray, ComplexArray]:
         """Amplitudes and poles of what a step response has beside 1, of drive and low-pass."""
-        b, a = np.ones(1), np.ones(1)
+        b: FloatArray = np.ones(1)
+        a: FloatArray = np.ones(1)
         if self.cutoff > 0.0:
             b, a = self._low_pass
         if self._lag > 0.0:
-            a = np.polymul(a, [self._lag, 1.0])
+            a = np.asarray(np.polymul(a, [self._lag, 1.0]), dtype=np.float64)
         if len(a) == 1:
             nothing = np.zeros(0, dtype=np.complex128)
             return nothing, nothing

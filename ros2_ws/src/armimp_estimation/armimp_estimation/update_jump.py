@@ -76,11 +76,11 @@ class UpdateJump:
         if reading is None or reading.prompt:
             radians = 2.0 * np.pi * f / rate
             jump = self.torque[:, :, None] * (0.5 - 1j * radians / 12.0)
-            lacking = jump + self.slope[:, :, None] / 12.0
+            lacking = np.asarray(jump + self.slope[:, :, None] / 12.0, dtype=np.complex128)
         else:
             edge, bend = reading.folded(f, rate)
             lacking = self.torque[:, :, None] * edge + self.slope[:, :, None] * bend
-        return np.asarray(lacking, dtype=np.complex128)
+        return lacking
 
 
 def command_steps(record: TrialRecord, samples: int) -> FloatArray:
