@@ -12,7 +12,6 @@ from armimp_common.schema import Schema
 from armimp_driver_template.conversion import Calibration, Drive
 from armimp_driver_template.protection import ProtectionLimits
 
-
 Kind = TypeVar("Kind")
 
 
