@@ -28,7 +28,8 @@ def dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
 
 def rows(group: str) -> dict[str, str]:
     """Default of each parameter in the tables whose names begin so."""
-    found = re.findall(rf"^\| `({group}[\w.]*)` \| ([^|]*) \|", PAGE, flags=re.MULTILINE)
+    pattern = rf"^\| `({group}(?:\.(?!py)\w+)?)` \| ([^|]*) \|"
+    found = re.findall(pattern, PAGE, flags=re.MULTILINE)
     return {name: default.strip() for name, default in found}
 
 
