@@ -69,10 +69,10 @@ CASES: dict[str, NodeParameters] = {
 
 
 @functools.cache
-def recorded() -> dict[str, list[TrialRecord]]:
-    """Trials of all cases, run side by side."""
-    runs = run_offline([case.rig() for case in CASES.values()])
-    return {name: [record(trial) for trial in run] for name, run in zip(CASES, runs, strict=True)}
+def recorded(name: str) -> list[TrialRecord]:
+    """Trials of a case."""
+    (run,) = run_offline([CASES[name].rig()])
+    return [record(trial) for trial in run]
 
 
 def record(trial: OfflineTrial) -> TrialRecord:
@@ -99,7 +99,7 @@ def truth() -> MBK:
 def estimated(name: str, *, told: bool = True) -> EstimatorResult:
     """What `lpm_full` makes of a case, with or without knowing of the readings."""
     known = reading_of(CASES[name].estimator.bag_metadata()) if told else TorqueReading()
-    records = recorded()[name]
+    records = recorded(name)
     options = IdentifyConfig(
         welch=WelchConfig.for_samples(records[0].samples), lpm=LpmConfig(reading=known)
     )
