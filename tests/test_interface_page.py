@@ -25,7 +25,7 @@ from armimp_common.schema import defaults, flatten, leaves
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.assemble import AssembledTrial
-from armimp_estimation.conclusion import Conclusion
+from armimp_estimation.conclusion import READING_KEYS, Conclusion
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.lpm import FittedColumn
 from armimp_estimation.messages import (
@@ -49,6 +49,7 @@ from armimp_estimation.results import (
 )
 from armimp_estimation.sample_ledger import SampleLedger
 from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.torque_reading import ReadingSummary
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import TrialWindow
 from armimp_estimation.welch import WelchSiso
@@ -336,11 +337,19 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
     rows = _table("Bags", "key")
     assert set(rows) == set(stored)
     assert all(f"`{part}`" in rows["config"]["value"] for part in json.loads(stored["config"]))
+    assert _keys("Bags", 1) == set(READING_KEYS)
 
 
 @pytest.mark.parametrize(
     ("place", "model"),
-    [(0, Summary), (1, TrialSummary), (2, EstimatorSummary), (3, TimingSummary), (4, WallSummary)],
+    [
+        (0, Summary),
+        (1, TrialSummary),
+        (2, EstimatorSummary),
+        (3, TimingSummary),
+        (4, WallSummary),
+        (5, ReadingSummary),
+    ],
 )
 def test_the_keys_of_summary_json_are_those_of_its_model(
     place: int, model: type[BaseModel]

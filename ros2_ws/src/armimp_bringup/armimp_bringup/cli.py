@@ -41,6 +41,10 @@ _Estimators = Annotated[
 _AllowGaps = Annotated[
     bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
 ]
+_TorqueDelay = Annotated[
+    float | None,
+    typer.Option(help="How late torque readings are, s, for the estimates to correct."),
+]
 _Out = Annotated[Path | None, typer.Option("--out", help="New directory for the results.")]
 _Json = Annotated[bool, typer.Option("--json", help="Print summary.json instead of tables.")]
 
@@ -68,6 +72,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         str | None,
         typer.Option(help="End a trial once the standard errors of M, B, K are below: 2% or 0.02."),
     ] = None,
+    torque_delay: _TorqueDelay = None,
     out: _Out = None,
     domain_id: Annotated[
         int | None,
@@ -101,6 +106,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             "joints": joints,
             "estimators": tuple(estimator) if estimator else None,
             "until_error": None if until_error is None else _share(until_error),
+            "torque_delay": torque_delay,
         },
     )
     directory = out if out is not None else _new_directory("run")
@@ -128,6 +134,7 @@ def estimate(
         str | None, typer.Option(help="Namespace of the topics; default: found by itself.")
     ] = None,
     allow_gaps: _AllowGaps = False,
+    torque_delay: _TorqueDelay = None,
     out: _Out = None,
     json: _Json = False,
 ) -> int:
@@ -137,12 +144,18 @@ def estimate(
     from armimp_bringup.presentation import present
     from armimp_estimation.figure_process import FigureProcess
 
+    if torque_delay is not None and not 0.0 <= torque_delay <= 0.1:
+        raise ConfigurationError(f"--torque-delay: {torque_delay} is not within 0 to 0.1 s")
     with FigureProcess() as figures:
         if out is not None:
             prepare_directory(out)
             figures.start()
         conclusion, notes = estimate_bags(
-            bags, tuple(estimator or ()), namespace=namespace, allow_gaps=allow_gaps
+            bags,
+            tuple(estimator or ()),
+            namespace=namespace,
+            allow_gaps=allow_gaps,
+            torque_delay=torque_delay,
         )
         for note in notes:
             say(f"note: {note}")

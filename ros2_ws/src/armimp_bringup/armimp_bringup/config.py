@@ -19,7 +19,7 @@ from armimp_common.schema import build, explain, flatten
 from armimp_common.versions import git_revision, versions
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.conclusion import TIMING_KEY
-from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
 
 Overrides = dict[str, JsonValue]
@@ -57,6 +57,12 @@ class ExperimentConfig(BaseModel):
         ge=0.0,
         lt=1.0,
         description="relative standard error of M, B and K below which a trial ends; 0: never",
+    )
+    torque_delay: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=0.1,
+        description="how late torque readings are, for the estimates (s); none: as simulated",
     )
     arm_sim: Overrides = Field(default={}, description="parameters of that node to override")
     imbic_controller: Overrides = Field(default={}, description="likewise")
@@ -204,7 +210,7 @@ def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePa
                 encoder_resolution=plant.sensors.encoder_resolution,
             ),
             CONTROLLER_NODE,
-            time,
+            {**time, **_known_of(simulator)},
         ),
         CONTROLLER_NODE,
         config.imbic_controller,
@@ -220,12 +226,33 @@ def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePa
         joints=simulator.joints,
         estimators=config.estimators,
         until_error=config.until_error,
+        torque=TorqueParameters(
+            delay=simulator.sensors.torque_delay,
+            cutoff=simulator.sensors.torque_cutoff,
+            order=simulator.sensors.torque_order,
+            actuator_lag=simulator.actuators.lag,
+        ),
         directory="" if directory is None else str(directory),
         metadata=json.dumps(bag_metadata(config, simulator, controller)),
     )
     estimator = _overridden(estimator, ESTIMATOR_NODE, config.impedance_estimator)
+    if config.torque_delay is not None:
+        estimator = _overridden(estimator, ESTIMATOR_NODE, {"torque.delay": config.torque_delay})
     estimator.bag_metadata()
     return NodeParameters(simulator=simulator, controller=controller, estimator=estimator)
+
+
+def _known_of(simulator: SimulatorParameters) -> Overrides:
+    """What the controller knows of drives and transducers: all that is simulated of them."""
+    known = {
+        "known.actuator_lag": simulator.actuators.lag,
+        "known.torque_delay": simulator.sensors.torque_delay,
+        "known.torque_cutoff": simulator.sensors.torque_cutoff,
+    }
+    told: Overrides = {name: value for name, value in known.items() if value}
+    if simulator.sensors.torque_cutoff:
+        told["known.torque_order"] = simulator.sensors.torque_order
+    return told
 
 
 def _time_of(config: ExperimentConfig) -> Overrides:

@@ -19,10 +19,11 @@ from armimp_common.trial_status import Phase
 from armimp_control.faults import in_words
 from armimp_control.gate import FAULT, GATE_ROWS, JOURNAL
 from armimp_control.law import LawConfig, LawNumbers, control_tick
-from armimp_control.layout import MEMORY_ROWS
+from armimp_control.layout import MEMORY_ROWS, NO_JOINT, TARE
 from armimp_control.perturbation import PerturbationConfig, perturbation
 from armimp_control.safety import SafetyConfig
 from armimp_control.sequence import Segment, SequenceConfig, timetable
+from armimp_control.tare import TareConfig
 from armimp_sim.packed import Tag
 from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
 from armimp_sim.sensors import Sampling
@@ -102,6 +103,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     substeps: int,
     step: float,
     interval_mean: bool,
+    transmission: NDArray[np.float64] | None,
     resolutions: NDArray[np.float64],
     position: NDArray[np.float64],
     torque: NDArray[np.float64],
@@ -124,7 +126,8 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     Parameters
     ----------
     batch, joints, width : the batch, as in :mod:`armimp_sim.kernel`
-    substeps, step, interval_mean, resolutions : as for :func:`armimp_sim.plant.tick`
+    substeps, step, interval_mean, transmission, resolutions : as for
+        :func:`armimp_sim.plant.tick`
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
     laws : (lanes,) numbers of the laws, from :class:`armimp_control.law.LawNumbers`
     roles : (lanes, ROLE_ROWS, n) from the configurations of the laws
@@ -174,6 +177,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             substeps,
             step,
             interval_mean,
+            transmission,
             resolutions,
             command,
             voluntary[k],
@@ -240,6 +244,15 @@ def run_together(
     return _run(rigs, segments, together=True, mixing=mixing)
 
 
+def _tare(config: TareConfig, torque: NDArray[np.float64], period: float) -> tuple[float, ...]:
+    """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
+    found = config.of(torque, period)
+    names = [f"joint {joint + 1}" for joint in range(len(torque))]
+    if refusal := found.refusal(config, names):
+        raise DataError(f"offline run: {refusal}")
+    return found.offset
+
+
 def _run(
     rigs: Sequence[Rig],
     segments: Sequence[Segment],
@@ -268,6 +281,7 @@ def _run(
         for rig in rigs
     ]
     trials: list[list[OfflineTrial]] = [[] for _ in rigs]
+    tares = np.zeros((lanes, n))
     for segment in segments:
         tau_delta = np.zeros((segment.ticks, lanes, n))
         perturbed = range(n) if together else (segment.joint,)
@@ -282,7 +296,9 @@ def _run(
                 )
             for lane, matrix in enumerate(mixing or ()):
                 tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T
-        role = None if together else segment.joint
+        role = NO_JOINT if segment.tare else None if together else segment.joint
+        roles = np.array([rig.controller.role(role) for rig in rigs])
+        roles[:, TARE] = tares
         record = np.empty((3, lanes, n, segment.ticks))
         clipped = np.zeros(lanes, dtype=np.int64)
         worst = _run_segment(
@@ -292,11 +308,12 @@ def _run(
             plant.config.substeps,
             plant.config.step,
             plant.config.sensors.sampling is Sampling.INTERVAL_MEAN,
+            plant.transmission,
             plant.resolutions,
             plant.position,
             plant.torque,
             laws,
-            np.array([rig.controller.role(role) for rig in rigs]),
+            roles,
             targets,
             models,
             scalars,
@@ -315,6 +332,9 @@ def _run(
                 raise DataError(
                     f"offline run: the safety gate stopped in trial {segment.trial}: {fault}"
                 )
+        if segment.tare:
+            for lane, rig in enumerate(rigs):
+                tares[lane] = _tare(rig.sequence.tare, record[1, lane], first.plant.period)
         if segment.phase is not Phase.PERTURB:
             continue
         for lane in range(lanes):

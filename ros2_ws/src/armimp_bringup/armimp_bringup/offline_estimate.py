@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,7 @@ def estimate_bags(
     *,
     namespace: str | None = None,
     allow_gaps: bool = False,
+    torque_delay: float | None = None,
 ) -> tuple[Conclusion, list[str]]:
     """Identify the impedance from bags that hold one trial for each joint between them.
 
@@ -35,6 +37,8 @@ def estimate_bags(
         Namespace of the topics.
     allow_gaps : bool
         Use the intact parts of trials that lost samples.
+    torque_delay : float, optional
+        How late torque readings are, s, in the place of what the bags say.
 
     Returns
     -------
@@ -57,9 +61,12 @@ def estimate_bags(
         for trial in content.trials:
             trial.intact(allow_gaps=allow_gaps)
             trials.append(FinishedTrial(assembled=trial, bag=str(content.path)))
+    metadata = latest_metadata([content.metadata for content in contents])
+    if torque_delay is not None:
+        metadata["torque_delay"] = json.dumps(torque_delay)
     conclusion = conclude(
         trials,
-        metadata=latest_metadata([content.metadata for content in contents]),
+        metadata=metadata,
         joints=len(names),
         estimators=estimators or EstimatorParameters().estimators,
         gaps=GapConfig(allow=allow_gaps),

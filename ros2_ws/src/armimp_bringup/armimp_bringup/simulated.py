@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimate import Estimator
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.lpm import LpmConfig, TorqueTiming
+from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.settings import IdentifyConfig
@@ -67,9 +68,10 @@ class SimulatedExperiment:
     @property
     def options(self) -> IdentifyConfig:
         """Options of an estimate that suit the shortest record and the sensors."""
-        timing = TorqueTiming(self.parameters.simulator.sensors.sampling.value)
+        reading = reading_of(self.parameters.estimator.bag_metadata())
         shortest = min(record.samples for record in self.records)
-        return IdentifyConfig(welch=WelchConfig.for_samples(shortest), lpm=LpmConfig(timing=timing))
+        welch = WelchConfig.for_samples(shortest)
+        return IdentifyConfig(welch=welch, lpm=LpmConfig(reading=reading))
 
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
         """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.
@@ -82,7 +84,10 @@ class SimulatedExperiment:
             If the records cannot be estimated.
         """
         options = self.options
-        data = [TrialData.from_record(record, options.welch) for record in self.records]
+        data = [
+            TrialData.from_record(record, options.welch, options.lpm.reading)
+            for record in self.records
+        ]
         return identify(data, estimators, self.truth, options)
 
     def shortened(self, samples: int) -> SimulatedExperiment:

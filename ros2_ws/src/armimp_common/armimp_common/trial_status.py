@@ -66,6 +66,9 @@ class TrialStatus:
     clipped_intervals
         When: ``first-last first-last ...`` in ticks from the first perturbed sample, which is 0; at
         most 100 intervals, which hold all clipped ticks (and others, where there would be more).
+    tare, tare_error
+        What each torque transducer read at rest before this trial, and its standard error (N·m);
+        empty as long as that is not known.
 
     Raises
     ------
@@ -86,6 +89,8 @@ class TrialStatus:
     reason: str = ""
     clipped: int = 0
     clipped_intervals: str = ""
+    tare: tuple[float, ...] = ()
+    tare_error: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not 1 <= self.trial <= self.trials:
@@ -127,6 +132,8 @@ class TrialStatus:
             "reason": self.reason,
             "clipped": str(self.clipped),
             "clipped_intervals": self.clipped_intervals,
+            "tare": " ".join(map(repr, self.tare)),
+            "tare_error": " ".join(map(repr, self.tare_error)),
         }
 
     @classmethod
@@ -160,6 +167,8 @@ class TrialStatus:
                 # Bags that are older than these do not have them.
                 clipped=_integer({"clipped": "0", **values}, "clipped"),
                 clipped_intervals=values.get("clipped_intervals", ""),
+                tare=_numbers(values, "tare"),
+                tare_error=_numbers(values, "tare_error"),
             )
         except ConfigurationError as error:
             raise MalformedMessageError(f"trial status: {error}") from None
@@ -170,6 +179,15 @@ def _get(values: Mapping[str, str], key: str) -> str:
         return values[key]
     except KeyError:
         raise MalformedMessageError(f"trial status: {key} is missing") from None
+
+
+def _numbers(values: Mapping[str, str], key: str) -> tuple[float, ...]:
+    """Numbers between spaces; none where the key is missing, as in older bags."""
+    text = values.get(key, "")
+    try:
+        return tuple(map(float, text.split()))
+    except ValueError:
+        raise MalformedMessageError(f"trial status: {key} is not numbers: {text!r:.80}") from None
 
 
 def _integer(values: Mapping[str, str], key: str) -> int:

@@ -43,12 +43,19 @@ def statuses(draw: st.DrawFn) -> TrialStatus:
         reason=draw(st.text()),
         clipped=draw(counts),
         clipped_intervals=" ".join(draw(st.lists(st.just("3-17") | st.just("0-0"), max_size=100))),
+        tare=tuple(draw(st.lists(st.floats(allow_nan=False), max_size=7))),
+        tare_error=tuple(draw(st.lists(st.floats(allow_nan=False), max_size=7))),
     )
 
 
 @given(status=statuses())
 def test_any_status_survives_a_round_trip(status: TrialStatus) -> None:
     assert TrialStatus.from_values(status.to_values()) == status
+
+
+def test_when_a_tare_is_not_numbers_expect_it_refused() -> None:
+    with pytest.raises(MalformedMessageError, match=r"tare is not numbers: '0.1 much'"):
+        TrialStatus.from_values({**STATUS.to_values(), "tare": "0.1 much"})
 
 
 def test_joint_counts_from_one_on_the_wire() -> None:
@@ -60,10 +67,10 @@ def test_when_keys_are_unknown_expect_them_ignored() -> None:
     assert TrialStatus.from_values({**STATUS.to_values(), "added_later": "x"}) == STATUS
 
 
-ADDED_LATER = {"clipped", "clipped_intervals"}
+ADDED_LATER = {"clipped", "clipped_intervals", "tare", "tare_error"}
 
 
-def test_status_of_an_old_bag_that_tells_nothing_of_clipping_can_be_read() -> None:
+def test_status_of_an_old_bag_that_tells_nothing_of_clipping_and_tare_can_be_read() -> None:
     values = STATUS.to_values()
     old = {key: value for key, value in values.items() if key not in ADDED_LATER}
     assert TrialStatus.from_values(old) == STATUS

@@ -19,6 +19,7 @@ from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety import Limit
 from armimp_control.sequence import Segment, timetable
+from armimp_control.tare import Tare
 
 
 class Experiment:
@@ -66,13 +67,17 @@ class Experiment:
             {
                 one.trial: self._make_signal(one)
                 for one in self._segments
-                if one.phase is Phase.SETTLE
+                if one.phase is Phase.PERTURB
             }
             if parameters.mode == "realtime"
             else {}
         )
         self._sample = np.zeros((2, n))
         self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._sample.data, 0)
+        self._tare_config = parameters.sequence_config().tare
+        # Readings while all joints are held.
+        self._at_rest = np.zeros((n, self._tare_config.ticks(PERIOD)))
+        self._tare: Tare | None = None
         self._tick = 0
         self._reason = self._malformed = ""
         self.command, self.tau_delta = self._law.command, np.zeros(n)
@@ -206,10 +211,14 @@ class Experiment:
             self._law.release()
             self._announce(self._status(Phase.DONE))
             return
+        before = self._segment
         # A trial that ended early brings forward all that follows.
         segment = self._enter(replace(self._segments[self._next_segment], first=self._tick))
         self._next_segment += 1
         self.tau_delta[:] = 0.0
+        if before is not None and before.tare:
+            self._take_tare(segment)
+            return
         if segment.phase is Phase.SETTLE:
             self._prepare(segment)
         elif segment.phase is Phase.PERTURB:
@@ -220,8 +229,21 @@ class Experiment:
         self._segment, self._until = segment, segment.end
         return segment
 
-    def _prepare(self, settle: Segment) -> None:
+    def _take_tare(self, settle: Segment) -> None:
+        """Find the tare and let the joints take their roles, or end the experiment."""
+        self._tare = self._tare_config.of(self._at_rest, PERIOD)
+        if refusal := self._tare.refusal(self._tare_config, self._parameters.joints):
+            self.stop(refusal)
+            return
+        self._law.tare(self._tare.offset)
         self._law.perturb_joint(settle.joint)
+
+    def _prepare(self, settle: Segment) -> None:
+        if settle.tare:
+            self._law.lock()
+        else:
+            self._law.perturb_joint(settle.joint)
+        self._tare = None
         self._start_ns = None
         self._reason = ""
         self._clips = ClipLedger()
@@ -246,6 +268,8 @@ class Experiment:
         if not self.finished and segment is not None and segment.phase is Phase.PERTURB:
             place = self._tick - segment.first
             self.tau_delta[segment.joint] = self._signal[place]
+        elif not self.finished and segment is not None and segment.tare:
+            self._at_rest[:, self._tick - segment.first] = tau_h
         self._fill(*theta, *tau_h)
         clipped = self._compute()
         if clipped and place is not None:
@@ -282,6 +306,8 @@ class Experiment:
             reason=self._reason,
             clipped=self._clips.clipped,
             clipped_intervals=self._clips.text,
+            tare=() if self._tare is None else self._tare.offset,
+            tare_error=() if self._tare is None else self._tare.error,
         )
 
     def _compile(self) -> None:

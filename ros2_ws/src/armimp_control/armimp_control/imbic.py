@@ -45,6 +45,7 @@ from armimp_control.layout import (
     SENSED,
     SENSED_BEFORE,
     STIFFNESS,
+    TARE,
     THETA_1,
     THETA_2,
     TICKS,
@@ -137,11 +138,12 @@ class ImbicConfig:
         return self.target_posture.size
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
-        """Law parameters (7, n) while joint ``perturbed`` (0-based) yields and the others lock.
+        """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
 
-        With None all joints yield. Rows: share of τ_h' sensed (1 or 0), M_rd (kg·m²), B_rd
-        (N·m·s/rad), K_rd (N·m/rad), what a tick leaves of the distance between target and θ_rd,
-        amplitude (rad) and angle per tick (rad) of the dither in the target.
+        With None all joints yield, with NO_JOINT all lock. Rows: share of τ_h' sensed (1 or 0),
+        M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a tick leaves of the distance between
+        target and θ_rd, amplitude (rad) and angle per tick (rad) of the dither in the target, tare
+        (N·m; 0).
         """
         every = np.arange(self.joints)
         locked = every != (every if perturbed is None else perturbed)
@@ -163,6 +165,7 @@ class ImbicConfig:
         attenuation = np.hypot(1.0 - ratio**2, 2.0 * self.lock_damping_ratio * ratio)
         rows[DITHER] = np.where(locked, self.lock_dither * attenuation, 0.0)
         rows[DITHER_ANGLE] = turning * self.period
+        rows[TARE] = 0.0
         return rows
 
 
@@ -184,7 +187,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     Parameters
     ----------
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (7, n) from :meth:`ImbicConfig.role`
+    role : (8, n) from :meth:`ImbicConfig.role`
     target : (n,) θ_rd, rad
     model : (n, n) M̄, kg·m²
     gamma, period : rad/s, s
@@ -211,7 +214,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         velocity = (theta[i] - memory[THETA_1, i]) / period
         u = (
             tau_delta[i]
-            - role[SENSED, i] * tau_h[i]
+            - role[SENSED, i] * (tau_h[i] - role[TARE, i])
             - role[DAMPING, i] * velocity
             - role[STIFFNESS, i] * (theta[i] - goal)
         ) / role[INERTIA, i]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -25,7 +25,7 @@ from armimp_control.gate import (
     let_through,
 )
 from armimp_control.imbic import ImbicConfig, imbic
-from armimp_control.layout import COMMAND, MEMORY_ROWS
+from armimp_control.layout import COMMAND, MEMORY_ROWS, NO_JOINT, TARE
 from armimp_control.pd import PdConfig, pd
 from armimp_control.safety import Limit, SafetyConfig
 
@@ -93,7 +93,7 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     ----------
     law : number of the law, see :class:`LawNumbers`
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (7, n) from the configuration of the law
+    role : (8, n) from the configuration of the law
     target, model, gamma, period : see :class:`LawNumbers`
     rules : (RULE_ROWS, n) from :meth:`armimp_control.safety.SafetyConfig.rules`
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
@@ -141,6 +141,7 @@ class Controller:
         self.memory = np.zeros((MEMORY_ROWS, config.joints))
         self.command = np.zeros(config.joints)
         self.role = config.role(0)
+        self._tare = np.zeros(config.joints)
         self._gate = np.zeros((GATE_ROWS, config.joints))
         self._journal = np.zeros(JOURNAL)
         self._ramp_ticks = safety.ramp_ticks(config.period)
@@ -181,6 +182,19 @@ class Controller:
     def perturb_joint(self, joint: int) -> None:
         """Make ``joint`` (0-based) the compliant one and lock the others, without a jump."""
         self.role = self.config.role(joint)
+        self.role[TARE] = self._tare
+
+    def lock(self) -> None:
+        """Hold all joints, without a jump."""
+        self.perturb_joint(NO_JOINT)
+
+    def tare(self, offset: Sequence[float]) -> None:
+        """From now on take what torque transducers read at rest (n,), N·m, from their readings.
+
+        Only what a law makes of them changes; the gate looks at the readings themselves.
+        """
+        self._tare[:] = offset
+        self.role[TARE] = self._tare
 
     def reset(self) -> None:
         """Forget the past: the next tick starts from rest with zero torque and an open gate."""

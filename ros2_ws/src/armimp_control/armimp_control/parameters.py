@@ -18,9 +18,11 @@ from armimp_control.imbic import ImbicConfig
 from armimp_control.law import LawConfig
 from armimp_control.pd import PdConfig
 from armimp_control.perturbation import PerturbationConfig
+from armimp_control.rig_dynamics import RigDynamics
 from armimp_control.safety import Action, SafetyConfig
 from armimp_control.sequence import SequenceConfig
 from armimp_control.stability import StabilityMargins, check_stability
+from armimp_control.tare import TareConfig
 
 Vector = tuple[float, ...]
 PERIOD = PERIOD_NS / NS_PER_S
@@ -73,6 +75,20 @@ class KnownParameters(Schema):
 
     robot_inertia: Vector = Field(description="M_r(θ_0), n×n row by row (kg·m²)")
     arm_inertia: Vector = Field(description="expected M_h, n×n row by row (kg·m²)")
+    actuator_lag: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="time constant of the drives (s)"
+    )
+    torque_delay: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="delay of torque readings (s)"
+    )
+    torque_cutoff: float = Field(
+        default=0.0, ge=0.0, description="their anti-alias low-pass (Hz); 0: none"
+    )
+    torque_order: int = Field(default=1, ge=1, le=4, description="its order (Butterworth)")
+
+    def dynamics(self) -> RigDynamics:
+        """Drives and transducers, for the stability check."""
+        return RigDynamics(**self.model_dump(exclude={"robot_inertia", "arm_inertia"}))
 
 
 class PerturbationParameters(Schema):
@@ -89,6 +105,19 @@ class SequenceParameters(Schema):
     duration: float = Field(default=50.0, gt=0.0, description="perturbation (s)")
     settle: float = Field(default=0.5, ge=0.05, description="before it (s)")
     rest: float = Field(default=0.5, ge=0.05, description="after it (s)")
+
+
+class TareParameters(Schema):
+    """Tare of the torque transducers before each trial, with all joints held."""
+
+    duration: float = Field(
+        default=0.0, ge=0.0, le=60.0, description="readings (s), at least 0.4; 0: no tare"
+    )
+    wait: float = Field(
+        default=0.5, ge=0.0, le=60.0, description="before them, until the arm rests (s)"
+    )
+    limit: float = Field(default=5.0, gt=0.0, description="largest tare of a joint (N·m)")
+    noise: float = Field(default=0.05, gt=0.0, description="largest standard error of a tare (N·m)")
 
 
 class SafetyParameters(Schema):
@@ -154,6 +183,7 @@ class ControllerParameters(Schema):
     known: KnownParameters
     perturbation: PerturbationParameters
     sequence: SequenceParameters = SequenceParameters()
+    tare: TareParameters = TareParameters()
     safety: SafetyParameters = SafetyParameters()
 
     @classmethod
@@ -253,7 +283,10 @@ class ControllerParameters(Schema):
     def sequence_config(self) -> SequenceConfig:
         """The phases."""
         return SequenceConfig(
-            duration=self.sequence.duration, settle=self.sequence.settle, rest=self.sequence.rest
+            duration=self.sequence.duration,
+            settle=self.sequence.settle,
+            rest=self.sequence.rest,
+            tare=TareConfig(**self.tare.model_dump()),
         )
 
     def safety_config(self) -> SafetyConfig:
@@ -279,10 +312,12 @@ class ControllerParameters(Schema):
                 f"parameter 'target.posture' has {law.joints} values for {len(self.joints)} joints"
             )
         self.safety_config().rules(law.target_posture, PERIOD)
+        self.sequence_config()
         return check_stability(
             law,
             robot_inertia=self._matrix("known.robot_inertia", self.known.robot_inertia),
             arm_inertia=self._matrix("known.arm_inertia", self.known.arm_inertia),
+            dynamics=self.known.dynamics(),
         )
 
     def _matrix(self, name: str, values: Vector) -> NDArray[np.float64]:

@@ -89,10 +89,10 @@ class PdConfig:
         return self.target_posture.size
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
-        """Law parameters (7, n) while joint ``perturbed`` (0-based) yields and the others lock.
+        """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
 
-        With None all joints yield. Rows as of :meth:`armimp_control.imbic.ImbicConfig.role`; no
-        joint senses τ_h.
+        With None all joints yield, with NO_JOINT all lock. Rows as of
+        :meth:`armimp_control.imbic.ImbicConfig.role`; no joint senses τ_h.
         """
         every = np.arange(self.joints)
         locked = every != (every if perturbed is None else perturbed)
@@ -121,7 +121,7 @@ def pd(
     Parameters
     ----------
     theta, tau_delta : (n,) rad, N·m: encoders, perturbation
-    role : (7, n) from :meth:`PdConfig.role`
+    role : (8, n) from :meth:`PdConfig.role`
     target : (n,) θ_rd, rad
     period : s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick

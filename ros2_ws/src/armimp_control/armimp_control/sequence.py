@@ -1,13 +1,14 @@
-"""The timetable of an experiment: settle, perturb joint 1, rest, then joint 2, … n."""
+"""The timetable of an experiment: (tare,) settle, perturb joint 1, rest, then joint 2, … n."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.trial_status import Phase
+from armimp_control.tare import TareConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +20,8 @@ class SequenceConfig:
     duration : of the perturbation
     settle : before it, with the joints already in their roles
     rest : after it, until the motion has died down
+    tare : TareConfig
+        Before the joints settle in their roles, if a tare is taken at all.
 
     Raises
     ------
@@ -29,6 +32,7 @@ class SequenceConfig:
     duration: float = 50.0
     settle: float = 0.5
     rest: float = 0.5
+    tare: TareConfig = field(default_factory=TareConfig)
 
     def __post_init__(self) -> None:
         if not 0.0 < self.duration < np.inf:
@@ -51,6 +55,7 @@ class Segment:
     trial : 1-based
     joint : perturbed joint, 0-based
     first, ticks : first tick of the segment, and how many there are
+    tare : whether all joints are held, for the tare
     """
 
     phase: Phase
@@ -58,6 +63,7 @@ class Segment:
     joint: int
     first: int
     ticks: int
+    tare: bool = False
 
     @property
     def end(self) -> int:
@@ -80,6 +86,7 @@ def timetable(config: SequenceConfig, *, joints: int, period: float) -> tuple[Se
         If a phase is shorter than half a period, so that it would have no tick.
     """
     segments: list[Segment] = []
+    tare = config.tare.ticks(period)
     lengths = (
         (Phase.SETTLE, config.settle),
         (Phase.PERTURB, config.duration),
@@ -87,6 +94,18 @@ def timetable(config: SequenceConfig, *, joints: int, period: float) -> tuple[Se
     )
     first = 0
     for joint in range(joints):
+        if tare:
+            segments.append(
+                Segment(
+                    phase=Phase.SETTLE,
+                    trial=joint + 1,
+                    joint=joint,
+                    first=first,
+                    ticks=tare,
+                    tare=True,
+                )
+            )
+            first += tare
         for phase, seconds in lengths:
             ticks = round(seconds / period)
             if ticks < 1:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import LawConfig
 from armimp_control.layout import DAMPING, INERTIA, SENSED, STIFFNESS
+from armimp_control.rig_dynamics import RigDynamics
 
 LIMIT = 2.0
 WARNING_SHARE = 0.8
@@ -47,6 +48,7 @@ def check_stability(
     *,
     robot_inertia: NDArray[np.float64],
     arm_inertia: NDArray[np.float64],
+    dynamics: RigDynamics | None = None,
 ) -> StabilityMargins:
     """Check the sampled loop with every joint perturbed in turn.
 
@@ -58,6 +60,7 @@ def check_stability(
     config : ImbicConfig or PdConfig
     robot_inertia : (n, n) M_r(θ_0), kg·m²
     arm_inertia : (n, n) M_h as far as it is known beforehand, kg·m²
+    dynamics : of drives and transducers; by default they are prompt
 
     Raises
     ------
@@ -74,27 +77,36 @@ def check_stability(
         for name, value in values.items()
         if not value < WARNING_SHARE * LIMIT
     ]
+    known = dynamics or RigDynamics()
+    later = replace(known, torque_delay=known.torque_delay + config.period)
     radii = []
     for k in range(config.joints):
-        radius, stronger = (
+        radius, stronger, too_late = (
             spectral_radius(
                 config,
                 perturbed=k,
                 robot_inertia=robot_inertia,
                 arm_inertia=arm_inertia,
                 gain=gain,
+                dynamics=assumed,
             )
-            for gain in (1.0, 1.0 / WARNING_SHARE)
+            for gain, assumed in ((1.0, known), (1.0 / WARNING_SHARE, known), (1.0, later))
         )
         if not radius < 1.0 + _GROWTH:
             raise ConfigurationError(
                 "controller: unstable when sampled: while joint "
                 f"{k + 1} is perturbed, motion grows by a factor of {radius:.4g} per tick"
+                + _with(known)
             )
         if not stronger < 1.0 + _GROWTH:
             warnings.append(
                 f"with {gains} larger by {1.0 / WARNING_SHARE - 1.0:.0%} the loop would be "
                 f"unstable while joint {k + 1} is perturbed"
+            )
+        if not known.none and not too_late < 1.0 + _GROWTH:
+            warnings.append(
+                f"with torques read {1e3 * config.period:g} ms later the loop would be unstable "
+                f"while joint {k + 1} is perturbed"
             )
         radii.append(radius)
     return StabilityMargins(
@@ -137,11 +149,13 @@ def spectral_radius(
     robot_inertia: NDArray[np.float64],
     arm_inertia: NDArray[np.float64],
     gain: float = 1.0,
+    dynamics: RigDynamics | None = None,
 ) -> float:
     """Largest factor by which a deviation from rest can grow from tick to tick.
 
     Exact for the laws as coded on a rig that consists of inertia only, with torque held between
-    ticks and sensors read just before it changes.
+    ticks and sensors read just before it changes; or with the given dynamics of drives and
+    transducers.
 
     Parameters
     ----------
@@ -149,18 +163,27 @@ def spectral_radius(
     perturbed : joint that yields, 0-based
     robot_inertia, arm_inertia : (n, n) M_r(θ_0) and M_h, kg·m²
     gain : factor on M̄, or on the gains of a law without it
+    dynamics : of drives and transducers; by default they are prompt
     """
     n, period = config.joints, config.period
+    rig = (dynamics or RigDynamics()).sampled(period)
+    # A prompt reading is that of the last command, which is part of the state anyway.
+    late = rig.delay + 1 if dynamics is not None and not dynamics.none else 0
+    count = 6 + rig.states + late
     role = config.role(perturbed)
     per_inertia = np.linalg.inv(robot_inertia + arm_inertia)
-    # Everything is linear in the state: each of these (n, 6n) gives one vector of it.
-    theta, velocity, theta_1, theta_2, ideal, torque = np.eye(6 * n).reshape(6, n, 6 * n)
+    # Everything is linear in the state: each of these (n, count·n) gives one vector of it.
+    vectors = np.eye(count * n).reshape(count, n, count * n)
+    theta, velocity, theta_1, theta_2, ideal, torque = vectors[:6]
+    states, readings = vectors[6 : 6 + rig.states], vectors[6 + rig.states :]
+    sensed_torque = readings[-1] if late else torque
     measured = (theta - theta_1) / period
     if isinstance(config, ImbicConfig):
         sensed, damping, stiffness = (
             np.diag(role[row] / role[INERTIA]) for row in (SENSED, DAMPING, STIFFNESS)
         )
-        u = -sensed @ arm_inertia @ per_inertia @ torque - damping @ measured - stiffness @ theta
+        load = arm_inertia @ per_inertia @ sensed_torque
+        u = -sensed @ load - damping @ measured - stiffness @ theta
         ideal = ideal + period * u
         delayed = (theta - 2.0 * theta_1 + theta_2) / period**2
         torque = torque + gain * config.model_inertia @ (
@@ -170,16 +193,33 @@ def spectral_radius(
         damping, stiffness = np.diag(role[DAMPING]), np.diag(role[STIFFNESS])
         torque = -gain * (damping @ measured + stiffness @ theta)
         ideal = np.zeros_like(ideal)
-    acceleration = per_inertia @ torque
+    drive = states[0] if rig.drive_lags else np.zeros_like(torque)
+    newest = np.tensordot(rig.reading_from_state, states, 1) + rig.reading_from_command * torque
     following = (
-        theta + period * velocity + 0.5 * period**2 * acceleration,
-        velocity + period * acceleration,
+        theta + period * velocity + per_inertia @ (rig.way[0] * drive + rig.way[1] * torque),
+        velocity + per_inertia @ (rig.speed[0] * drive + rig.speed[1] * torque),
         theta,
         theta_1,
         ideal,
         torque,
+        *(
+            np.tensordot(row, states, 1) + share * torque
+            for row, share in zip(rig.transition, rig.from_command, strict=True)
+        ),
+        *([newest, *readings[:-1]] if late else []),
     )
     return float(np.max(np.abs(np.linalg.eigvals(np.concatenate(following)))))
+
+
+def _with(dynamics: RigDynamics) -> str:
+    """The dynamics in words, for an error that they may be the reason of."""
+    if dynamics.none:
+        return ""
+    return (
+        f", with torques read {1e3 * dynamics.torque_delay:g} ms late, a low-pass at "
+        f"{dynamics.torque_cutoff:g} Hz (0: none) and drives that lag by "
+        f"{1e3 * dynamics.actuator_lag:g} ms"
+    )
 
 
 def _total_inertia(

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
+from armimp_control.layout import NO_JOINT
 from armimp_control.testing import torque_only
 
 Array = NDArray[np.float64]
@@ -228,7 +229,27 @@ def test_roles_hold_the_soft_target_for_one_joint_and_the_stiff_one_for_the_othe
     assert rows[3] == pytest.approx(
         [90.0**2 * inertia[0], config.target_stiffness[1], 90.0**2 * inertia[2]]
     )
-    assert rows.shape == (7, 3)
+    assert rows.shape == (8, 3)
+    everything_locked = config.role(NO_JOINT)
+    assert not everything_locked[0].any()
+    assert np.array_equal(everything_locked[:, [0, 2]], rows[:, [0, 2]])
+
+
+def test_a_tare_is_taken_from_the_torque_that_the_law_feels_and_outlasts_a_change_of_roles() -> (
+    None
+):
+    config, reading = _config(), np.array([1.5, -0.7])
+    tared, plain = (Controller(config, safety=torque_only(80.0)) for _ in range(2))
+    for k in (0, 1):
+        for controller in (tared, plain):
+            controller.perturb_joint(k)
+        if k == 0:
+            tared.tare((0.5, -0.2))
+        for _ in range(5):
+            tared.tick(config.target_posture, reading, np.zeros(2))
+            plain.tick(config.target_posture, reading - [0.5, -0.2], np.zeros(2))
+        assert np.max(np.abs(plain.command)) > 0.1
+        assert tared.command == pytest.approx(plain.command, rel=1e-12)
 
 
 def test_changing_roles_at_rest_in_the_target_does_not_move_the_command() -> None:

@@ -12,6 +12,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_control import presets
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
+from armimp_control.rig_dynamics import RigDynamics
 from armimp_control.stability import check_stability, spectral_radius
 from armimp_control.testing import torque_only
 
@@ -31,6 +32,113 @@ def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
         target_damping=target * config.target_damping,
         target_stiffness=target * config.target_stiffness,
     )
+
+
+def _late(
+    config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int, steps: int = 20
+) -> Array:
+    """As `_sizes`, of a rig with lag, low-pass and delay, in small steps."""
+    controller = Controller(config, safety=torque_only(1e300))
+    controller.perturb_joint(perturbed)
+    inverse, h = np.linalg.inv(ROBOT + ARM), config.period / steps
+    lag = np.exp(-h / dynamics.actuator_lag) if dynamics.actuator_lag else 0.0
+    low = np.exp(-2.0 * np.pi * dynamics.torque_cutoff * h) if dynamics.torque_cutoff else 0.0
+    theta, velocity = POSTURE.copy(), np.zeros(2)
+    drive, passed = np.zeros(2), np.zeros(2)
+    readings = [np.zeros(2)] * (1 + round(dynamics.torque_delay / h))
+    push, sizes = np.array([1.0, 1.0]), np.zeros(ticks)
+    for tick in range(ticks):
+        controller.tick(theta, readings[-1 - round(dynamics.torque_delay / h)], np.zeros(2))
+        command = controller.command + push
+        push = np.zeros(2)
+        for _ in range(steps):
+            before, drive = drive, command + (drive - command) * lag
+            acceleration = inverse @ (0.5 * (before + drive) if lag else command)
+            theta = theta + h * velocity + 0.5 * h**2 * acceleration
+            velocity = velocity + h * acceleration
+            load = ARM @ inverse @ drive
+            passed = load + (passed - load) * low
+            readings.append(passed)
+        sizes[tick] = np.max(np.abs(acceleration))
+    return sizes
+
+
+@pytest.mark.parametrize(
+    "dynamics",
+    [
+        RigDynamics(torque_delay=0.02),
+        RigDynamics(torque_delay=0.0175, torque_cutoff=300.0),
+        RigDynamics(actuator_lag=0.002),
+        RigDynamics(actuator_lag=0.003, torque_delay=0.0015),
+    ],
+)
+def test_a_loop_that_delays_make_unstable_grows_as_the_check_says(dynamics: RigDynamics) -> None:
+    config = _config()
+    radius = spectral_radius(
+        config, perturbed=0, robot_inertia=ROBOT, arm_inertia=ARM, dynamics=dynamics
+    )
+    assert radius > 1.002
+    # By a factor of some hundred altogether; swinging modes make single sizes erratic.
+    third = int(2.0 / np.log(radius)) + 50
+    sizes = _late(config, 0, dynamics, ticks=3 * third)
+    grown = np.max(sizes[2 * third :]) / np.max(sizes[third : 2 * third])
+    assert np.log(grown) / third == pytest.approx(np.log(radius), rel=0.15)
+
+
+def test_a_loop_that_the_check_takes_for_stable_with_delays_comes_to_rest() -> None:
+    dynamics = RigDynamics(torque_delay=0.0017, torque_cutoff=200.0, actuator_lag=0.0003)
+    config = _config()
+    for k in (0, 1):
+        radius = spectral_radius(
+            config, perturbed=k, robot_inertia=ROBOT, arm_inertia=ARM, dynamics=dynamics
+        )
+        assert radius < 1.0
+        sizes = _late(config, k, dynamics, ticks=400)
+        assert np.max(sizes[300:]) < 0.2 * np.max(sizes[:50])
+
+
+def test_the_shortest_delays_change_nothing() -> None:
+    prompt = spectral_radius(_config(), perturbed=0, robot_inertia=ROBOT, arm_inertia=ARM)
+    for dynamics in (
+        RigDynamics(torque_delay=1e-9),
+        RigDynamics(torque_cutoff=1e7),
+        RigDynamics(actuator_lag=1e-9),
+    ):
+        late = spectral_radius(
+            _config(), perturbed=0, robot_inertia=ROBOT, arm_inertia=ARM, dynamics=dynamics
+        )
+        assert late == pytest.approx(prompt, abs=1e-5)
+
+
+def test_drives_that_are_too_slow_are_refused_with_what_is_known_of_the_rig() -> None:
+    with pytest.raises(ConfigurationError, match=r"grows by .* drives that lag by 2 ms"):
+        check_stability(
+            _config(),
+            robot_inertia=ROBOT,
+            arm_inertia=ARM,
+            dynamics=RigDynamics(actuator_lag=0.002),
+        )
+
+
+def test_when_a_little_more_delay_would_make_the_loop_unstable_expect_a_warning() -> None:
+    def warnings(delay: float) -> list[str]:
+        margins = check_stability(
+            _config(),
+            robot_inertia=ROBOT,
+            arm_inertia=ARM,
+            dynamics=RigDynamics(torque_delay=delay),
+        )
+        return [one for one in margins.warnings if "read 1 ms later" in one]
+
+    assert warnings(0.002) == []
+    edge = next(d for d in np.arange(0.004, 0.02, 0.0005) if warnings(d))
+    assert warnings(edge)[0].endswith("while joint 1 is perturbed")
+
+
+@pytest.mark.parametrize("name", ["torque_delay", "torque_cutoff", "actuator_lag"])
+def test_impossible_dynamics_are_refused_and_named(name: str) -> None:
+    with pytest.raises(ConfigurationError, match=f"known: {name} must be finite .* got -1"):
+        RigDynamics(**{name: -1.0})  # type: ignore[arg-type]
 
 
 def _sizes(config: ImbicConfig, perturbed: int, ticks: int) -> Array:

@@ -28,9 +28,11 @@ class Device(Protocol):
 
     Attributes
     ----------
+    names : of its joints, in the order of frames and commands
     paced : whether samples come by themselves; only a mock can wait for commands
     """
 
+    names: tuple[str, ...]
     paced: bool
 
     def open(self) -> None:
@@ -43,4 +45,4 @@ class Device(Protocol):
         """Wait for the next frame, None if it does not come in time (s) or is damaged."""
 
     def send(self, torque: Sequence[float]) -> None:
-        """Command torques (n,), N·m, which the drives hold until the next ones."""
+        """Command torques of the drives (n,), N·m, which they hold until the next ones."""

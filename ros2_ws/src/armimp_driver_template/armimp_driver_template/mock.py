@@ -7,20 +7,21 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.contract import PERIOD_NS
 from armimp_common.pacing import Pacer
-from armimp_driver_template.conversion import BITS
+from armimp_driver_template.conversion import BITS, Calibration, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters
-from armimp_sim.parameters import SensorParameters, SimulatorParameters
+from armimp_sim.parameters import ActuatorParameters, SensorParameters, SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
 
 class MockDevice:
     """The rig of the study, sampled each millisecond, or after each command.
 
-    Commands act late by `latency` periods, frames get lost, encoders wrap, and transducers have an
-    offset that drifts.
+    Commands act late by `latency` periods, frames get lost, encoders wrap, transducers have an
+    offset that drifts, a low-pass and a delay, and drives lag. Signs, gears and zeros of its
+    sensors and drives, and the order of its joints, are those that the driver is told.
 
     Parameters
     ----------
@@ -30,12 +31,20 @@ class MockDevice:
 
     Attributes
     ----------
+    names : of its joints, in the order of frames and commands
     paced : whether samples come by themselves
     """
 
     def __init__(self, parameters: DriverParameters, pacer: Pacer | None = None) -> None:
         self.paced = parameters.mode == "realtime"
-        self._parameters, self._options = parameters, parameters.mock
+        self._options = parameters.mock
+        joints = parameters.names_at_device()
+        self.names = parameters.mock.names or joints
+        wiring = Wiring(self.names, joints)
+        # In the order of the joints of the rig, from the shoulder outwards: that of its frames.
+        self._encoders = wiring.to_device(parameters.encoders())
+        self._transducers = wiring.to_device(parameters.transducers())
+        self._drives = wiring.to_device(parameters.drives())
         self._rig = SimulatedRig(_rig_parameters(parameters))
         self._pacer = pacer or Pacer(PERIOD_NS)
         self._random = random.Random(self._options.seed)
@@ -47,7 +56,7 @@ class MockDevice:
 
     def open(self) -> None:
         """Connect; the first frame is due now."""
-        self._torque = (0.0,) * len(self._parameters.joints)
+        self._torque = (0.0,) * len(self.names)
         self._queue.clear()
         self._queue.extend([self._torque] * self._options.latency)
         self._commanded = threading.Semaphore(0)
@@ -77,32 +86,37 @@ class MockDevice:
         return Frame(self._tick, self._encoder(), self._transducer())
 
     def send(self, torque: Sequence[float]) -> None:
-        """Command torques (n,), N·m."""
-        self._torque = tuple(torque)
+        """Command torques of the drives (n,), N·m."""
+        pairs = zip(self._drives, torque, strict=True)
+        self._torque = tuple(drive.joint(value) for drive, value in pairs)
         self._commanded.release()
 
     def _encoder(self) -> tuple[int, ...]:
-        sensor = self._parameters.encoder
-        return tuple(
-            (round(angle / sensor.resolution) + zero) % (1 << BITS)
-            for angle, zero in zip(self._rig.position.tolist(), sensor.zero, strict=True)
-        )
+        pairs = zip(self._encoders, self._rig.position.tolist(), strict=True)
+        return tuple(sensor.count(angle) % (1 << BITS) for sensor, angle in pairs)
 
     def _transducer(self) -> tuple[int, ...]:
-        sensor = self._parameters.transducer
-        drift = self._options.drift * self._tick * PERIOD_NS / NS_PER_S
-        return tuple(
-            round((torque + drift) / sensor.resolution) + zero
-            for torque, zero in zip(self._rig.torque.tolist(), sensor.zero, strict=True)
-        )
+        pairs = zip(self._transducers, self._rig.torque.tolist(), strict=True)
+        return tuple(sensor.count(torque) for sensor, torque in pairs)
 
 
 def _rig_parameters(parameters: DriverParameters) -> SimulatorParameters:
-    rig = SimulatorParameters.preset(
-        joints=len(parameters.joints), friction=parameters.mock.friction
-    )
+    options = parameters.mock
+    rig = SimulatorParameters.preset(joints=len(parameters.joints), friction=options.friction)
+    # The counts round; where all joints have the same, the rig can do it.
     sensors = SensorParameters(
-        encoder_resolution=abs(parameters.encoder.resolution),
-        torque_resolution=abs(parameters.transducer.resolution),
+        encoder_resolution=_common(parameters.encoders()),
+        torque_resolution=_common(parameters.transducers()),
+        torque_offset=options.offset,
+        torque_drift=options.drift,
+        torque_delay=options.delay,
+        torque_cutoff=options.cutoff,
     )
-    return rig.model_copy(update={"sensors": sensors})
+    actuators = ActuatorParameters(lag=options.lag)
+    return rig.model_copy(update={"sensors": sensors, "actuators": actuators})
+
+
+def _common(calibration: tuple[Calibration, ...]) -> float:
+    """Resolution of all joints; 0 if they differ."""
+    found = {one.resolution / one.gear for one in calibration}
+    return found.pop() if len(found) == 1 else 0.0

@@ -27,7 +27,7 @@ from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.urgency import wake_up_exactly
-from armimp_driver_template.conversion import Encoders, Transducers
+from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Device, Frame
 from armimp_driver_template.mock import MockDevice
 from armimp_driver_template.parameters import DriverParameters
@@ -77,6 +77,8 @@ class ExoDriver(LifecycleNode):
         self._device = make_device(parameters)
         if parameters.mode == "lockstep" and self._device.paced:
             raise GraphError("mode lockstep is for a device that can wait")
+        self._wiring = Wiring(self._device.names, parameters.names_at_device())
+        self._drives = parameters.drives()
         self._protection = Protection(len(names), parameters.limits.limits())
         if self._stopped:
             self._protection.latch(_STOPPED)
@@ -106,9 +108,8 @@ class ExoDriver(LifecycleNode):
             subscriptions=[self._commands],
             watches=[self._controller],
         )
-        encoder, transducer = self._settings.encoder, self._settings.transducer
-        self._encoders = Encoders(encoder.resolution, encoder.zero)
-        self._transducers = Transducers(transducer.resolution, transducer.zero)
+        self._encoders = Encoders(self._settings.encoders())
+        self._transducers = Transducers(self._settings.transducers())
         self._ledger = TimingLedger()
         self._begin_ns = self._sent_ns = 0
         self._lost = 0
@@ -142,8 +143,8 @@ class ExoDriver(LifecycleNode):
 
     # Step 5: a sample. Counts become radians and newton metres, and both messages get one stamp.
     def _publish(self, frame: Frame) -> None:
-        angles = self._encoders.angles(frame.encoder)
-        torques = self._transducers.torques(frame.transducer)
+        angles = self._encoders.angles(self._wiring.to_joints(frame.encoder))
+        torques = self._transducers.torques(self._wiring.to_joints(frame.transducer))
         protection = self._protection
         assert protection is not None
         with self._lock:
@@ -153,7 +154,7 @@ class ExoDriver(LifecycleNode):
                     self._ledger.missed()
                 # Only what the driver changes by itself; commands go out as they come.
                 if protection.fault:
-                    self._drive(protection)
+                    self._drive(protection.torque)
         while self._backlog.full and self._running.is_set():
             time.sleep(0.0005)  # in lockstep only: a recorder that is behind would lose samples
         if not self._device.paced:
@@ -174,13 +175,17 @@ class ExoDriver(LifecycleNode):
         self._ledger.answered(time.monotonic_ns() - self._sent_ns)
         with self._lock:
             protection.command(command)
-            self._drive(protection)
+            self._drive(protection.torque)
 
-    def _drive(self, protection: Protection) -> None:
+    def _drive(self, torque: Sequence[float]) -> None:
+        """Give the drives torques of the joints (n,), N·m, in the device's order and directions."""
+        pairs = zip(self._drives, torque, strict=True)
+        raw = self._wiring.to_device([drive.torque(value) for drive, value in pairs])
         try:
-            self._device.send(protection.torque)
+            self._device.send(raw)
         except Exception as error:  # noqa: BLE001 (of whatever kind: the drives are out of hand)
-            protection.latch(f"the device takes no commands: {error}")
+            assert self._protection is not None
+            self._protection.latch(f"the device takes no commands: {error}")
 
     def _on_received(self, message: UInt64) -> None:
         self._backlog.acknowledge(message.data)
@@ -188,7 +193,7 @@ class ExoDriver(LifecycleNode):
     def _on_malformed(self, error: ArmimpError) -> None:
         self._latch(f"malformed command: {error}")
         if self._active and not self._device.paced:
-            self._device.send((0.0,) * len(self._settings.joints))
+            self._drive((0.0,) * len(self._settings.joints))
 
     # Step 7: faults. One latch for all of them; the first reason stays until the reset.
     def _latch(self, reason: str) -> None:
@@ -199,7 +204,7 @@ class ExoDriver(LifecycleNode):
             protection.latch(reason)
             # In lockstep torque is an answer, and no sample has asked for one.
             if self._active and self._device.paced:
-                self._drive(protection)
+                self._drive(protection.torque)
 
     def _on_controller(self, controller: Watch) -> None:
         if controller.presence.lost:
@@ -287,7 +292,7 @@ class ExoDriver(LifecycleNode):
             assert self._protection is not None
             with self._lock:
                 self._protection.rest()
-                self._drive(self._protection)
+                self._drive(self._protection.torque)
                 self._device.close()
 
 

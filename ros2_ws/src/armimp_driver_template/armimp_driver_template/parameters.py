@@ -3,20 +3,54 @@
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
+from armimp_driver_template.conversion import Calibration, Drive
 from armimp_driver_template.protection import ProtectionLimits
+
+Kind = TypeVar("Kind")
 
 
 class SensorParameters(Schema):
-    """Calibration of one kind of sensor."""
+    """Calibration of one kind of sensor; each value is one for all joints or one for each."""
 
-    resolution: float = Field(description="rad or N·m per count")
-    zero: tuple[int, ...] = Field(description="count of each joint at zero")
+    resolution: tuple[float, ...] = Field(description="rad or N·m per count, at the sensor")
+    zero: tuple[int, ...] = Field(description="count at zero")
+    sign: tuple[int, ...] = Field(
+        default=(1,), description="-1 where it counts against the direction of the joint, else 1"
+    )
+    gear: tuple[float, ...] = Field(
+        default=(1.0,), description="what it sees for 1 rad or 1 N·m of the joint"
+    )
+
+    def calibration(self, name: str, joints: int) -> tuple[Calibration, ...]:
+        """The calibration of each joint.
+
+        Raises
+        ------
+        ConfigurationError
+            If there are not enough values, or one is out of range; ``name`` is in the message.
+        """
+        return _of_joints(Calibration, name, joints, self)
+
+
+class DriveParameters(Schema):
+    """The drives; each value is one for all joints or one for each."""
+
+    sign: tuple[int, ...] = Field(
+        default=(1,), description="-1 where it turns against the direction of the joint, else 1"
+    )
+    gear: tuple[float, ...] = Field(
+        default=(1.0,), description="turns of the drive for one of the joint"
+    )
+
+    def drives(self, joints: int) -> tuple[Drive, ...]:
+        """The drive of each joint; raises as :meth:`SensorParameters.calibration`."""
+        return _of_joints(Drive, "drive", joints, self)
 
 
 class LimitParameters(Schema):
@@ -37,7 +71,24 @@ class MockParameters(Schema):
     friction: int = Field(default=3, ge=0, le=3, description="friction level of the rig")
     latency: int = Field(default=0, ge=0, le=100, description="periods until a command acts")
     dropout: float = Field(default=0.0, ge=0.0, lt=1.0, description="share of frames that are lost")
-    drift: float = Field(default=0.0, description="drift of the transducers (N·m/s)")
+    offset: tuple[float, ...] = Field(
+        default=(0.0,), description="offset of the transducers (N·m), one for all joints or each"
+    )
+    drift: tuple[float, ...] = Field(
+        default=(0.0,), description="drift of the transducers (N·m/s), likewise"
+    )
+    delay: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="delay of the readings of torque (s)"
+    )
+    cutoff: float = Field(
+        default=0.0, ge=0.0, description="anti-alias low-pass of the torque (Hz); 0: none"
+    )
+    lag: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="time constant of the drives (s); 0: none"
+    )
+    names: tuple[str, ...] = Field(
+        default=(), description="names of its joints in its frames; empty: as the driver's"
+    )
     seed: int = Field(default=1, ge=0, description="seed of the dropouts")
 
 
@@ -47,15 +98,33 @@ class DriverParameters(Schema):
     joints: tuple[str, ...] = Field(
         default=("shoulder", "elbow"), description="names of the joints, in the order of commands"
     )
+    device_names: tuple[str, ...] = Field(
+        default=(), description="names of the same joints at the device; empty: the same names"
+    )
     mode: Literal["lockstep", "realtime"] = Field(
         default="realtime", description="lockstep: time waits for commands, with the mock only"
     )
-    encoder: SensorParameters = SensorParameters(
-        resolution=2.0 * math.pi / 51200, zero=(60000, 60000)
-    )
-    transducer: SensorParameters = SensorParameters(resolution=0.02, zero=(1250, -400))
+    encoder: SensorParameters = SensorParameters(resolution=(2.0 * math.pi / 51200,), zero=(60000,))
+    transducer: SensorParameters = SensorParameters(resolution=(0.02,), zero=(1250, -400))
+    drive: DriveParameters = DriveParameters()
     limits: LimitParameters = LimitParameters()
     mock: MockParameters = MockParameters()
+
+    def names_at_device(self) -> tuple[str, ...]:
+        """The device's name of each joint."""
+        return self.device_names or self.joints
+
+    def encoders(self) -> tuple[Calibration, ...]:
+        """Calibration of the encoders, by joint."""
+        return self.encoder.calibration("encoder", len(self.joints))
+
+    def transducers(self) -> tuple[Calibration, ...]:
+        """Calibration of the transducers, by joint."""
+        return self.transducer.calibration("transducer", len(self.joints))
+
+    def drives(self) -> tuple[Drive, ...]:
+        """The drives, by joint."""
+        return self.drive.drives(len(self.joints))
 
     def check(self) -> None:
         """Check what concerns several parameters.
@@ -63,11 +132,30 @@ class DriverParameters(Schema):
         Raises
         ------
         ConfigurationError
-            If there is not one zero for each joint.
+            If numbers of values do not fit the joints, or a value is out of range.
         """
-        for name, sensor in (("encoder", self.encoder), ("transducer", self.transducer)):
-            if len(sensor.zero) != len(self.joints):
-                raise ConfigurationError(
-                    f"parameter '{name}.zero' has {len(sensor.zero)} values"
-                    f" for {len(self.joints)} joints"
-                )
+        self.encoders()
+        self.transducers()
+        self.drives()
+        if len(self.names_at_device()) != len(self.joints):
+            raise ConfigurationError(
+                f"parameter 'device_names' has {len(self.device_names)} values"
+                f" for {len(self.joints)} joints"
+            )
+
+
+def _of_joints(kind: type[Kind], name: str, joints: int, values: Schema) -> tuple[Kind, ...]:
+    """One object of a kind for each joint, from fields with one value or as many as joints."""
+    fields: dict[str, Any] = dict(values)
+    for field, given in fields.items():
+        if len(given) not in (1, joints):
+            raise ConfigurationError(
+                f"parameter '{name}.{field}' has {len(given)} values for {joints} joints"
+            )
+    try:
+        return tuple(
+            kind(**{f: given[0] if len(given) == 1 else given[i] for f, given in fields.items()})
+            for i in range(joints)
+        )
+    except ConfigurationError as error:
+        raise ConfigurationError(f"parameter '{name}': {error}") from None

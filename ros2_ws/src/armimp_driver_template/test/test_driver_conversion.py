@@ -1,27 +1,167 @@
-"""Counts into radians and newton metres."""
+"""Counts into radians and newton metres, torques into those of drives, and back."""
 
 import math
+from typing import Any
 
-from armimp_driver_template.conversion import Encoders, Transducers
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armimp_common.errors import ConfigurationError
+from armimp_driver_template.conversion import (
+    BITS,
+    Calibration,
+    Drive,
+    Encoders,
+    Transducers,
+    Wiring,
+)
+from armimp_driver_template.parameters import (
+    DriveParameters,
+    DriverParameters,
+    MockParameters,
+    SensorParameters,
+)
 
 COUNT = 2.0 * math.pi / 51200
 
 
+def encoders(*zeros: int, **options: Any) -> Encoders:
+    return Encoders([Calibration(resolution=COUNT, zero=zero, **options) for zero in zeros])
+
+
 def test_angles_go_on_where_counters_wrap() -> None:
-    encoders = Encoders(COUNT, [60000])
+    one = encoders(60000)
     raw = [65530, 65535, 3, 65534, 65000]
     counts = [5530, 5535, 5539, 5534, 5000]
-    assert [encoders.angles([value]) for value in raw] == [(count * COUNT,) for count in counts]
+    assert [one.angles([value]) for value in raw] == [(count * COUNT,) for count in counts]
 
 
 def test_first_angles_lie_within_half_the_range_of_zero() -> None:
-    assert Encoders(COUNT, [60000, 100]).angles([3000, 65500]) == (8536 * COUNT, -136 * COUNT)
+    assert encoders(60000, 100).angles([3000, 65500]) == (8536 * COUNT, -136 * COUNT)
 
 
-def test_an_encoder_that_counts_backwards_has_a_negative_resolution() -> None:
-    encoders = Encoders(-COUNT, [0])
-    assert encoders.angles([10]) == (-10 * COUNT,)
+def test_an_encoder_that_counts_backwards_has_a_negative_sign() -> None:
+    assert encoders(0, sign=-1).angles([10]) == (-10 * COUNT,)
+
+
+def test_an_encoder_behind_a_gear_sees_more_than_the_joint_turns() -> None:
+    assert encoders(0, gear=100.0).angles([10]) == pytest.approx((10 * COUNT / 100.0,))
 
 
 def test_torques_lack_the_reading_without_load() -> None:
-    assert Transducers(0.02, [1250, -400]).torques([1251, -410]) == (0.02, -0.2)
+    transducers = Transducers([Calibration(resolution=0.02, zero=zero) for zero in (1250, -400)])
+    assert transducers.torques([1251, -410]) == (0.02, -0.2)
+
+
+@st.composite
+def calibrations(draw: st.DrawFn) -> Calibration:
+    return Calibration(
+        resolution=draw(st.floats(1e-5, 0.1)),
+        zero=draw(st.integers(-40_000, 40_000)),
+        sign=draw(st.sampled_from((1, -1))),
+        gear=draw(st.floats(0.1, 200.0)),
+    )
+
+
+@given(calibration=calibrations(), value=st.floats(-300.0, 300.0))
+def test_what_a_sensor_shows_reads_back_to_within_half_a_count(
+    calibration: Calibration, value: float
+) -> None:
+    step = calibration.resolution / calibration.gear
+    assert abs(calibration.value(calibration.count(value)) - value) <= step * (0.5 + 1e-6)
+
+
+@given(
+    calibration=calibrations(),
+    path=st.lists(st.integers(-30_000, 30_000), min_size=1, max_size=30),
+)
+def test_angles_follow_any_path_whatever_the_calibration(
+    calibration: Calibration, path: list[int]
+) -> None:
+    """Steps of less than half the range, through counters that wrap."""
+    encoder, count = Encoders([calibration]), calibration.zero
+    for step in path:
+        count += step
+        assert encoder.angles([count % (1 << BITS)]) == (calibration.value(count),)
+
+
+@given(
+    drive=st.builds(Drive, sign=st.sampled_from((1, -1)), gear=st.floats(0.1, 200.0)),
+    torque=st.floats(-100.0, 100.0),
+)
+def test_the_torque_of_a_drive_is_that_of_the_joint_through_its_gear(
+    drive: Drive, torque: float
+) -> None:
+    assert drive.joint(drive.torque(torque)) == pytest.approx(torque, rel=1e-12, abs=1e-300)
+    assert Drive(sign=-1, gear=50.0).torque(5.0) == -0.1
+
+
+@given(data=st.data(), names=st.lists(st.text(min_size=1), min_size=1, max_size=7, unique=True))
+def test_values_come_back_from_any_order_of_the_device(
+    data: st.DataObject, names: list[str]
+) -> None:
+    device = data.draw(st.permutations(names))
+    wiring = Wiring(device, names)
+    of_device = [f"value of {name}" for name in device]
+    assert wiring.to_joints(of_device) == tuple(f"value of {name}" for name in names)
+    assert wiring.to_device(wiring.to_joints(of_device)) == tuple(of_device)
+
+
+@pytest.mark.parametrize("joints", [("a", "c"), ("a", "a"), ("a",)])
+def test_joints_that_the_device_does_not_have_are_refused(joints: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigurationError, match=r"'device_names' is a.*; the device has a, b"):
+        Wiring(("a", "b"), joints)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"resolution": -0.02}, "resolution must be positive, got -0.02"),
+        ({"resolution": 0.02, "gear": 0.0}, "gear must be positive, got 0.0"),
+        ({"resolution": 0.02, "gear": math.inf}, "gear must be positive, got inf"),
+        ({"resolution": 0.02, "sign": 0}, "sign must be 1 or -1, got 0"),
+    ],
+)
+def test_an_impossible_calibration_is_refused(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        Calibration(**values)
+
+
+def test_one_value_stands_for_all_joints_and_several_for_each() -> None:
+    parameters = DriverParameters(
+        encoder=SensorParameters(resolution=(COUNT,), zero=(1, 2), sign=(1, -1), gear=(50.0,))
+    )
+    assert parameters.encoders() == (
+        Calibration(resolution=COUNT, zero=1, sign=1, gear=50.0),
+        Calibration(resolution=COUNT, zero=2, sign=-1, gear=50.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        (
+            DriverParameters(transducer=SensorParameters(resolution=(0.02,), zero=(1, 2, 3))),
+            "'transducer.zero' has 3 values for 2 joints",
+        ),
+        (
+            DriverParameters(drive=DriveParameters(sign=(1, 2))),
+            "parameter 'drive': calibration: sign must be 1 or -1, got 2",
+        ),
+        (DriverParameters(device_names=("m1",)), "'device_names' has 1 values for 2 joints"),
+    ],
+)
+def test_parameters_that_do_not_fit_the_joints_are_refused(
+    parameters: DriverParameters, words: str
+) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        parameters.check()
+
+
+def test_the_mock_takes_names_that_the_driver_knows_only() -> None:
+    from armimp_driver_template.mock import MockDevice
+
+    wrong = DriverParameters(mode="lockstep", mock=MockParameters(names=("left", "right")))
+    with pytest.raises(ConfigurationError, match="the device has left, right"):
+        MockDevice(wrong)

@@ -1,21 +1,31 @@
 """The mock of the device: raw counts of the simulated rig, and the faults of a bus."""
 
+import math
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armimp_common.contract import PERIOD_NS
 from armimp_common.pacing import Pacer
-from armimp_driver_template.conversion import Encoders, Transducers
+from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.mock import MockDevice
-from armimp_driver_template.parameters import DriverParameters, MockParameters
+from armimp_driver_template.parameters import (
+    DriveParameters,
+    DriverParameters,
+    MockParameters,
+    SensorParameters,
+)
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
 
 def make(mode: str = "lockstep", **options: Any) -> MockDevice:
-    parameters = DriverParameters.model_validate({"mode": mode, "mock": MockParameters(**options)})
+    return mock(DriverParameters.model_validate({"mode": mode, "mock": MockParameters(**options)}))
+
+
+def mock(parameters: DriverParameters) -> MockDevice:
     instant = Pacer(PERIOD_NS, now=lambda: 0, sleep=lambda _: None)
     instant.wait = lambda tick: None  # type: ignore[method-assign]
     return MockDevice(parameters, instant)
@@ -35,8 +45,8 @@ def answers(device: MockDevice, script: list[tuple[float, float]]) -> list[Frame
 
 def test_converted_counts_are_the_readings_of_the_simulated_rig_to_the_last_bit() -> None:
     parameters = DriverParameters()
-    encoders = Encoders(parameters.encoder.resolution, parameters.encoder.zero)
-    transducers = Transducers(parameters.transducer.resolution, parameters.transducer.zero)
+    encoders = Encoders(parameters.encoders())
+    transducers = Transducers(parameters.transducers())
     rig, script = SimulatedRig(SimulatorParameters.preset()), commands(300)
 
     for number, frame in enumerate(answers(make(), script)):
@@ -64,7 +74,7 @@ def test_lost_frames_leave_a_gap_in_the_counter() -> None:
 
 
 def test_transducers_drift_as_told() -> None:
-    device = make("realtime", drift=2.0)
+    device = make("realtime", drift=(2.0,))
     frames = [device.receive(0.1) for _ in range(1001)]
     first, last = frames[0], frames[-1]
     assert first is not None
@@ -76,3 +86,65 @@ def test_in_lockstep_nothing_comes_without_a_command() -> None:
     device = make()
     assert device.receive(0.0) is not None
     assert device.receive(0.01) is None
+
+
+def test_readings_and_commands_survive_any_wiring_signs_and_gears() -> None:
+    """The device has its joints the other way round, turns backwards, and has gears."""
+    plain = DriverParameters(mode="lockstep")
+    twisted = DriverParameters(
+        mode="lockstep",
+        device_names=("m2", "m1"),
+        encoder=SensorParameters(
+            resolution=(2.0 * math.pi / 51200,), zero=(7, 60000), sign=(-1, 1), gear=(1.0, 1.0)
+        ),
+        transducer=SensorParameters(resolution=(0.01,), zero=(5,), sign=(1, -1), gear=(0.5,)),
+        drive=DriveParameters(sign=(-1, 1), gear=(50.0, 0.25)),
+        mock=MockParameters(names=("m2", "m1")),
+    )
+    seen = []
+    for parameters in (plain, twisted):
+        device, drives = mock(parameters), parameters.drives()
+        wiring = Wiring(device.names, parameters.names_at_device())
+        encoders, transducers = (
+            Encoders(parameters.encoders()),
+            Transducers(parameters.transducers()),
+        )
+        found = []
+        for torque in [(0.0, 0.0), *commands(200)]:
+            frame = device.receive(0.1)
+            assert frame is not None
+            angles = encoders.angles(wiring.to_joints(frame.encoder))
+            found.append((*angles, *transducers.torques(wiring.to_joints(frame.transducer))))
+            given = [drive.torque(value) for drive, value in zip(drives, torque, strict=True)]
+            device.send(wiring.to_device(given))
+        seen.append(np.array(found))
+    assert seen[1] == pytest.approx(seen[0], abs=1e-9)
+
+
+def test_a_device_with_its_joints_in_another_order_is_wired_by_name() -> None:
+    parameters = DriverParameters(
+        mode="lockstep",
+        device_names=("motor_a", "motor_b"),
+        mock=MockParameters(names=("motor_b", "motor_a")),
+    )
+    device = mock(parameters)
+    frame = device.receive(0.1)
+    assert frame is not None
+    assert device.names == ("motor_b", "motor_a")
+    counts = Wiring(device.names, parameters.names_at_device()).to_joints(frame.encoder)
+    angles = Encoders(parameters.encoders()).angles(counts)
+    # The rig of the mock begins at the shoulder, which is what stands first in its frames.
+    assert np.degrees(angles) == pytest.approx([77.260, 62.708], abs=0.01)
+
+
+def test_the_mock_has_the_imperfections_that_it_is_told() -> None:
+    offset = (0.8, -0.5)
+    plain, imperfect = answers(make(), commands(50)), answers(make(offset=offset), commands(50))
+    for one, other in zip(plain, imperfect, strict=True):
+        assert one is not None
+        assert other is not None
+        assert one.encoder == other.encoder
+        assert np.subtract(other.transducer, one.transducer).tolist() == [40, -25]
+    late = answers(make(delay=0.003), commands(50))
+    readings = [[frame and frame.transducer for frame in frames] for frames in (plain, late)]
+    assert readings[1][4:] == readings[0][1:-3]

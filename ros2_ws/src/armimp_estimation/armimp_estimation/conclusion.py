@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS, PERTURBATION
-from armimp_common.errors import ArmimpError, DataError
+from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.estimate import Estimator
 from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.lpm import LpmConfig, TorqueTiming
+from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.results import (
     Summary,
@@ -30,12 +30,20 @@ from armimp_estimation.results import (
 )
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
+from armimp_estimation.torque_reading import ReadingSummary, TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 
 SUMMARY_FILE = "summary.json"
 FRF_FILE = "frf.npz"
 TIMING_KEY = "torque_timing"
 """Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
+READING_KEYS = {
+    "torque_delay": "delay",
+    "torque_cutoff": "cutoff",
+    "torque_order": "order",
+    "actuator_lag": "actuator_lag",
+}
+"""Names there of what else is known of the readings, by attribute of :class:`TorqueReading`."""
 
 _LARGEST_TRUTH = 1e12
 """Far beyond any arm, far from where squares and products would overflow; SI units."""
@@ -139,11 +147,10 @@ def conclude(
         seed = trials[0].assembled.window.seed
     try:
         parts = [trial.assembled.intact(allow_gaps=options.allow) for trial in trials]
+        reading = reading_of(metadata) if config is None else config.lpm.reading
         if config is None:
-            config = IdentifyConfig(
-                welch=segments_for(parts), lpm=LpmConfig(timing=timing_of(metadata))
-            )
-        data = [TrialData.from_stretches(stretches, config.welch) for stretches in parts]
+            config = IdentifyConfig(welch=segments_for(parts), lpm=LpmConfig(reading=reading))
+        data = [TrialData.from_stretches(stretches, config.welch, reading) for stretches in parts]
         identification = identify(data, estimators, truth, config)
         found += [problem for one in trials for problem in judge_gaps(one.assembled, options)]
     except DataError as error:
@@ -172,6 +179,8 @@ def conclude(
         problems=tuple(found),
         timing=None if told.timing is None else told.timing.summary,
     )
+    told_of_torques = {"torque_reading": ReadingSummary.of(reading)}
+    summary = summary.model_copy(update=told_of_torques)
     return Conclusion(summary=summary, identification=identification)
 
 
@@ -245,19 +254,33 @@ def truth_of(metadata: Mapping[str, str]) -> MBK | None:
     return found
 
 
-def timing_of(metadata: Mapping[str, str]) -> TorqueTiming:
-    """When torques were read, from the metadata of a bag; ``before_update`` if it does not know.
+def reading_of(metadata: Mapping[str, str]) -> TorqueReading:
+    """How torques were read, from the metadata of a bag; ``before_update`` if it does not know.
 
     Raises
     ------
     DataError
-        If it is there, but is none of the ways that there are.
+        If something is there, but makes no sense.
     """
     known = [timing.value for timing in TorqueTiming]
-    told = _parsed(metadata, TIMING_KEY, TorqueTiming.BEFORE_UPDATE.value)
-    if told not in known:
-        raise DataError(f"metadata: {TIMING_KEY} is {told!r}, known are {', '.join(known)}")
-    return TorqueTiming(told)
+    timing = _parsed(metadata, TIMING_KEY, TorqueTiming.BEFORE_UPDATE.value)
+    if timing not in known:
+        raise DataError(f"metadata: {TIMING_KEY} is {timing!r}, known are {', '.join(known)}")
+    told = {}
+    for key, name in READING_KEYS.items():
+        value = _parsed(metadata, key, None)
+        if value is None:
+            continue
+        whole = name == "order"
+        if isinstance(value, bool) or not isinstance(value, int if whole else int | float):
+            raise DataError(
+                f"metadata: {key} is not {'an integer' if whole else 'a number'}: {value!r}"
+            )
+        told[name] = value
+    try:
+        return TorqueReading(timing=TorqueTiming(timing), **told)
+    except ConfigurationError as error:
+        raise DataError(f"metadata: {error}") from None
 
 
 def _parsed(metadata: Mapping[str, str], key: str, default: Any) -> Any:

@@ -2,12 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.drift import drift_of
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.fit import FitConfig, fit_column
 from armimp_estimation.frf import order_trials
@@ -19,6 +19,7 @@ from armimp_estimation.local_polynomial import (
 )
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.update_jump import UpdateJump, command_steps, update_jump
 from armimp_estimation.welch import invert, multiply
@@ -29,15 +30,6 @@ ComplexArray = NDArray[np.complex128]
 
 # Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
 _SPARE_BINS = 3
-
-
-class TorqueTiming(str, Enum):
-    """When torques are read, relative to the update of the command at the same sample."""
-
-    BEFORE_UPDATE = "before_update"
-    """Just before: what jumps with the command is late."""
-    INTERVAL_MEAN = "interval_mean"
-    """As the mean since the last sample: everything is late."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,13 +44,13 @@ class LpmConfig:
         Hz on either side of a bin that they may span: in shorter records, where bins are wider,
         fewer take part. The responses of an arm have a resonance around 1 Hz, and over 0.25 Hz
         polynomials of degree 2 miss up to 0.5 % of them; the error grows with its fourth power.
-    torque_delay : float
-        How late torque readings are against angles, samples; 0 if they are simultaneous.
-    timing : TorqueTiming
-        What it is that is late, see :mod:`armimp_estimation.update_jump`. Without commands in the
-        records it has to be everything.
+    reading : TorqueReading
+        How the readings of torque come about, and so what is corrected: see
+        :mod:`armimp_estimation.torque_reading`. What jumps with the commands is told by
+        :mod:`armimp_estimation.update_jump`. Without commands in the records it has to be
+        everything.
     skew_uncertainty : float
-        Relative standard error of the correction of the delay, which no residual shows. With
+        Relative standard error of the correction of what jumps, which no residual shows. With
         encoders of finite resolution the command chatters, and friction answers within the
         control period in a way that depends on the direction of motion: in simulation up to 2 %
         of the correction are left (friction 3, resolution 3, perturbation 1).
@@ -69,16 +61,13 @@ class LpmConfig:
 
     local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
     span: float = 0.25
-    torque_delay: float = 0.5
-    timing: TorqueTiming = TorqueTiming.BEFORE_UPDATE
+    reading: TorqueReading = field(default_factory=TorqueReading)
     skew_uncertainty: float = 0.02
     weight_floor: float = 0.005
 
     def __post_init__(self) -> None:
         if not 0.0 < self.span < np.inf:
             raise ConfigurationError(f"span must be positive, got {self.span!r} Hz")
-        if not np.isfinite(self.torque_delay):
-            raise ConfigurationError(f"torque_delay must be finite, got {self.torque_delay!r}")
         for name in ("skew_uncertainty", "weight_floor"):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
@@ -155,7 +144,8 @@ class LpmFull:
         skew = self._skew(jump, f, records[0].rate, n)
         torque = multiply(skew, stacked[n:])
         impedance = multiply(torque, inverse)
-        systematic = options.skew_uncertainty * multiply(torque - stacked[n : 2 * n], inverse)
+        uncorrected = self._without_skew(stacked[n : 2 * n], f)
+        systematic = options.skew_uncertainty * multiply(torque - uncorrected, inverse)
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
         variance = np.abs(systematic) ** 2
@@ -188,6 +178,9 @@ class LpmFull:
         DataError
             If the record is too short, or joint k does not move.
         """
+        drift = drift_of(record)
+        if drift is not None and drift.significant:
+            record = drift.removed_from(record)
         n, k = record.joints, record.perturbed_joint
         jump = self._jump([record])
         (response,) = self._columns([record], with_steps=jump is not None)
@@ -197,7 +190,8 @@ class LpmFull:
         skew = self._skew(jump, f, record.rate, n)
         torque = multiply(skew, stacked[n:, None])[:, 0]
         impedance = torque / stacked[k]
-        systematic = self.config.skew_uncertainty * (torque - stacked[n : 2 * n]) / stacked[k]
+        uncorrected = self._without_skew(stacked[n : 2 * n], f)
+        systematic = self.config.skew_uncertainty * (torque - uncorrected) / stacked[k]
         variance = np.abs(systematic) ** 2
         for i in range(n):
             coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
@@ -213,23 +207,31 @@ class LpmFull:
         self, jump: UpdateJump | None, f: FloatArray, rate: float, joints: int
     ) -> ComplexArray:
         """Coefficients of torques, and of steps if they count, in the torque without skew."""
+        reading = self.config.reading
         steps = 0 if jump is None else joints
         skew = np.zeros((joints, joints + steps, f.size), dtype=np.complex128)
         diagonal = np.arange(joints)
-        # Jumps account for half a sample of the delay.
-        delay = self.config.torque_delay - (0.0 if jump is None else 0.5)
         skew[diagonal, diagonal] = 1.0
-        if jump is not None:
-            skew[:, joints:] = jump.missing(f, rate)
-        skew *= np.exp(2j * np.pi * f * delay / rate)
+        if jump is None:
+            skew *= np.exp(2j * np.pi * f * reading.skew(rate) / rate)
+        else:
+            skew[:, joints:] = jump.missing(f, rate, reading)
+        if not reading.prompt:
+            skew /= reading.response(f)
         return skew
 
     def _jump(self, records: Sequence[TrialRecord]) -> UpdateJump | None:
         """Jump of torques with the commands, if that is what is late and can be known."""
-        late = self.config.timing is TorqueTiming.BEFORE_UPDATE and self.config.torque_delay != 0.0
+        reading = self.config.reading
+        late = reading.timing is TorqueTiming.BEFORE_UPDATE
         if late and all(record.command is not None for record in records):
-            return update_jump(records)
+            return update_jump(records, reading)
         return None
+
+    def _without_skew(self, torque: ComplexArray, f: FloatArray) -> ComplexArray:
+        """Responses of torques (..., n_freq) with all corrected but what jumps with commands."""
+        reading = self.config.reading
+        return torque if reading.prompt else torque / reading.response(f)
 
     def _columns(self, records: Sequence[TrialRecord], *, with_steps: bool) -> list[LocalResponse]:
         """Responses of angles, torques and, if wanted, steps of the commands, by trial."""

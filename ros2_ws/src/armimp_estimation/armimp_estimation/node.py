@@ -35,7 +35,7 @@ from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, timing_of, truth_of
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
 from armimp_estimation.gaps import segments_for
 from armimp_estimation.inbox import TOGETHER, Inbox
 from armimp_estimation.lpm import LpmConfig
@@ -178,7 +178,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
             self._directory if self._settings.record else None,
             self._metadata,
             self._on_finished,
-            lpm=LpmConfig(timing=timing_of(self._metadata)),
+            lpm=LpmConfig(reading=reading_of(self._metadata)),
             goal=self._settings.goal(),
         )
 
@@ -305,7 +305,9 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def _publish_column(self, assembled: AssembledTrial) -> None:
         try:
             parts = assembled.intact(allow_gaps=self._settings.allow_gaps)
-            data = TrialData.from_stretches(parts, segments_for([parts]))
+            data = TrialData.from_stretches(
+                parts, segments_for([parts]), reading_of(self._metadata)
+            )
             column = WelchSiso().column(data.spectra)
         except DataError as error:
             self._result.publish(failed_trial_message(assembled, str(error)))

@@ -9,9 +9,11 @@ from pydantic import Field
 from armimp_common.errors import ConfigurationError
 from armimp_common.jitter import TimingLimits
 from armimp_common.schema import Schema
+from armimp_estimation.conclusion import READING_KEYS
 from armimp_estimation.gaps import GapConfig
 from armimp_estimation.precision import PrecisionGoal
 from armimp_estimation.registry import estimator_names
+from armimp_estimation.torque_reading import HIGHEST_ORDER
 
 
 class RealtimeParameters(Schema):
@@ -32,6 +34,28 @@ class RealtimeParameters(Schema):
     def limits(self) -> TimingLimits:
         """The same as the verdict takes it."""
         return TimingLimits(**self.model_dump())
+
+
+class TorqueParameters(Schema):
+    """What is known of the torque readings and gets corrected; 0: what the metadata say."""
+
+    delay: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="how late torque readings are (s)"
+    )
+    cutoff: float = Field(
+        default=0.0, ge=0.0, description="anti-alias low-pass before their sampling (Hz)"
+    )
+    order: int = Field(default=1, ge=1, le=HIGHEST_ORDER, description="its order (Butterworth)")
+    actuator_lag: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="time constant of the drives (s)"
+    )
+
+    def metadata(self) -> dict[str, str]:
+        """What is told, as the metadata of bags have it."""
+        told = {key: getattr(self, name) for key, name in READING_KEYS.items()}
+        if not self.cutoff:
+            del told["torque_order"]
+        return {key: json.dumps(value) for key, value in told.items() if value}
 
 
 class EstimatorParameters(Schema):
@@ -64,6 +88,7 @@ class EstimatorParameters(Schema):
     progress_period: float = Field(
         default=0.2, ge=0.05, le=10.0, description="time between progress messages (s)"
     )
+    torque: TorqueParameters = TorqueParameters()
     realtime: RealtimeParameters = RealtimeParameters()
     until_error: float = Field(
         default=0.0,
@@ -87,7 +112,7 @@ class EstimatorParameters(Schema):
         return GapConfig(allow=self.allow_gaps, most_excluded=self.most_excluded)
 
     def bag_metadata(self) -> dict[str, str]:
-        """The metadata as a dictionary.
+        """The metadata as a dictionary, with what is known of the torque readings.
 
         Raises
         ------
@@ -112,4 +137,4 @@ class EstimatorParameters(Schema):
             raise ConfigurationError(
                 f"parameter 'metadata' is not a JSON object of strings: {self.metadata[:60]!r}"
             )
-        return values
+        return {**values, **self.torque.metadata()}

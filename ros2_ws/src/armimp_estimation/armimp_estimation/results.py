@@ -17,6 +17,7 @@ from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.sample_ledger import SampleLedger
+from armimp_estimation.torque_reading import ReadingSummary
 from armimp_estimation.whole_files import write_whole
 
 FloatArray = NDArray[np.float64]
@@ -179,6 +180,8 @@ class Summary(JsonModel):
     """Of a run in real time."""
     wall: WallSummary | None = None
     """Of a run from the command line."""
+    torque_reading: ReadingSummary | None = None
+    """What is known of the torque readings, and so was corrected."""
 
     @model_validator(mode="after")
     def _check_shapes(self) -> "Summary":

@@ -1,14 +1,16 @@
 """Spectra of one trial, and the trial as estimators take it: record plus spectra."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
+from armimp_estimation.drift import drift_of
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
+from armimp_estimation.torque_reading import TorqueReading
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -51,6 +53,16 @@ class TrialSpectra:
     def torque_channel(self, joint: int) -> int:
         """Channel of the torque of a joint (0-based)."""
         return 1 + self.joints + joint
+
+    def corrected(self, reading: TorqueReading) -> "TrialSpectra":
+        """Spectra as if torques had been read without delay and filter; coherences stay."""
+        if reading.prompt:
+            return self
+        factor = np.ones((2 * self.joints + 1, self.f.size), dtype=np.complex128)
+        factor[1 + self.joints :] = 1.0 / reading.response(self.f)
+        # G_xy = E[conj(X) Y].
+        matrix = np.conj(factor)[:, None] * self.spectra.matrix * factor[None]
+        return replace(self, spectra=replace(self.spectra, matrix=matrix))
 
 
 class TrialAccumulator:
@@ -142,7 +154,12 @@ class TrialData:
             )
 
     @classmethod
-    def from_record(cls, record: TrialRecord, config: WelchConfig | None = None) -> "TrialData":
+    def from_record(
+        cls,
+        record: TrialRecord,
+        config: WelchConfig | None = None,
+        reading: TorqueReading | None = None,
+    ) -> "TrialData":
         """Compute the spectra of a whole record; bit-identical to gathering them live.
 
         Raises
@@ -150,13 +167,19 @@ class TrialData:
         DataError
             If the record is shorter than one segment.
         """
-        return cls.from_stretches([record], config)
+        return cls.from_stretches([record], config, reading)
 
     @classmethod
     def from_stretches(
-        cls, stretches: Sequence[TrialRecord], config: WelchConfig | None = None
+        cls,
+        stretches: Sequence[TrialRecord],
+        config: WelchConfig | None = None,
+        reading: TorqueReading | None = None,
     ) -> "TrialData":
         """Compute the spectra of the intact stretches of a trial; no segment spans a gap.
+
+        They are those of torques without the delay and the filter of their ``reading``. Drift, as
+        the longest stretch tells it, is taken out of record and spectra.
 
         Raises
         ------
@@ -164,12 +187,17 @@ class TrialData:
             If none of them is as long as one segment.
         """
         record = max(stretches, key=lambda stretch: stretch.samples)
+        drift = drift_of(record)
+        if drift is not None and drift.significant:
+            stretches = [drift.removed_from(stretch) for stretch in stretches]
+            record = max(stretches, key=lambda stretch: stretch.samples)
         accumulator = TrialAccumulator(record.joints, record.perturbed_joint, record.rate, config)
         for stretch in stretches:
             accumulator.interrupt()
             accumulator.push(stretch.perturbation, stretch.position, stretch.torque)
         try:
-            return cls(record=record, spectra=accumulator.result())
+            spectra = accumulator.result().corrected(reading or TorqueReading())
+            return cls(record=record, spectra=spectra)
         except DataError as error:
             gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"
             raise DataError(f"trial {record.trial}: {error}{gaps}") from error

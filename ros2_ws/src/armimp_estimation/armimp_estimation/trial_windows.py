@@ -60,6 +60,9 @@ class TrialWindow:
         First and last tick of the trial, from 0, of each run of such commands.
     saved : int
         Samples that were planned beyond `ticks`, before the controller ended the trial earlier.
+    tare : tuple of float
+        What the controller took from the torques of each joint, N·m, in its order of joints; not
+        taken from the samples. Empty without a tare.
 
     Raises
     ------
@@ -80,6 +83,7 @@ class TrialWindow:
     clipped: int = 0
     clipped_intervals: tuple[tuple[int, int], ...] = ()
     saved: int = 0
+    tare: tuple[float, ...] = ()
 
     @property
     def told_again(self) -> str:
@@ -143,6 +147,8 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
             saved = current.saved + current.ticks - status.ticks
             current = replace(current, ticks=status.ticks, saved=saved)
         current = _with_clipping(current, status)
+        if status.tare:
+            current = replace(current, tare=status.tare)
         if status.phase is not Phase.PERTURB:
             current = replace(current, ended=True)
     if current is not None:

@@ -9,10 +9,11 @@ readings and jumps by the Euler-Maclaurin formula (coefficients 1/2 and 1/12):
 
     τ(ω) = τ_before(ω) + [D (1/2 - jωL/12) + S/12] Δu(ω)
 
-up to fourth order in ωL. A delay of half a sample, ``T exp(jωL/2)``, puts the inertial torque
-right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and ``B L/2`` to M, and
-does not know of the part of u that overcomes friction. D need not be precise: an error of 10 %
-leaves 10 % of the skew.
+up to fourth order in ωL. Readings that pass a filter or are late lack other multiples of D and S,
+see :mod:`armimp_estimation.torque_reading`. A delay of half a sample, ``T exp(jωL/2)``, puts the
+inertial torque right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and
+``B L/2`` to M, and does not know of the part of u that overcomes friction. D need not be precise:
+an error of 10 % leaves 10 % of the skew.
 """
 
 from collections.abc import Sequence
@@ -22,12 +23,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_reading import TorqueReading
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-# Periods after a jump by which the torque is followed.
+# Periods after a jump by which the torque is followed, from when it has passed the filter on.
 _PERIODS = 3
+# Value and slope at the jump of the parabola through the sums of the changes 1, 2, 3 periods later.
+_PARABOLA = np.array([[1.0, -2.0, 1.0], [0.0, 2.5, -1.5]])
+# How much of a step a reading may lack that has all of it.
+_PASSED = 0.01
 _DIFFERENCES = 4
 _CHATTER_EXPLAINS = 0.9
 _MOTION_EXPLAINS = 0.99
@@ -48,8 +54,10 @@ class UpdateJump:
     torque: FloatArray
     slope: FloatArray
 
-    def missing(self, f: FloatArray, rate: float) -> ComplexArray:
-        """What readings just before the updates lack, per step of the commands.
+    def missing(
+        self, f: FloatArray, rate: float, reading: TorqueReading | None = None
+    ) -> ComplexArray:
+        """What readings lack, per step of the commands.
 
         Parameters
         ----------
@@ -57,16 +65,22 @@ class UpdateJump:
             Frequencies, Hz.
         rate : float
             Updates per second, Hz.
+        reading : TorqueReading, optional
+            How readings come about; by default just before the updates.
 
         Returns
         -------
         ndarray, shape (n, n, n_freq)
-            ``D (1/2 - jωL/12) + S/12``, N·m per N·m.
+            ``D (1/2 - jωL/12) + S/12`` by default, N·m per N·m.
         """
-        radians = 2.0 * np.pi * f / rate
-        jump = self.torque[:, :, None] * (0.5 - 1j * radians / 12.0)
-        lacking = jump + self.slope[:, :, None] / 12.0
-        return np.asarray(lacking, dtype=np.complex128)
+        if reading is None or reading.prompt:
+            radians = 2.0 * np.pi * f / rate
+            jump = self.torque[:, :, None] * (0.5 - 1j * radians / 12.0)
+            lacking = np.asarray(jump + self.slope[:, :, None] / 12.0, dtype=np.complex128)
+        else:
+            edge, bend = reading.folded(f, rate)
+            lacking = self.torque[:, :, None] * edge + self.slope[:, :, None] * bend
+        return lacking
 
 
 def command_steps(record: TrialRecord, samples: int) -> FloatArray:
@@ -82,7 +96,9 @@ def command_steps(record: TrialRecord, samples: int) -> FloatArray:
     return steps
 
 
-def update_jump(records: Sequence[TrialRecord]) -> UpdateJump | None:
+def update_jump(
+    records: Sequence[TrialRecord], reading: TorqueReading | None = None
+) -> UpdateJump | None:
     """Jumps of the torques and their slopes with steps Δu of the commands.
 
     On a rig with encoders of finite resolution the command chatters, and fourth differences of the
@@ -99,10 +115,16 @@ def update_jump(records: Sequence[TrialRecord]) -> UpdateJump | None:
     the angles would bias that; so would a voluntary torque, and whichever way is taken has to
     explain nearly all of what it is fitted to.
 
+    Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
+    of the low-pass are taken from them, and as the answers to a step, a ramp and a parabola of the
+    torque are known, the regression tells these. Only chatter is used then.
+
     Parameters
     ----------
     records : sequence of TrialRecord
         Trials of one arm, with commands.
+    reading : TorqueReading, optional
+        How their torques were read; by default just before the updates.
 
     Returns
     -------
@@ -110,9 +132,13 @@ def update_jump(records: Sequence[TrialRecord]) -> UpdateJump | None:
         None if neither way explains the torques, or if the eigenvalues of D do not lie between 0
         and 1, as they do for any two inertias: torques then do not follow the commands like that.
     """
-    for fit, enough in ((_from_chatter, _CHATTER_EXPLAINS), (_from_motion, _MOTION_EXPLAINS)):
-        jump, explained = fit(records)
-        if (explained > enough).all() and _is_share_of_inertia(jump.torque):
+    known = reading or TorqueReading()
+    jump, explained = _from_chatter(records, known)
+    if (explained > _CHATTER_EXPLAINS).all() and _is_share_of_inertia(jump.torque):
+        return jump
+    if known.prompt:
+        jump, explained = _from_motion(records)
+        if (explained > _MOTION_EXPLAINS).all() and _is_share_of_inertia(jump.torque):
             return jump
     return None
 
@@ -122,23 +148,59 @@ def _is_share_of_inertia(transmission: FloatArray) -> bool:
     return bool((eigenvalues.real > 0.0).all() and (np.abs(eigenvalues) < 1.0).all())
 
 
-def _from_chatter(records: Sequence[TrialRecord]) -> tuple[UpdateJump, FloatArray]:
+def _from_chatter(
+    records: Sequence[TrialRecord], reading: TorqueReading
+) -> tuple[UpdateJump, FloatArray]:
+    weights, to_parabola, edge = _lags(reading, records[0].rate)
+    lags, before = to_parabola.shape[1], reading.first_lag(records[0].rate) - 1
     inputs, outputs = [], []
     for record in records:
-        steps, changes = command_steps(record, record.samples), np.diff(record.torque, axis=1)
-        # The step after reading k is seen for the first time in the change to reading k + 1.
-        last = changes.shape[1]
-        lagged = [steps[:, _PERIODS - 1 - lag : last - lag] for lag in range(_PERIODS)]
+        torque, steps = record.torque, command_steps(record, record.samples)
+        if weights.size > 1:
+            last = record.samples
+            cut = [torque[:, weights.size - 1 - age : last - age] for age in range(weights.size)]
+            torque = sum(weight * one for weight, one in zip(weights, cut, strict=True))
+            steps = steps[:, weights.size - 1 :]
+        changes = np.diff(torque, axis=1)
+        # The step after reading k is seen for the first time in the change to a later reading,
+        # mostly that to reading k + 1.
+        last = changes.shape[1] - before
+        lagged = [steps[:, lags - 1 - lag : last - lag] for lag in range(lags)]
         inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
-        outputs.append(np.diff(changes[:, _PERIODS - 1 :], n=_DIFFERENCES, axis=1))
+        outputs.append(np.diff(changes[:, before + lags - 1 :], n=_DIFFERENCES, axis=1))
     coefficients, _ = _regress(inputs, outputs)
     n = records[0].joints
-    # Nearly all has to come from the last step; else commands are not those of these samples.
-    _, explained = _regress([rows[:n] for rows in inputs], outputs)
-    first, second, third = (coefficients[:, n * lag : n * (lag + 1)] for lag in range(_PERIODS))
-    # Value and slope at 0 of the parabola through the sums of the changes at 1, 2 and 3.
-    jump = UpdateJump(torque=first - 2.0 * second + third, slope=0.5 * (5.0 * second - 3.0 * third))
-    return jump, explained
+    # Nearly all has to come from the last steps; else commands are not those of these samples.
+    _, explained = _regress([rows[: n * edge] for rows in inputs], outputs)
+    torque, slope = (
+        sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
+        for row in to_parabola
+    )
+    return UpdateJump(torque=torque, slope=slope), explained
+
+
+def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, int]:
+    """How changes of readings tell value and slope of the torque after a step.
+
+    Returns
+    -------
+    weights : ndarray
+        Of readings, newest first, for one without the poles of the low-pass.
+    to_parabola : ndarray, shape (2, lags)
+        Of the changes of those, from the first that shows a step on, for value and slope.
+    edge : int
+        How many changes it takes until the step is there.
+    """
+    if reading.prompt:
+        return np.ones(1), _PARABOLA, 1
+    weights = reading.whitening(rate)
+    count = weights.size + 1 + _PERIODS
+    answers = reading.answers(rate, count)
+    answers = np.array([np.convolve(one, weights)[:count] for one in answers])
+    edge = 1 + int(np.max(np.flatnonzero(np.abs(answers[0] - 1.0) > _PASSED), initial=-1)) + 1
+    lags = edge + _PERIODS - 1
+    changes = np.diff(answers[:, :lags], axis=1, prepend=0.0)
+    return weights, np.linalg.pinv(changes.T)[:2], edge
 
 
 def _from_motion(records: Sequence[TrialRecord]) -> tuple[UpdateJump, FloatArray]:

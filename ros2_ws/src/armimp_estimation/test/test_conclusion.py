@@ -14,12 +14,12 @@ from armimp_common.errors import DataError
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.synthetic import Message
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, timing_of, truth_of
-from armimp_estimation.lpm import TorqueTiming
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
 from armimp_estimation.recording import Recording
 from armimp_estimation.results import Summary, read_frf, read_summary
 from armimp_estimation.synthetic import TWO_JOINT_ARM
 from armimp_estimation.testing import recorded_arm
+from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
@@ -230,11 +230,12 @@ def test_bag_and_speed_of_each_trial_are_passed_on() -> None:
 
 
 def test_torques_are_taken_as_read_before_the_update_unless_the_metadata_say_otherwise() -> None:
-    assert timing_of({}) is TorqueTiming.BEFORE_UPDATE
-    assert timing_of({"torque_timing": '"interval_mean"'}) is TorqueTiming.INTERVAL_MEAN
+    assert reading_of({}) == TorqueReading()
+    mean = reading_of({"torque_timing": '"interval_mean"'})
+    assert mean == TorqueReading(timing=TorqueTiming.INTERVAL_MEAN)
 
 
 @pytest.mark.parametrize("told", ['"later"', "7", "null", "[1]"])
 def test_when_the_timing_makes_no_sense_expect_an_error_that_names_what_there_is(told: str) -> None:
     with pytest.raises(DataError, match=r"torque_timing is .*known are before_update"):
-        timing_of({"torque_timing": told})
+        reading_of({"torque_timing": told})

@@ -16,6 +16,7 @@ from armimp_estimation.registry import make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull, WelchSiso
 
@@ -24,10 +25,11 @@ FloatArray = NDArray[np.float64]
 WELCH = WelchConfig(segment=1024, overlap=768)
 LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 PUSHED = dataclasses.replace(LOOP, voluntary=1.0)
+SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
 OTHERS: list[Estimator] = [
     WelchSiso(),
     WelchFull(),
-    LpmFull(config=LpmConfig(torque_delay=0.0)),
+    LpmFull(config=LpmConfig(reading=SIMULTANEOUS)),
 ]
 
 

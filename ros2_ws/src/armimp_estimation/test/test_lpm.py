@@ -11,13 +11,14 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk
 from armimp_estimation.local_polynomial import LocalPolynomialConfig
-from armimp_estimation.lpm import LpmConfig, LpmFull, TorqueTiming
+from armimp_estimation.lpm import LpmConfig, LpmFull
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.registry import make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull
 
@@ -26,7 +27,8 @@ FloatArray = NDArray[np.float64]
 # As 50 s at 1 kHz in resolution and band, with an eighth of the samples; no sampling skew.
 WELCH = WelchConfig(segment=1024, overlap=768)
 LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
-LPM = LpmFull(config=LpmConfig(torque_delay=0.0))
+SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
+LPM = LpmFull(config=LpmConfig(reading=SIMULTANEOUS))
 THREE_JOINT_ARM = MBK(
     M=np.array([[0.3, 0.1, 0.02], [0.09, 0.1, 0.015], [0.021, 0.014, 0.01]]),
     B=np.array([[0.9, 0.3, 0.05], [0.25, 0.5, 0.06], [0.04, 0.07, 0.1]]),
@@ -166,7 +168,7 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
 
 
 def test_when_everything_is_late_commands_are_of_no_concern() -> None:
-    config = LpmConfig(timing=TorqueTiming.INTERVAL_MEAN)
+    config = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
     data = trials()
     commanded = with_records(data, command=np.random.default_rng(1).standard_normal((2, 6144)))
     one = LpmFull(config=config).estimate(data)
@@ -192,7 +194,7 @@ def test_in_short_records_fewer_bins_take_part() -> None:
     ]
     estimate = LPM.estimate(data)
     assert estimate.averages == 6.0
-    wide = LpmFull(config=LpmConfig(torque_delay=0.0, span=10.0)).estimate(data)
+    wide = LpmFull(config=LpmConfig(reading=SIMULTANEOUS, span=10.0)).estimate(data)
     assert wide.averages == 20.0
     assert relative_error(estimate, TWO_JOINT_ARM) < 0.5 * relative_error(wide, TWO_JOINT_ARM)
 
@@ -271,7 +273,7 @@ def test_neither_order_of_trials_nor_place_in_memory_changes_a_bit() -> None:
 def test_registry_gives_it_the_band_and_its_options() -> None:
     options = IdentifyConfig(
         welch=WelchConfig(f_low=1.0, f_high=5.0),
-        lpm=LpmConfig(local=LocalPolynomialConfig(order=1), torque_delay=0.0),
+        lpm=LpmConfig(local=LocalPolynomialConfig(order=1), reading=SIMULTANEOUS),
     )
     estimator = make_estimator("lpm_full", options)
     estimate = estimator.estimate(trials())
@@ -304,7 +306,6 @@ def test_when_a_perturbed_joint_stands_still_expect_the_frequency() -> None:
     [
         ({"span": 0.0}, "span must be positive"),
         ({"span": float("inf")}, "span must be positive"),
-        ({"torque_delay": float("nan")}, "torque_delay must be finite"),
         ({"weight_floor": -0.1}, "weight_floor must not be negative"),
         ({"weight_floor": float("nan")}, "weight_floor must not be negative"),
     ],

@@ -14,9 +14,10 @@ from armimp_estimation.assemble import assemble_trials
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
 from armimp_estimation.fit import fit_mbk
-from armimp_estimation.lpm import LpmConfig, LpmFull, TorqueTiming
+from armimp_estimation.lpm import LpmConfig, LpmFull
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.synthetic import TWO_JOINT_ARM
+from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.update_jump import command_steps, update_jump
 
@@ -125,12 +126,14 @@ def test_viscosity_is_right_with_commands_and_off_by_half_a_sample_of_stiffness_
     of_stiffness = 0.5 * PERIOD * (ARM.K - TRANSMISSION @ ARM.K) / ARM.B
     np.testing.assert_allclose(without - 1.0, of_stiffness, atol=0.004)
     assert np.max(without) > 1.005
-    neglected = viscosity(records, LpmConfig(torque_delay=0.0))
+    neglected = viscosity(
+        records, LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
+    )
     assert (neglected > 1.02).all()
 
 
 def test_commands_are_not_used_for_readings_that_are_means(smooth: list[TrialRecord]) -> None:
-    config = LpmConfig(timing=TorqueTiming.INTERVAL_MEAN)
+    config = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
     without = [dataclasses.replace(record, command=None) for record in smooth]
     np.testing.assert_array_equal(viscosity(smooth, config), viscosity(without, config))
 

@@ -229,7 +229,7 @@ def _slopes(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None
 
 
 @compiled
-def _rk4_step(w: NDArray[np.float64], block: int, joints: Tag, width: Tag, h: float) -> None:
+def rk4_step(w: NDArray[np.float64], block: int, joints: Tag, width: Tag, h: float) -> None:
     """One classical Runge–Kutta step of length h with constant command."""
     n = len(joints)
     for row in range(3 * n):
@@ -311,7 +311,8 @@ def _torque(
 
 
 @compiled
-def _sample_now(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def sample_block(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Torque on the arm at this instant in one block, as :func:`sample_now`."""
     _slopes(w, block, joints, width)
     _torque(w, block, joints, width, (THETA, VELOCITY, _SLOPE_V))
 
@@ -320,7 +321,7 @@ def _sample_now(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> 
 def sample_now(w: NDArray[np.float64], joints: Tag, width: Tag) -> None:
     """Torque on the arm at this instant, N·m, under the command still in force, into TORQUE."""
     for block in range(w.shape[0]):
-        _sample_now(w, block, joints, width)
+        sample_block(w, block, joints, width)
 
 
 @compiled_entry
@@ -345,13 +346,13 @@ def advance(
     for block in range(w.shape[0]):
         _remember(w, block, joints, width)
         for _ in range(steps):
-            _rk4_step(w, block, joints, width, h)
+            rk4_step(w, block, joints, width, h)
             _add_to_mean(w, block, joints, width, 0.5 / steps)
         if interval_mean:
             _mean_slopes(w, block, joints, width, steps * h)
             _torque(w, block, joints, width, (_MEAN_THETA, _LAST_VELOCITY, _SLOPE_V))
         else:
-            _sample_now(w, block, joints, width)
+            sample_block(w, block, joints, width)
 
 
 @compiled

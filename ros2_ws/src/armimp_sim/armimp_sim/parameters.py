@@ -15,9 +15,11 @@ from armimp_common.urgency import UrgencyParameters
 from armimp_sim import presets
 from armimp_sim.arm import HumanArm
 from armimp_sim.friction import LuGre
+from armimp_sim.imperfections import LONGEST_DELAY, Imperfections
 from armimp_sim.plant import PlantConfig
 from armimp_sim.robot import PlanarChain
 from armimp_sim.sensors import Sampling, Sensors
+from armimp_sim.transmission import ORDERS
 from armimp_sim.voluntary import VoluntaryConfig
 
 Vector = tuple[float, ...]
@@ -61,6 +63,38 @@ class SensorParameters(Schema):
         default=Sampling.BEFORE_UPDATE,
         description="instant of the torque reading: before_update or interval_mean",
     )
+    torque_offset: Vector = Field(
+        default=(0.0,), description="added to torque readings (N·m); one for all joints or each"
+    )
+    torque_drift: Vector = Field(
+        default=(0.0,), description="how fast that grows (N·m/s); one for all joints or each"
+    )
+    torque_gain: Vector = Field(
+        default=(1.0,), description="factor on torque readings (–); one for all joints or each"
+    )
+    torque_delay: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=LONGEST_DELAY,
+        description="delay of torque readings (s), in steps of the integration",
+    )
+    torque_cutoff: float = Field(
+        default=0.0, ge=0.0, description="anti-alias low-pass of the torque (Hz); 0: none"
+    )
+    torque_order: int = Field(
+        default=1, ge=1, le=ORDERS, description="order of that Butterworth low-pass"
+    )
+
+
+class ActuatorParameters(Schema):
+    """Drives."""
+
+    lag: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        description="time constant with which torque follows commands (s); 0: at once",
+    )
 
 
 class VoluntaryParameters(Schema):
@@ -96,6 +130,7 @@ class SimulatorParameters(Schema):
     robot: RobotParameters
     friction: FrictionParameters
     sensors: SensorParameters
+    actuators: ActuatorParameters = ActuatorParameters()
     voluntary: VoluntaryParameters = VoluntaryParameters()
 
     @classmethod
@@ -175,8 +210,28 @@ class SimulatorParameters(Schema):
                 torque_resolution=self.sensors.torque_resolution,
                 sampling=self.sensors.sampling,
             ),
+            imperfections=self.imperfections(),
             period=PERIOD_NS / NS_PER_S,
             substeps=self.substeps,
+        )
+
+    def imperfections(self) -> Imperfections:
+        """What transducers and drives lack.
+
+        Raises
+        ------
+        ConfigurationError
+            If a value makes no sense.
+        """
+        sensors = self.sensors
+        return Imperfections(
+            offset=sensors.torque_offset,
+            drift=sensors.torque_drift,
+            gain=sensors.torque_gain,
+            delay=sensors.torque_delay,
+            cutoff=sensors.torque_cutoff,
+            order=sensors.torque_order,
+            actuator_lag=self.actuators.lag,
         )
 
     def voluntary_config(self) -> VoluntaryConfig:

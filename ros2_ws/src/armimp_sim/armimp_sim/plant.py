@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
-from armimp_sim import kernel
+from armimp_sim import kernel, transmission
 from armimp_sim.arm import HumanArm
 from armimp_sim.friction import LuGre
+from armimp_sim.imperfections import Imperfections
 from armimp_sim.packed import Tag
 from armimp_sim.robot import PlanarChain
 from armimp_sim.sensors import Sampling, Sensors, quantise
@@ -36,6 +37,7 @@ class PlantConfig:
     arm, robot : with the same number of joints n
     friction : one law per joint
     sensors : resolutions and sampling instant
+    imperfections : of transducers and drives; by default none
     period : s, between samples; commands are held over it
     substeps : RK4 steps per period
 
@@ -50,6 +52,7 @@ class PlantConfig:
     robot: PlanarChain
     friction: tuple[LuGre, ...]
     sensors: Sensors
+    imperfections: Imperfections = field(default_factory=Imperfections)
     period: float = 1e-3
     substeps: int = 100
 
@@ -60,6 +63,7 @@ class PlantConfig:
                 f"plant: arm has {n} joints, robot {self.robot.joints}, "
                 f"friction {len(self.friction)}"
             )
+        self.imperfections.check(n)
         if not self.period > 0.0 or self.substeps < 1:
             raise ConfigurationError(
                 f"plant: period {self.period} s with {self.substeps} substeps is not a step"
@@ -123,6 +127,7 @@ class Plant:
     ----------
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
+    transmission : the lanes of :mod:`armimp_sim.transmission`; None without imperfections
     """
 
     def __init__(self, configs: Sequence[PlantConfig]) -> None:
@@ -146,6 +151,8 @@ class Plant:
         self.resolutions = np.array(
             [(c.sensors.encoder_resolution, c.sensors.torque_resolution) for c in configs]
         )
+        self.transmission = _transmission(configs)
+        self._at_first = None if self.transmission is None else self.transmission.copy()
         self.position = np.zeros((lanes, n))
         self.torque = np.zeros((lanes, n))
         for lane in range(blocks * width):
@@ -180,6 +187,7 @@ class Plant:
             self.config.substeps,
             self.config.step,
             self.config.sensors.sampling is Sampling.INTERVAL_MEAN,
+            self.transmission,
             self.resolutions,
             command,
             voluntary,
@@ -194,9 +202,14 @@ class Plant:
         return np.array([self._of_lane(lane)[: 3 * n].reshape(3, n) for lane in range(lanes)])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Put the plants into the given (θ, v, z), (lanes, 3, n), and read the sensors anew."""
+        """Put the plants into the given (θ, v, z), (lanes, 3, n), and read the sensors anew.
+
+        Filters have seen the present torque for long, drives have no torque, drifts begin.
+        """
         for lane, values in enumerate(state):
             self._of_lane(lane)[: values.size] = values.ravel()
+        if self.transmission is not None:
+            self.transmission[:] = self._at_first
         self._sample()
 
     def _of_lane(self, lane: int) -> NDArray[np.float64]:
@@ -208,7 +221,10 @@ class Plant:
         return of_lane
 
     def _sample(self) -> None:
-        kernel.sample_now(self.batch, self.joint_tag, self.width_tag)
+        if self.transmission is None:
+            kernel.sample_now(self.batch, self.joint_tag, self.width_tag)
+        else:
+            transmission.settle(self.batch, self.joint_tag, self.width_tag, self.transmission)
         read(
             self.batch, self.joint_tag, self.width_tag, self.resolutions, self.position, self.torque
         )
@@ -236,6 +252,24 @@ def check_ratio(ratio: float, step: float) -> None:
         )
     raise IntegrationError(
         f"plant: h·σ0|v|/g(v) = {ratio:.3g} with h = {step:.3g} s, must stay below {RK4_LIMIT}"
+    )
+
+
+def _transmission(configs: Sequence[PlantConfig]) -> NDArray[np.float64] | None:
+    """Imperfections of all lanes, or None if there are none."""
+    if all(config.imperfections.none for config in configs):
+        return None
+    first = configs[0]
+    periods = max(
+        config.imperfections.whole_periods(config.step, config.substeps) for config in configs
+    )
+    return np.array(
+        [
+            config.imperfections.numbers(
+                joints=first.joints, step=first.step, substeps=first.substeps, periods=periods
+            )
+            for config in configs
+        ]
     )
 
 
@@ -294,6 +328,7 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     substeps: int,
     step: float,
     interval_mean: bool,
+    lanes: NDArray[np.float64] | None,
     resolutions: NDArray[np.float64],
     command: NDArray[np.float64],
     voluntary: NDArray[np.float64],
@@ -307,6 +342,7 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     w, joints, width : the batch, as in :mod:`armimp_sim.kernel`
     substeps, step : number and length (s) of the RK4 steps
     interval_mean : whether torque is the mean over the period
+    lanes : of :mod:`armimp_sim.transmission`, updated; None without imperfections
     resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
     command, voluntary : (lanes, n) N·m
     position, torque : (lanes, n), written, rad and N·m
@@ -321,6 +357,10 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         for i in range(n):
             w[kernel.place(lane, kernel.COMMAND * n + i, m)] = command[lane, i]
             w[kernel.place(lane, kernel.VOLUNTARY * n + i, m)] = voluntary[lane, i]
-    kernel.advance(w, joints, width, substeps, step, interval_mean)
+    # Of the two only the one that is needed gets compiled, as None is a type.
+    if lanes is None:
+        kernel.advance(w, joints, width, substeps, step, interval_mean)
+    else:
+        transmission.advance(w, joints, width, substeps, step, interval_mean, lanes)
     read(w, joints, width, resolutions, position, torque)
     return kernel.stiffness_ratio(w, joints, width, step)

@@ -27,10 +27,10 @@ _ORIGINS: tuple[tuple[str, str | Mapping[int, str]], ...] = (
     (r"arm\.", _TABLE_I),
     (r"robot\.|friction\.", ASSUMPTION),
     (r"sensors\..*_resolution", "paper, Table II"),
-    (r"sensors\.|substeps|perturbation\.(cutoff|order)", DESIGN),
+    (r"sensors\.|actuators\.|substeps|perturbation\.(cutoff|order)", DESIGN),
     (r"perturbation\.peak", _TABLE_III),
     (r"law\.kind", "paper: imbic"),
-    (r"voluntary\.|target\.|law\.|safety\.|sequence\.(settle|rest)", ASSUMPTION),
+    (r"voluntary\.|target\.|law\.|safety\.|tare\.|sequence\.(settle|rest)", ASSUMPTION),
     (r"known\.", "as simulated"),
     (r"sequence\.duration", "paper: 50 s"),
 )
@@ -87,8 +87,8 @@ def assumptions(config: Mapping[str, Any], *, friction: str | None = None) -> li
         ),
         (
             "Sensors and arm",
-            "Sensors have a resolution but no other noise. The arm is linear about its posture, "
-            "relaxed, and strapped in without play.",
+            f"Sensors have {_of_sensors(config)} but no other noise. The arm is linear about its "
+            "posture, relaxed, and strapped in without play.",
         ),
     ]
     joints = setting(config, "experiment", "joints")
@@ -99,6 +99,27 @@ def assumptions(config: Mapping[str, Any], *, friction: str | None = None) -> li
         chain = "All values of this arm and its robot, and the size of its drives, are chosen."
         found.insert(0, ("Arm", f"The paper's arm has two joints. {chain}"))
     return found
+
+
+_IMPERFECTIONS = {
+    "sensors.torque_offset": "an offset",
+    "sensors.torque_drift": "drift",
+    "sensors.torque_gain": "a wrong gain",
+    "sensors.torque_delay": "a delay",
+    "sensors.torque_cutoff": "a low-pass",
+}
+
+
+def _of_sensors(config: Mapping[str, Any]) -> str:
+    """What the simulated sensors have, in words."""
+    words = ["a resolution"]
+    for name, what in _IMPERFECTIONS.items():
+        value = setting(config, "arm_sim", name)
+        neutral = 1.0 if name == "sensors.torque_gain" else 0.0
+        values = value if isinstance(value, list) else [value]
+        if any(one not in (None, neutral) for one in values):
+            words.append(what)
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
 
 
 def _dotted(values: object, prefix: str = "") -> Iterator[str]:

@@ -176,12 +176,14 @@ def _evidence(
         if trial.record is not None or (summary.estimators and trial.segments)
     ]
     welch = segments_for([trial.segments for trial in used])
+    known = summary.torque_reading
+    reading = None if known is None else known.reading()
     found = []
     for trial in sorted(trials, key=lambda trial: (trial.window.joint, trial.trial)):
         spectra = None
         if trial in used:
             try:
-                spectra = TrialData.from_stretches(trial.segments, welch).spectra
+                spectra = TrialData.from_stretches(trial.segments, welch, reading).spectra
             except DataError as error:
                 notes.append(str(error))
         found.append(TrialEvidence(assembled=trial, spectra=spectra))

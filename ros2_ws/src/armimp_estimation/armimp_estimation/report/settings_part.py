@@ -13,15 +13,24 @@ from armimp_estimation.report.result import Result, setting
 
 
 def settings_section(result: Result) -> Html:
-    """Seed, versions, the whole configuration."""
+    """Seed, versions, the whole configuration, and what is known of the torque readings."""
     config = result.summary.config
+    known = result.summary.torque_reading
+    told = []
+    if known is not None:
+        text = (
+            f"Torques were read {known.reading().sentence}. All estimates are corrected for delay "
+            "and low-pass, lpm_full for the instant as well."
+        )
+        told.append(element("p", text))
     if not config:
         text = "The recordings carry no configuration: they were made elsewhere."
-        return section("settings", "How it was made", element("p", text))
+        return section("settings", "How it was made", element("p", text), *told)
     return section(
         "settings",
         "How it was made",
         identity(config, written(result.summary.seed)),
+        *told,
         *configuration(config),
     )
 

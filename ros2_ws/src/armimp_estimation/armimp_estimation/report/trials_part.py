@@ -114,6 +114,8 @@ def _facts(result: Result, one: TrialEvidence) -> str:
         facts.append(early)
     if window.seed is not None:
         facts.append(f"seed {window.seed}")
+    if window.tare:
+        facts.append("tare " + ", ".join(number(value, ".3f", "N·m") for value in window.tare))
     if one.assembled.segments:
         angles = np.degrees(one.assembled.segments[0].position.mean(axis=1))
         facts.append("mean posture " + ", ".join(number(a, ".2f", "°") for a in angles.tolist()))

@@ -1,0 +1,195 @@
+"""The tare of the torque transducers: what it is, when it is taken, which is refused."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import ConfigurationError
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_control.experiment import Experiment
+from armimp_control.parameters import (
+    ControllerParameters,
+    SequenceParameters,
+    TareParameters,
+)
+from armimp_control.sequence import SequenceConfig, timetable
+from armimp_control.tare import TareConfig, tare
+
+Array = NDArray[np.float64]
+POSTURE = np.radians([62.708, 77.260])
+WAIT, READ, SETTLE, PERTURB, REST = 100, 400, 50, 200, 60
+TRIAL = WAIT + READ + SETTLE + PERTURB + REST
+
+
+@pytest.mark.parametrize(("ticks", "left"), [(400, 0.02), (1000, 0.002), (1003, 0.002)])
+def test_dither_and_mains_hum_do_not_reach_the_tare(ticks: int, left: float) -> None:
+    t = 1e-3 * np.arange(ticks)
+    hum = sum(np.sin(2.0 * np.pi * f * t + f) for f in (35.0, 45.5, 50.0))
+    found = tare(np.array([0.7 + 2.0 * hum, -0.3 - hum]))
+    assert found.offset == pytest.approx((0.7, -0.3), abs=left)
+    assert max(found.error) < left
+
+
+def test_the_standard_error_covers_noise_and_shows_unrest() -> None:
+    rng = np.random.default_rng(3)
+    found = [tare(rng.standard_normal((1, 1000))) for _ in range(400)]
+    scatter = np.std([one.offset[0] for one in found])
+    assert np.sqrt(np.mean([one.error[0] ** 2 for one in found])) == pytest.approx(scatter, rel=0.1)
+    slow = np.sin(2.0 * np.pi * np.arange(1000) * 1e-3)
+    assert tare(slow[None]).error[0] > 0.2
+
+
+def test_readings_while_it_waits_do_not_count() -> None:
+    config = TareConfig(duration=0.5, wait=0.2)
+    readings = np.ones((2, 700))
+    readings[:, :200] = 99.0
+    assert config.ticks(1e-3) == 700
+    assert config.of(readings, 1e-3).offset == pytest.approx((1.0, 1.0))
+
+
+def test_without_a_duration_there_is_no_tare() -> None:
+    assert TareConfig().ticks(1e-3) == 0
+    assert not any(one.tare for one in timetable(SequenceConfig(), joints=2, period=1e-3))
+
+
+def test_each_trial_begins_with_a_tare() -> None:
+    config = SequenceConfig(duration=2.0, tare=TareConfig(duration=0.4, wait=0.1))
+    segments = timetable(config, joints=2, period=1e-3)
+    assert [one.tare for one in segments] == [True, False, False, False] * 2
+    assert [one.phase for one in segments[:2]] == [Phase.SETTLE, Phase.SETTLE]
+    assert [one.ticks for one in segments] == [500, 500, 2000, 500] * 2
+    assert [one.first for one in segments[1:]] == [one.end for one in segments[:-1]]
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"duration": 0.2}, "duration must be 0, or between 0.4 and 60 s, got 0.2 s"),
+        ({"duration": float("nan")}, "got nan s"),
+        ({"wait": -0.1}, "wait must be between 0 and 60 s, got -0.1 s"),
+        ({"limit": 0.0}, "limit must be positive, got 0.0 N·m"),
+        ({"noise": float("inf")}, "noise must be positive, got inf N·m"),
+    ],
+)
+def test_impossible_values_are_refused_and_named(values: dict[str, Any], words: str) -> None:
+    with pytest.raises(ConfigurationError, match=words):
+        TareConfig(**values)
+
+
+def parameters(**values: Any) -> ControllerParameters:
+    preset = ControllerParameters.preset(
+        joints=("shoulder", "elbow"),
+        posture=POSTURE,
+        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
+        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+    )
+    return preset.model_copy(
+        update={
+            "sequence": SequenceParameters(
+                duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
+            ),
+            "tare": TareParameters(duration=READ / 1000, wait=WAIT / 1000, **values),
+        }
+    )
+
+
+@dataclass
+class Bench:
+    """An experiment with the arm in its posture, and what it says and answers."""
+
+    parameters: ControllerParameters
+    statuses: list[TrialStatus] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.experiment = Experiment(self.parameters, self.statuses.append)
+        self.tick = 0
+
+    def run(self, ticks: int, torque: Array) -> list[Array]:
+        commands = []
+        for _ in range(ticks):
+            self.experiment.answer(self.tick * PERIOD_NS, tuple(POSTURE), tuple(torque))
+            commands.append(self.experiment.command.copy())
+            self.tick += 1
+        return commands
+
+    @property
+    def last(self) -> TrialStatus:
+        return self.statuses[-1]
+
+
+OFFSET = np.array([0.8, -0.5])
+
+
+def test_an_offset_that_was_tared_does_not_move_the_joint_and_one_that_was_not_does() -> None:
+    for shift, moved in ((0.0, False), (0.3, True)):
+        bench = Bench(parameters())
+        held = bench.run(WAIT + READ, OFFSET)
+        # In its posture, without any torque to feel, a held joint needs none.
+        assert np.max(np.abs(held)) == 0.0
+        settling = bench.run(SETTLE, OFFSET + np.array([shift, 0.0]))
+        assert (np.max(np.abs(settling)) > 0.1) == moved
+
+
+def test_the_tare_is_announced_with_the_perturbation_and_taken_anew_before_each_trial() -> None:
+    bench = Bench(parameters())
+    bench.run(WAIT + READ, OFFSET)
+    assert [(one.phase, one.tare) for one in bench.statuses] == [(Phase.SETTLE, ())]
+    bench.run(SETTLE + 1, OFFSET)
+    assert [one.phase for one in bench.statuses[1:]] == [Phase.PERTURB]
+    assert bench.last.tare == pytest.approx(tuple(OFFSET), abs=1e-12)
+    assert bench.last.tare_error == pytest.approx((0.0, 0.0), abs=1e-12)
+    bench.run(TRIAL - WAIT - READ - SETTLE - 1, OFFSET)
+    assert [one.phase for one in bench.statuses[2:]] == [Phase.REST]
+    bench.run(1, OFFSET)
+    assert (bench.last.phase, bench.last.trial, bench.last.tare) == (Phase.SETTLE, 2, ())
+    bench.run(WAIT + READ + SETTLE, 2.0 * OFFSET)
+    assert [one.phase for one in bench.statuses[4:]] == [Phase.PERTURB]
+    assert bench.last.tare == pytest.approx(tuple(2.0 * OFFSET), abs=1e-12)
+    assert TrialStatus.from_values(bench.last.to_values()) == bench.last
+
+
+def test_no_joint_feels_torque_while_the_tare_is_taken() -> None:
+    """A person who pushes then does not make the arm give way."""
+    bench = Bench(parameters(limit=100.0, noise=100.0))
+    rng = np.random.default_rng(1)
+    for _ in range(WAIT + READ):
+        assert np.max(np.abs(bench.run(1, rng.uniform(-20.0, 20.0, 2)))) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (
+            {"limit": 0.6},
+            r"the torque of shoulder reads 0\.80?1? N·m at rest, tare\.limit is 0\.6 N·m",
+        ),
+        ({"noise": 1e-6}, r"the torque of shoulder does not rest: .* tare\.noise is 1e-06 N·m"),
+    ],
+)
+def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturbed(
+    values: dict[str, float], words: str
+) -> None:
+    bench = Bench(parameters(**values))
+    bench.run(WAIT + READ // 2, OFFSET)
+    bench.run(READ // 2, OFFSET + 1e-3)
+    bench.run(1, OFFSET)
+    assert bench.last.phase is Phase.ABORTED
+    assert not bench.last.valid
+    assert re.search(words, bench.last.reason)
+    assert bench.experiment.finished
+    bench.run(SETTLE + 10, OFFSET)
+    assert not bench.experiment.tau_delta.any()
+    assert bench.experiment.at_rest
+
+
+def test_parameters_of_the_tare_are_checked_before_anything_starts() -> None:
+    wrong = parameters().model_copy(update={"tare": TareParameters(duration=0.1)})
+    with pytest.raises(ConfigurationError, match=r"duration must be 0, or between 0\.4"):
+        wrong.check()

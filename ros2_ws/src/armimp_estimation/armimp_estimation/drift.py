@@ -1,0 +1,113 @@
+"""Drift of the signals of a trial: found, and taken out where there is any.
+
+A transducer that drifts adds a ramp to its torque, and through the feedback of the measured torque
+to the angle of the perturbed joint. In the spectrum a ramp falls off with 1/f only, so that it
+reaches the lowest bins of the band, as a disturbance that no average removes. A straight line
+fitted to the signal would also take out what the perturbation does there. But the response to that
+can be told from a ramp: at the lowest bins each output obeys
+
+    Y(k) = G(k) U(k) + T(k) + c·D(k) + V(k)
+
+as in :mod:`armimp_estimation.local_polynomial`, with the transform D of a ramp, and the slope c
+follows by least squares, with its standard error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_estimation.local_polynomial import LocalPolynomialConfig
+from armimp_estimation.record import TrialRecord
+
+FloatArray = NDArray[np.float64]
+
+SIGNIFICANT = 6.0
+"""Standard errors beyond which a slope is taken for drift: in no record does chance get there."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drift:
+    """Slopes of the signals of a trial, beside what the perturbation does.
+
+    Attributes
+    ----------
+    position, position_error : ndarray, shape (n,)
+        Of the angles and their standard errors, rad/s.
+    torque, torque_error : ndarray, shape (n,)
+        Of the torques, N·m/s.
+    """
+
+    position: FloatArray
+    position_error: FloatArray
+    torque: FloatArray
+    torque_error: FloatArray
+
+    @property
+    def significant(self) -> bool:
+        """Whether there is any beyond chance."""
+        return any(slope.any() for slope in self._found())
+
+    def _found(self) -> list[FloatArray]:
+        return [
+            np.where(np.abs(slope) > SIGNIFICANT * error, slope, 0.0)
+            for slope, error in (
+                (self.position, self.position_error),
+                (self.torque, self.torque_error),
+            )
+        ]
+
+    def removed_from(self, record: TrialRecord) -> TrialRecord:
+        """A record of the trial without those slopes that are beyond chance."""
+        t = (np.arange(record.samples) - 0.5 * (record.samples - 1)) / record.rate
+        position, torque = (slope[:, None] * t for slope in self._found())
+        return replace(record, position=record.position - position, torque=record.torque - torque)
+
+
+def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) -> Drift | None:
+    """Find the slopes of angles and torques.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        A trial without gaps.
+    local : LocalPolynomialConfig, optional
+        Bins and degree.
+
+    Returns
+    -------
+    Drift or None
+        None if the record is too short, or its perturbation too poor, to tell.
+    """
+    config = local or LocalPolynomialConfig()
+    places = np.arange(1, config.window + 1)
+    samples, n = record.samples, record.joints
+    if (samples - 1) // 2 < config.window:
+        return None
+    inputs = np.fft.rfft(record.perturbation[record.perturbed_joint])[places]
+    scale = np.sqrt(np.mean(np.abs(inputs) ** 2))
+    if not scale > 0.0:
+        return None
+    ramp = np.fft.rfft(np.arange(samples) / record.rate)[places]
+    size = np.sqrt(np.mean(np.abs(ramp) ** 2))
+    powers = ((places - places.mean()) / config.half_width)[:, None] ** np.arange(config.order + 1)
+    columns = [(inputs / scale)[:, None] * powers, powers, (ramp / size)[:, None]]
+    basis, triangle = np.linalg.qr(np.concatenate(columns, axis=1))
+    freedom = config.window - triangle.shape[0]
+    if freedom < 1 or np.min(np.abs(np.diag(triangle))) < 1e-9 * np.max(np.abs(triangle)):
+        return None
+    outputs = np.concatenate([record.position, record.torque])
+    observed = np.fft.rfft(outputs - outputs.mean(axis=1, keepdims=True), axis=1)[:, places].T
+    parts = np.conj(basis.T) @ observed
+    noise = np.sum(np.abs(observed - basis @ parts) ** 2, axis=0) / freedom
+    # The ramp is the last column, so its coefficient follows from the last row alone.
+    slopes = (parts[-1] / triangle[-1, -1]).real / size
+    errors = np.sqrt(0.5 * noise) / (abs(triangle[-1, -1]) * size)
+    return Drift(
+        position=slopes[:n],
+        position_error=errors[:n],
+        torque=slopes[n:],
+        torque_error=errors[n:],
+    )

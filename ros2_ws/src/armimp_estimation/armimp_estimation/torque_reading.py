@@ -1,0 +1,265 @@
+"""How readings of torque come about: instant, delay, anti-alias filter; what undoes it.
+
+The torque on the arm is ``τ(ω)``. It passes a low-pass H, is read late by D, at the ticks of the
+control: ``G(ω) = H(ω) exp(-jωD)``. That alone would be undone by division by G. But commands step
+at the ticks, so that τ jumps there, and the spectrum of what jumps does not end at half the
+sampling rate: sampling folds it back into the band. By how much is known in closed form. Be
+``s(t)`` the response of a reading to a step of 1 N·m at t = 0, ``r(t)`` its integral over t/L. The
+spectrum of the readings is then, with jumps ``J`` and jumps of the slope ``S/L`` at the ticks
+(whose spectra repeat at the sampling rate), and with x = ωL,
+
+    y(ω) = G τ(ω) - e(ω) J(ω) - b(ω) S(ω)
+    e = G/jx - Σ_n s(nL) exp(-jxn),   b = G/(jx)² - Σ_n r(nL) exp(-jxn),   n > 0
+
+For readings just before the update that pass no filter, ``e = 1/2 - jx/12 ...``, ``b = 1/12 ...``:
+the Euler-Maclaurin formula. For a drive that lags, whose torque does not jump, s and r are the
+responses to its command, and the first terms of e and b have the response of the drive as a factor.
+"""
+
+from dataclasses import asdict, dataclass
+from enum import Enum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_estimation.json_model import JsonModel
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+_APART = 1e-5
+"""Relative distance that poles have at least; partial fractions know no double ones."""
+HIGHEST_ORDER = 4
+
+
+class TorqueTiming(str, Enum):
+    """When torques are read, relative to the update of the command at the same sample."""
+
+    BEFORE_UPDATE = "before_update"
+    """Just before: what jumps with the command is late."""
+    INTERVAL_MEAN = "interval_mean"
+    """As the mean since the last sample: everything is late by half a sample."""
+    SIMULTANEOUS = "simultaneous"
+    """With the angles, and nothing jumps."""
+
+
+_INSTANTS = {
+    TorqueTiming.BEFORE_UPDATE: "just before each command takes effect",
+    TorqueTiming.INTERVAL_MEAN: "as means over the control period",
+    TorqueTiming.SIMULTANEOUS: "at the instant of the angles",
+}
+
+
+class ReadingSummary(JsonModel):
+    """What ``summary.json`` tells of a :class:`TorqueReading`; SI units."""
+
+    timing: TorqueTiming
+    delay: float
+    cutoff: float
+    order: int
+    actuator_lag: float
+
+    @classmethod
+    def of(cls, reading: "TorqueReading") -> "ReadingSummary":
+        """Summary of what was corrected."""
+        return cls.model_validate(asdict(reading))
+
+    def reading(self) -> "TorqueReading":
+        """What was corrected.
+
+        Raises
+        ------
+        ConfigurationError
+            If a value is out of range.
+        """
+        return TorqueReading(**self.model_dump())
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueReading:
+    """What is known of the readings of torque, all joints alike.
+
+    Parameters
+    ----------
+    timing : TorqueTiming
+        When they are read.
+    delay : float
+        How late they are beyond that, s.
+    cutoff : float
+        Cut-off frequency of the Butterworth low-pass before the sampling, Hz; 0: there is none.
+    order : int
+        Its order.
+    actuator_lag : float
+        Time constant with which the torque of the drives follows the commands, s; 0: at once. It
+        delays torques and angles alike, and matters for what sampling folds back only.
+
+    Raises
+    ------
+    ConfigurationError
+        If a value is out of range.
+    """
+
+    timing: TorqueTiming = TorqueTiming.BEFORE_UPDATE
+    delay: float = 0.0
+    cutoff: float = 0.0
+    order: int = 1
+    actuator_lag: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name, unit in (("delay", "s"), ("cutoff", "Hz"), ("actuator_lag", "s")):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ConfigurationError(
+                    f"torque reading: {name} must be finite and not negative, got {value!r} {unit}"
+                )
+        if not 1 <= self.order <= HIGHEST_ORDER:
+            raise ConfigurationError(
+                f"torque reading: order must be 1 to {HIGHEST_ORDER}, got {self.order!r}"
+            )
+
+    @property
+    def prompt(self) -> bool:
+        """Whether nothing but the instant of reading is to be corrected."""
+        return not (self.delay or self.cutoff or self.actuator_lag)
+
+    @property
+    def sentence(self) -> str:
+        """All of this in words."""
+        facts = [_INSTANTS[self.timing]]
+        if self.delay:
+            facts.append(f"{1e3 * self.delay:g} ms late")
+        if self.cutoff:
+            facts.append(
+                f"through a Butterworth low-pass of order {self.order}, {self.cutoff:g} Hz"
+            )
+        if self.actuator_lag:
+            facts.append(f"drives lag by {1e3 * self.actuator_lag:g} ms")
+        return ", ".join(facts)
+
+    def response(self, f: FloatArray) -> ComplexArray:
+        """``G = H exp(-jωD)`` at frequencies in Hz."""
+        late = np.exp(-2j * np.pi * f * self.delay)
+        low_pass = np.ones(f.shape, dtype=np.complex128)
+        if self.cutoff > 0.0:
+            b, a = self._low_pass
+            low_pass = np.polyval(b, 2j * np.pi * f) / np.polyval(a, 2j * np.pi * f)
+        return np.asarray(low_pass * late, dtype=np.complex128)
+
+    def folded(self, f: FloatArray, rate: float) -> tuple[ComplexArray, ComplexArray]:
+        """What readings lack per jump and per jump of the slope, (e, b) of the module.
+
+        Parameters
+        ----------
+        f : ndarray, shape (n_freq,)
+            Frequencies, Hz.
+        rate : float
+            Updates and readings per second, Hz.
+        """
+        x = 2.0 * np.pi * f / rate
+        first, since = self._first(rate)
+        z = np.exp(-1j * x)
+        steps = 1.0 / (1.0 - z)
+        ramps = since * steps + z * steps**2
+        for amplitude, pole in zip(*self._modes, strict=True):
+            decay = np.exp(pole * since / rate) / (1.0 - np.exp(pole / rate) * z)
+            steps = steps + amplitude * decay
+            ramps = ramps + amplitude * rate / pole * (decay - 1.0 / (1.0 - z))
+        driven = self.response(f) / (1.0 + 2j * np.pi * f * self._lag)
+        edge = driven / (1j * x) - z**first * steps
+        bend = driven / (1j * x) ** 2 - z**first * ramps
+        return edge, bend
+
+    def skew(self, rate: float) -> float:
+        """How late is what jumps, at low frequency and beyond the delay of G, samples.
+
+        This is ``e(0)``: the inertial torque is ``jx`` times the jumps.
+        """
+        if self.timing is TorqueTiming.SIMULTANEOUS:
+            return 0.0
+        if self.timing is TorqueTiming.INTERVAL_MEAN or self.prompt:
+            return 0.5
+        first, since = self._first(rate)
+        skew = first - 0.5 - self.delay * rate
+        for amplitude, pole in zip(*self._modes, strict=True):
+            decay = np.exp(pole * since / rate) / (1.0 - np.exp(pole / rate))
+            skew -= float((amplitude * (decay + rate / pole)).real)
+        return skew
+
+    def answers(self, rate: float, count: int) -> FloatArray:
+        """Responses of readings to a step, a ramp and a parabola of the torque at an update.
+
+        Parameters
+        ----------
+        rate : float
+            Readings per second, Hz.
+        count : int
+            How many readings, from the first one that shows anything on.
+
+        Returns
+        -------
+        ndarray, shape (3, count)
+            For torques of 1, t/L and (t/L)²/2.
+        """
+        _, since = self._first(rate)
+        t = since + np.arange(count)
+        found = np.stack([np.ones(count), t, 0.5 * t**2]).astype(np.complex128)
+        for amplitude, pole in zip(*self._modes, strict=True):
+            turn = pole / rate
+            rest = np.exp(turn * t)
+            found[0] += amplitude * rest
+            found[1] += amplitude / turn * (rest - 1.0)
+            found[2] += amplitude / turn**2 * (rest - 1.0 - turn * t)
+        return np.ascontiguousarray(found.real)
+
+    def whitening(self, rate: float) -> FloatArray:
+        """Coefficients that take the poles of the low-pass from readings, newest first; sum 1."""
+        _, poles = self._modes
+        coefficients = np.atleast_1d(np.poly(np.exp(poles / rate))).real
+        return np.asarray(coefficients / np.sum(coefficients))
+
+    def first_lag(self, rate: float) -> int:
+        """Periods from an update to the first reading that shows it."""
+        return self._first(rate)[0]
+
+    def _first(self, rate: float) -> tuple[int, float]:
+        """That, and how many periods after the update that reading belongs to, 0 < since <= 1."""
+        periods = self.delay * rate
+        # A delay of whole periods may come with a rounding error.
+        first = int(np.floor(periods + 1e-9)) + 1
+        return first, float(min(first - periods, 1.0))
+
+    @cached_property
+    def _lag(self) -> float:
+        """Lag of the drives, a little away from the time constant of a low-pass of first order."""
+        if self.cutoff > 0.0 and self.order == 1:
+            ratio = 2.0 * np.pi * self.cutoff * self.actuator_lag
+            if abs(ratio - 1.0) < _APART:
+                return self.actuator_lag * (1.0 + 2.0 * _APART)
+        return self.actuator_lag
+
+    @cached_property
+    def _low_pass(self) -> tuple[FloatArray, FloatArray]:
+        # Where there is no low-pass, nobody has to wait for this import.
+        from scipy.signal import butter
+
+        b, a = butter(self.order, 2.0 * np.pi * self.cutoff, analog=True)
+        return np.asarray(b), np.asarray(a)
+
+    @cached_property
+    def _modes(self) -> tuple[ComplexArray, ComplexArray]:
+        """Amplitudes and poles of what a step response has beside 1, of drive and low-pass."""
+        b: FloatArray = np.ones(1)
+        a: FloatArray = np.ones(1)
+        if self.cutoff > 0.0:
+            b, a = self._low_pass
+        if self._lag > 0.0:
+            a = np.asarray(np.polymul(a, [self._lag, 1.0]), dtype=np.float64)
+        if len(a) == 1:
+            nothing = np.zeros(0, dtype=np.complex128)
+            return nothing, nothing
+        from scipy.signal import residue
+
+        residues, poles, _ = residue(b, a)
+        return np.asarray(residues / poles, dtype=np.complex128), np.asarray(poles)

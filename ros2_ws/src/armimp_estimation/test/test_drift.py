@@ -1,0 +1,113 @@
+"""Drift of a trial's signals: found beside what the perturbation does, and taken out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_estimation.drift import drift_of
+from armimp_estimation.fit import fit_mbk
+from armimp_estimation.lpm import LpmConfig, LpmFull
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData
+from armimp_estimation.welch import WelchFull
+
+FloatArray = NDArray[np.float64]
+
+ARM = TWO_JOINT_ARM
+WELCH = WelchConfig(segment=1024, overlap=768)
+# As 50 s at 1 kHz in resolution and band, with an eighth of the samples.
+LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
+LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
+SLOPE = np.array([0.02, -0.01])  # N·m/s
+
+
+def record(joint: int, seed: int = 1, voluntary: float = 0.05) -> TrialRecord:
+    return synthetic_trial(ARM, joint, replace(LOOP, voluntary=voluntary), seed)
+
+
+def drifting(one: TrialRecord, slope: FloatArray = SLOPE) -> TrialRecord:
+    t = np.arange(one.samples) / one.rate
+    return replace(one, torque=one.torque + 0.7 + slope[:, None] * t)
+
+
+def test_the_slope_of_a_ramp_is_found_to_within_its_standard_error() -> None:
+    ratios = []
+    for seed in range(40):
+        one = drifting(record(seed % 2, seed, voluntary=0.3))
+        found = drift_of(one)
+        assert found is not None
+        ratios.append((found.torque - SLOPE) / found.torque_error)
+        ratios.append(found.position / found.position_error)
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.35)
+
+
+def test_a_trial_without_drift_stays_as_it_is() -> None:
+    one = record(0)
+    found = drift_of(one)
+    assert found is not None
+    assert not found.significant
+    assert TrialData.from_record(one, WELCH).record is one
+
+
+def test_drift_goes_and_offset_stays_and_nothing_else_changes() -> None:
+    one = record(0)
+    data = TrialData.from_record(drifting(one), WELCH)
+    found = drift_of(drifting(one))
+    assert found is not None
+    left = data.record.torque - one.torque
+    t = (np.arange(one.samples) - 0.5 * (one.samples - 1)) / one.rate
+    rest = (SLOPE - found.torque)[:, None] * t
+    assert np.max(np.abs(rest)) < 0.1 * np.max(np.abs(SLOPE)) * t[-1]
+    middle = 0.7 + SLOPE * 0.5 * (one.samples - 1) / one.rate
+    assert left == pytest.approx(middle[:, None] + rest, abs=1e-12)
+    assert np.array_equal(data.record.position, one.position)
+    assert np.array_equal(data.record.perturbation, one.perturbation)
+
+
+@pytest.mark.parametrize("estimator", [LPM, WelchFull()], ids=lambda one: one.name)
+def test_drift_costs_the_estimates_nothing_and_would_cost_them_the_stiffness(
+    estimator: LpmFull | WelchFull, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def worst(slope: float) -> tuple[float, float]:
+        """Largest error of K, and of the curve at the lowest bins, relative to |Z|."""
+        data = [
+            TrialData.from_record(drifting(record(joint), slope * SLOPE), WELCH)
+            for joint in range(2)
+        ]
+        found = estimator.estimate(data)
+        low = found.f < 0.3
+        true = ARM.impedance(found.f)
+        curve = np.abs(found.Z / true - 1.0)[:, :, low]
+        return float(np.max(np.abs(fit_mbk(found).mbk.K / ARM.K - 1.0))), float(np.max(curve))
+
+    plain, freed = worst(0.0), worst(20.0)
+    monkeypatch.setattr("armimp_estimation.trial.drift_of", lambda _: None)
+    spoilt = worst(20.0)
+    assert freed[0] < plain[0] + 0.01
+    assert freed[1] < plain[1] + 0.03
+    assert spoilt[1] > 3.0 * freed[1]
+
+
+def test_a_column_while_the_trial_runs_is_free_of_drift_as_well() -> None:
+    one = record(0)
+    plain = LPM.column(one).values
+    assert LPM.column(drifting(one, 20.0 * SLOPE)).values == pytest.approx(plain, rel=0.01)
+
+
+def test_records_that_are_too_short_to_tell_are_left_alone() -> None:
+    one = record(0)
+    short = replace(
+        one,
+        perturbation=one.perturbation[:, :40],
+        position=one.position[:, :40],
+        torque=one.torque[:, :40],
+    )
+    assert drift_of(short) is None
+    assert drift_of(replace(one, perturbation=np.zeros_like(one.perturbation))) is None

@@ -1,0 +1,136 @@
+"""The experiment on the driver template, with the sensors of a real rig: calibration decides."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.offline_estimate import estimate_bags
+from armimp_bringup.orchestrator import run_experiment
+from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE
+from armimp_common.domain import DomainClaim
+from armimp_estimation.bags import read_bag
+from armimp_estimation.conclusion import Conclusion
+from armimp_sim.presets import human_arm
+
+SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
+pytestmark = pytest.mark.usefixtures("environment")
+
+MOCK = {
+    "mock.offset": "[0.8, -0.5]",
+    "mock.drift": "[0.01, -0.005]",
+    "mock.delay": "0.0017",
+    "mock.cutoff": "200.0",
+    "mock.lag": "0.0003",
+}
+"""A transducer and a drive as they are."""
+CALIBRATION: dict[str, Any] = {
+    "torque_delay": 0.0017,
+    "imbic_controller": {
+        "tare": {"duration": 1.0},
+        "known": {"torque_delay": 0.0017, "torque_cutoff": 200.0, "actuator_lag": 0.0003},
+    },
+    "impedance_estimator": {"torque": {"cutoff": 200.0, "actuator_lag": 0.0003}},
+}
+"""And what the experiment is told of them."""
+
+
+@pytest.fixture
+def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The template and the two other nodes, started as somebody else would."""
+    with DomainClaim() as claim:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
+    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+    options = [part for name, value in MOCK.items() for part in ("-p", f"{name}:={value}")]
+    started = [["armimp_driver_template.node", "--ros-args", *options]]
+    for node, package in ((CONTROLLER_NODE, "control"), (ESTIMATOR_NODE, "estimation")):
+        path = SOURCES / f"armimp_{package}/config/{node}.yaml"
+        started.append([f"armimp_{package}.node", "--ros-args", "--params-file", str(path)])
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-m", *arguments], env=environment, start_new_session=True
+        )
+        for arguments in started
+    ]
+    yield
+    for process in processes:
+        process.send_signal(signal.SIGINT)
+    for process in processes:
+        try:
+            process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+def figures(conclusion: Conclusion) -> dict[str, float]:
+    """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm."""
+    assert conclusion.identification is not None
+    result = conclusion.identification.estimators["lpm_full"]
+    arm, estimate = human_arm(2), result.estimate
+    s = 2j * np.pi * estimate.f
+    true = sum(
+        matrix[:, :, None] * s**power
+        for matrix, power in ((arm.inertia, 2), (arm.damping, 1), (arm.stiffness, 0))
+    )
+    missed = np.sum(np.abs(true - estimate.Z) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
+    found = {
+        "VAF": float(np.min(100.0 * (1.0 - missed))),
+        "R2": float(np.min(result.fit.r2)),
+        "coherence": float(np.min(result.coherence_derived)),
+    }
+    pairs = {"M": arm.inertia, "B": arm.damping, "K": arm.stiffness}
+    for name, matrix in pairs.items():
+        error = np.abs(getattr(result.fit.mbk, name) / matrix - 1.0)
+        found[name] = 100.0 * float(np.max(error))
+    print({name: round(value, 4) for name, value in found.items()})
+    return found
+
+
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("duration", "percent"), [(20.0, 5.0), pytest.param(50.0, 2.0, marks=pytest.mark.faults)]
+)
+def test_offset_drift_delay_filter_and_lag_are_calibrated_out_and_spoil_the_result_if_not(
+    nodes: None, tmp_path: Path, duration: float, percent: float
+) -> None:
+    """The row of `lpm_full`, for trials of 50 s; shorter ones have larger random errors."""
+    config = ExperimentConfig.model_validate(
+        {"duration": duration, "processes": "external", **CALIBRATION}
+    )
+
+    summary = run_experiment(config, tmp_path / "out")
+
+    assert summary.problems == []
+    assert summary.truth is None
+    assert summary.torque_reading is not None
+    assert summary.torque_reading.delay == 0.0017
+    bags = [tmp_path / "out" / str(trial.bag) for trial in summary.trials]
+    # What was tared is in the bag, the torques are raw.
+    for number, bag in enumerate(bags):
+        (trial,) = read_bag(bag).trials
+        seconds = number * (duration + 2.5) + 1.0
+        expected = (0.8 + 0.01 * seconds, -0.5 - 0.005 * seconds)
+        assert trial.window.tare == pytest.approx(expected, abs=0.03)
+
+    told, _ = estimate_bags(bags, ("lpm_full",))
+    assert told.summary.estimators["lpm_full"] == summary.estimators["lpm_full"]
+    found = figures(told)
+    assert found["VAF"] >= 99.7
+    assert found["R2"] >= 0.997
+    assert found["coherence"] >= 0.985
+    assert max(found[name] for name in ("M", "B", "K")) <= percent
+
+    not_told, _ = estimate_bags(bags, ("lpm_full",), torque_delay=0.0)
+    assert figures(not_told)["B"] > 10.0
+    assert figures(not_told)["VAF"] < 99.7

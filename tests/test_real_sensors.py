@@ -1,0 +1,235 @@
+"""The experiment with sensors and drives of a real rig, without ROS: what calibration is worth."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_bringup.cli import main
+from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_control.experiment import Experiment
+from armimp_estimation.conclusion import reading_of
+from armimp_estimation.identify import EstimatorResult, identify
+from armimp_estimation.lpm import LpmConfig
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.settings import IdentifyConfig
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.torque_reading import TorqueReading
+from armimp_estimation.trial import TrialData
+from armimp_sim.rig import SimulatedRig
+
+Array = NDArray[np.float64]
+TARE = {"tare": {"duration": 0.6, "wait": 0.4}}
+OFFSET, DRIFT = [0.8, -0.5], [0.02, -0.01]
+DURATION = 20.0
+
+
+def chosen(
+    sensors: Mapping[str, Any] | None = None,
+    *,
+    lag: float = 0.0,
+    tare: bool = True,
+    duration: float = DURATION,
+    **levels: int,
+) -> NodeParameters:
+    """Parameters of an experiment with the given `sensors.torque_...`."""
+    config = {
+        "duration": duration,
+        "arm_sim": {
+            "sensors": {f"torque_{name}": value for name, value in (sensors or {}).items()},
+            "actuators": {"lag": lag},
+        },
+        "imbic_controller": TARE if tare else {},
+        **levels,
+    }
+    return node_parameters(ExperimentConfig.model_validate(config), None)
+
+
+CASES: dict[str, NodeParameters] = {
+    "prompt": chosen(),
+    "offset and drift": chosen({"offset": OFFSET, "drift": DRIFT}),
+    "delay": chosen({"delay": 0.002}),
+    "filter": chosen({"cutoff": 200.0}),
+    "lag": chosen(lag=0.001),
+    "everything": chosen(
+        {"offset": OFFSET, "drift": DRIFT, "delay": 0.0017, "cutoff": 200.0}, lag=0.0003
+    ),
+}
+
+
+@functools.cache
+def recorded(name: str) -> list[TrialRecord]:
+    """Trials of a case."""
+    (run,) = run_offline([CASES[name].rig()])
+    return [record(trial) for trial in run]
+
+
+def record(trial: OfflineTrial) -> TrialRecord:
+    return TrialRecord(
+        trial=trial.joint + 1,
+        perturbed_joint=trial.joint,
+        rate=1000.0,
+        joint_names=("shoulder", "elbow"),
+        perturbation=trial.perturbation,
+        position=trial.position,
+        torque=trial.torque,
+        command=trial.command,
+        start_ns=trial.first_tick * PERIOD_NS,
+        seed=1,
+    )
+
+
+def truth() -> MBK:
+    arm = CASES["prompt"].simulator.human_arm()
+    return MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+
+
+@functools.cache
+def estimated(name: str, *, told: bool = True) -> EstimatorResult:
+    """What `lpm_full` makes of a case, with or without knowing of the readings."""
+    known = reading_of(CASES[name].estimator.bag_metadata()) if told else TorqueReading()
+    records = recorded(name)
+    options = IdentifyConfig(
+        welch=WelchConfig.for_samples(records[0].samples), lpm=LpmConfig(reading=known)
+    )
+    data = [TrialData.from_record(one, options.welch, known) for one in records]
+    return identify(data, ["lpm_full"], truth(), options).estimators["lpm_full"]
+
+
+def errors(result: EstimatorResult) -> dict[str, float]:
+    """Largest relative error of each matrix."""
+    found = result.fit.mbk
+    return {
+        name: float(np.max(np.abs(getattr(found, name) / getattr(truth(), name) - 1.0)))
+        for name in ("M", "B", "K")
+    }
+
+
+def vaf(result: EstimatorResult) -> float:
+    assert result.vaf is not None
+    return float(np.min(result.vaf))
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
+    found, prompt = errors(estimated(name)), errors(estimated("prompt"))
+    # A trial of 20 s has random errors of about a percent, the same ones in every case.
+    assert found["M"] < prompt["M"] + 0.01
+    assert found["B"] < prompt["B"] + 0.015
+    assert found["K"] < prompt["K"] + 0.015
+    assert vaf(estimated(name)) > 99.7
+
+
+@pytest.mark.parametrize(("name", "least"), [("delay", 0.1), ("filter", 0.04), ("everything", 0.1)])
+def test_what_is_not_known_of_them_spoils_the_viscosity(name: str, least: float) -> None:
+    assert errors(estimated(name, told=False))["B"] > least
+
+
+def test_a_drive_that_lags_changes_the_loop_and_not_the_impedance() -> None:
+    prompt, lagging = estimated("prompt").estimate, estimated("lag").estimate
+    band = prompt.f > 8.0
+    loop = np.abs(lagging.R[0, 0] / prompt.R[0, 0] - 1.0)[band]
+    impedance = np.abs(lagging.Z[0, 0] / prompt.Z[0, 0] - 1.0)[band]
+    assert np.median(loop) > 5.0 * np.median(impedance)
+    assert np.median(impedance) < 0.01
+
+
+def test_a_lag_that_would_make_the_loop_unstable_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"unstable when sampled.*lag by 3 ms"):
+        chosen(lag=0.003)
+
+
+def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_it_it_does_not() -> (
+    None
+):
+    """By c/(K_rd + K_h), joint by joint; without friction, which would hold it as well."""
+    options: dict[str, Any] = {"duration": 10.0, "friction": 0, "resolution": 1}
+    tared, not_tared = (
+        chosen({"offset": [2.0, -1.5]}, tare=tare, **options) for tare in (True, False)
+    )
+    arm = tared.simulator.human_arm()
+    expected = [-offset / (10.0 + arm.stiffness[k, k]) for k, offset in enumerate((2.0, -1.5))]
+    away = []
+    for case in (tared, not_tared):
+        (trials,) = run_offline([case.rig()])
+        away.append([one.position[k].mean() - arm.posture[k] for k, one in enumerate(trials)])
+    assert away[1] == pytest.approx(expected, rel=0.05)
+    assert away[0] == pytest.approx([0.0, 0.0], abs=0.005)
+
+
+def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
+    case = chosen({"offset": OFFSET, "drift": [0.4, 0.2], "delay": 0.002}, duration=10.0)
+    short = {"duration": 0.2, "settle": 0.05, "rest": 0.06}
+    controller = case.controller.model_copy(
+        update={"sequence": case.controller.sequence.model_copy(update=short)}
+    )
+    case = NodeParameters(simulator=case.simulator, controller=controller, estimator=case.estimator)
+    (trials,) = run_offline([case.rig()])
+
+    statuses: list[TrialStatus] = []
+    experiment, rig = Experiment(case.controller, statuses.append), SimulatedRig(case.simulator)
+    torques, commands = [], []
+    while not experiment.finished:
+        torques.append(rig.torque.copy())
+        experiment.answer(rig.stamp_ns, tuple(rig.position.tolist()), tuple(rig.torque.tolist()))
+        commands.append(experiment.command.copy())
+        rig.step(tuple(experiment.command.tolist()))
+
+    for trial in trials:
+        ticks = slice(trial.first_tick, trial.first_tick + 200)
+        assert np.array_equal(trial.torque, np.array(torques[ticks]).T)
+        assert np.array_equal(trial.command, np.array(commands[ticks]).T)
+    tares = [one.tare for one in statuses if one.phase is Phase.PERTURB]
+    # The readings were taken 0.7 s into the trial on average.
+    assert tares[0] == pytest.approx((0.8 + 0.28, -0.5 + 0.14), abs=0.03)
+    assert tares[1][0] - tares[0][0] == pytest.approx(0.4 * 1.31, abs=0.03)
+
+
+def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> None:
+    case = chosen({"offset": [7.0, 0.0]}, duration=10.0)
+    with pytest.raises(DataError, match=r"the torque of joint 1 reads 7 N·m at rest, tare\.limit"):
+        run_offline([case.rig()])
+
+
+def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> None:
+    sensors = {"sensors": {"torque_delay": 0.0015, "torque_cutoff": 150.0, "torque_order": 2}}
+    values = {"arm_sim": {**sensors, "actuators": {"lag": 0.0002}}}
+
+    def known(**more: Any) -> TorqueReading:
+        config = ExperimentConfig.model_validate({**values, **more})
+        return reading_of(node_parameters(config, None).estimator.bag_metadata())
+
+    everything = TorqueReading(delay=0.0015, cutoff=150.0, order=2, actuator_lag=0.0002)
+    assert known() == everything
+    assert known(torque_delay=0.001) == replace(everything, delay=0.001)
+    assert known(torque_delay=0.0) == replace(everything, delay=0.0)
+    blind = {"torque": {"delay": 0.0, "cutoff": 0.0, "actuator_lag": 0.0}}
+    assert known(impedance_estimator=blind) == TorqueReading()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["estimate", "nowhere", "--torque-delay", "0.5"], "0.5 is not within 0 to 0.1 s"),
+        (["estimate", "nowhere", "--torque-delay", "nan"], "nan is not within 0 to 0.1 s"),
+        (["run", "--torque-delay", "-0.001"], "torque_delay"),
+    ],
+)
+def test_a_delay_that_no_rig_has_ends_in_one_line(
+    arguments: list[str], words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    said = capfd.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
