@@ -162,8 +162,10 @@ class Recording:
         return self._column
 
     def _keep_column(self, column: FittedColumn | None) -> None:
-        # From its end on, so that a slow machine does not do nothing else.
-        self._column, self._column_at = column, time.monotonic()
+        self._column = column
+        if column is not None:
+            # From its end on, so that a slow machine does not do nothing else.
+            self._column_at = time.monotonic()
 
     def _present(self) -> RunningTrial | None:
         status = self._collector.status

@@ -332,3 +332,18 @@ def test_column_is_made_anew_at_most_once_a_second(monkeypatch: pytest.MonkeyPat
     second = desk.recording.column()
     assert second is not None
     assert second is not first
+
+
+def test_while_there_are_too_few_samples_expect_the_column_as_soon_as_there_are_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("armimp_estimation.recording.time.monotonic", lambda: 100.0)
+    recording = recorded_arm()
+    desk = Desk(None, recording.records[0].joint_names)
+    messages = iter(recording.messages)
+
+    desk.feed(next(messages) for _ in range(1000))
+    assert desk.recording.column() is None
+    desk.feed(next(messages) for _ in range(20_000))
+
+    assert desk.recording.column() is not None
