@@ -164,8 +164,9 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
     for case in (tared, not_tared):
         (trials,) = run_offline([case.rig()])
         away.append([one.position[k].mean() - arm.posture[k] for k, one in enumerate(trials)])
-    assert away[1] == pytest.approx(expected, rel=0.05)
-    assert away[0] == pytest.approx([0.0, 0.0], abs=0.005)
+    # The same perturbation moves both, and has a mean of its own.
+    assert np.subtract(away[1], away[0]) == pytest.approx(expected, rel=0.02)
+    assert away[0] == pytest.approx([0.0, 0.0], abs=0.02)
 
 
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
