@@ -98,13 +98,11 @@ def figures(conclusion: Conclusion) -> dict[str, float]:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(
-    ("duration", "percent"), [(20.0, 5.0), pytest.param(50.0, 2.0, marks=pytest.mark.faults)]
-)
+@pytest.mark.parametrize("duration", [15.0, pytest.param(50.0, marks=pytest.mark.faults)])
 def test_offset_drift_delay_filter_and_lag_are_calibrated_out_and_spoil_the_result_if_not(
-    nodes: None, tmp_path: Path, duration: float, percent: float
+    nodes: None, tmp_path: Path, duration: float
 ) -> None:
-    """The row of `lpm_full`, for trials of 50 s; shorter ones have larger random errors."""
+    """The row of `lpm_full`, which is for trials of 50 s, and met by shorter ones here."""
     config = ExperimentConfig.model_validate(
         {"duration": duration, "processes": "external", **CALIBRATION}
     )
@@ -129,7 +127,7 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_and_spoil_the_resu
     assert found["VAF"] >= 99.7
     assert found["R2"] >= 0.997
     assert found["coherence"] >= 0.985
-    assert max(found[name] for name in ("M", "B", "K")) <= percent
+    assert max(found[name] for name in ("M", "B", "K")) <= 2.0
 
     not_told, _ = estimate_bags(bags, ("lpm_full",), torque_delay=0.0)
     assert figures(not_told)["B"] > 10.0

@@ -123,12 +123,11 @@ def vaf(result: EstimatorResult) -> float:
 
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
-    found, prompt = errors(estimated(name)), errors(estimated("prompt"))
-    # A trial of 20 s has random errors of about a percent, the same ones in every case.
-    assert found["M"] < prompt["M"] + 0.01
-    assert found["B"] < prompt["B"] + 0.015
-    assert found["K"] < prompt["K"] + 0.015
-    assert vaf(estimated(name)) > 99.7
+    found = errors(estimated(name))
+    assert found["M"] < 0.004
+    assert found["B"] < 0.006
+    assert found["K"] < 0.006
+    assert vaf(estimated(name)) > 99.9
 
 
 @pytest.mark.parametrize(("name", "least"), [("delay", 0.1), ("filter", 0.04), ("everything", 0.1)])
@@ -139,10 +138,11 @@ def test_what_is_not_known_of_them_spoils_the_viscosity(name: str, least: float)
 def test_a_drive_that_lags_changes_the_loop_and_not_the_impedance() -> None:
     prompt, lagging = estimated("prompt").estimate, estimated("lag").estimate
     band = prompt.f > 8.0
-    loop = np.abs(lagging.R[0, 0] / prompt.R[0, 0] - 1.0)[band]
-    impedance = np.abs(lagging.Z[0, 0] / prompt.Z[0, 0] - 1.0)[band]
-    assert np.median(loop) > 5.0 * np.median(impedance)
-    assert np.median(impedance) < 0.01
+    for k in range(2):
+        loop = np.abs(np.mean((lagging.R[k, k] / prompt.R[k, k] - 1.0)[band]))
+        impedance = np.abs(np.mean((lagging.Z[k, k] / prompt.Z[k, k] - 1.0)[band]))
+        assert loop > 0.007
+        assert impedance < 0.003
 
 
 def test_a_lag_that_would_make_the_loop_unstable_is_refused() -> None:
@@ -164,8 +164,9 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
     for case in (tared, not_tared):
         (trials,) = run_offline([case.rig()])
         away.append([one.position[k].mean() - arm.posture[k] for k, one in enumerate(trials)])
-    assert away[1] == pytest.approx(expected, rel=0.05)
-    assert away[0] == pytest.approx([0.0, 0.0], abs=0.005)
+    # The same perturbation moves both, and has a mean of its own.
+    assert np.subtract(away[1], away[0]) == pytest.approx(expected, rel=0.02)
+    assert away[0] == pytest.approx([0.0, 0.0], abs=0.02)
 
 
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:

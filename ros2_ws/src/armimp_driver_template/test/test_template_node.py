@@ -17,6 +17,7 @@ from armimp_common.testing import PATIENCE, eventually
 from armimp_driver_template import node as template
 from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver
+from armimp_driver_template.parameters import DriverParameters
 
 PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
 
@@ -25,6 +26,7 @@ class FailingDevice:
     """Sends a frame each millisecond until something goes wrong with it."""
 
     paced = True
+    names = DriverParameters().names_at_device()
 
     def __init__(self) -> None:
         self.silent = self.broken = self.closed = False

@@ -14,7 +14,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.curve_checks import UNREADABLE, check_curve
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
-from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.sample_ledger import SampleLedger
 from armimp_estimation.torque_reading import ReadingSummary
@@ -331,13 +331,6 @@ def read_summary(path: Path) -> Summary:
         raise DataError(f"{path}: {error.strerror}") from error
     except ValidationError as error:
         raise DataError(f"{path}: not a summary: {first_complaint(error)}") from error
-
-
-def first_complaint(error: ValidationError) -> str:
-    """Return the first thing that is wrong with a JSON file, on one line: the place and why."""
-    first = error.errors()[0]
-    where = ".".join(map(str, first["loc"])) or "content"
-    return f"{where}: {' '.join(first['msg'].removeprefix('Value error, ').split())}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -52,7 +52,7 @@ def test_summary_has_the_keys_of_schema_1(summary: Summary, tmp_path: Path) -> N
     write_summary(tmp_path / "summary.json", summary)
     content = json.loads((tmp_path / "summary.json").read_text())
     keys = ["schema", "config", "joints", "seed", "valid", "problems", "trials", "estimators"]
-    assert list(content) == [*keys, "truth", "timing", "wall"]
+    assert list(content) == [*keys, "truth", "timing", "wall", "torque_reading"]
     assert content["schema"] == 1
     assert content["config"] == {"duration": 50.0, "a": [None]}
     assert (content["joints"], content["seed"]) == (2, 1)
