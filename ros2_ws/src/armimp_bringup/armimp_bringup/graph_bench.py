@@ -103,34 +103,34 @@ def graph_figures(
     # As processes of their own, sim and controller do not wait for the recorder.
     known = floor + plant + law + codecs + (recording if processes == "composed" else 0.0)
     shares = {
-        "bare": ("bare exchange of the same messages", floor),
+        "bare": ("bare exchange of the messages", floor),
         "graph": ("experiment", tick),
-        "plant": ("of it: step of the plant", plant),
-        "law": ("of it: control law and safety gate", law),
-        "codecs": ("of it: encoding and decoding", codecs),
+        "plant": ("step of the plant", plant),
+        "law": ("control law and safety gate", law),
+        "codecs": ("encoding and decoding", codecs),
         "recording": ("recording", recording),
-        "rest": ("of it: the rest, beside the bare exchange", tick - known),
+        "rest": ("all the rest", tick - known),
     }
     return [
         *(
             Measured(
                 key=f"{processes}_{key}",
-                label=f"{processes}: {label}, per tick (median)",
+                label=f"{processes}: {label}",
                 value=1e6 * value,
-                unit="µs",
+                unit="µs per tick",
             )
             for key, (label, value) in shares.items()
         ),
         Measured(
             key=f"{processes}_ratio",
-            label=f"{processes}: experiment without the plant over bare exchange",
+            label=f"{processes}: without plant, over bare exchange",
             value=(tick - plant) / floor,
             unit="",
             limit=RATIO_LIMIT,
         ),
         Measured(
             key=f"{processes}_ratio_with_plant",
-            label=f"{processes}: experiment with the plant over bare exchange",
+            label=f"{processes}: with plant, over bare exchange",
             value=tick / floor,
             unit="",
         ),
