@@ -10,9 +10,12 @@ from statistics import median
 
 from armimp_bringup.benchmarks import Measured
 from armimp_bringup.command_run import COMMAND, run_command
+from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_control.experiment import Experiment
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_sim.rig import SimulatedRig
 
 CASES: tuple[tuple[int, float], ...] = ((2, 10.0), (3, 10.0), (7, 10.0), (2, 25.0), (2, 50.0))
 """Joints, and length of each trial in s."""
@@ -40,6 +43,7 @@ def measure_growth(tell: Callable[[str], None]) -> list[Measured]:
 def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Measured]:
     what = f"{joints} joints, {seconds:g} s"
     tell(f"{what}: run")
+    _compile(joints)
     with tempfile.TemporaryDirectory() as folder:
         directory = Path(folder) / "out"
         options = ("--joints", str(joints), "--duration", str(seconds))
@@ -66,6 +70,13 @@ def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Meas
         )
         for key, label, value, unit in figures
     ]
+
+
+def _compile(joints: int) -> None:
+    """Have everything compiled that depends on the number of joints, so that no run has to."""
+    parameters = node_parameters(ExperimentConfig(joints=joints), None)
+    Experiment(parameters.controller, lambda _: None)
+    SimulatedRig(parameters.simulator)
 
 
 def _shortest_estimate(bags: list[Path]) -> float:
