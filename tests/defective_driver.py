@@ -233,7 +233,7 @@ class Relapsing(ArmSimNode):
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         rig, paced = self._rig, self._paced
-        if rig is not None and paced is not None and rig.fault:
+        if rig is not None and paced is not None and rig.fault not in ("", "emergency stop"):
             self._report(rig)
             with self._alone:
                 rig.fault, rig._fading = "", 0

@@ -94,13 +94,13 @@ class Ros2ControlBridge(LifecycleNode):
             subscriptions=[self._states, self._commands],
             watches=[self._controller],
         )
-        # Robots publish always. What piled up while this was waited for would come as one burst.
-        self.destroy_subscription(self._states.subscription)
-        self._states = self._listen()
         self._urgency = Urgency(self._settings.realtime)
         self._stamps, self._ledger = Stamps(), TimingLedger()
         self._heard = self._looked_at = self._sent_ns = 0
         self._begin_ns: int | None = None
+        # Last, as robots publish always: what piled up meanwhile would come as one burst.
+        self.destroy_subscription(self._states.subscription)
+        self._states = self._listen()
         self._active = True
         # A forward controller holds what it was last told, by whomever.
         self._drive()
