@@ -25,7 +25,7 @@ run: setup  ## set up, then run the default experiment (or as ARGS say)
 	@$(BIN)/armimp run $(ARGS)
 
 test: lint  ## set up, check style and types, then run every test
-	$(BIN)/pytest $(ARGS)
+	@scripts/test.sh $(ARGS)
 
 faults: setup  ## the long versions of the fault tests, with a line of figures for each hazard
 	$(BIN)/pytest -m faults $(ARGS)

@@ -8,8 +8,10 @@ from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.schema import to_params_yaml
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_ros2_control.parameters import BridgeParameters
 
 _HEAD = "# Parameters of the default experiment; written by scripts/write_default_configs.py.\n"
+_BRIDGE_HEAD = "# Defaults of the bridge; written by scripts/write_default_configs.py.\n"
 _PACKAGES = {
     SIM_NODE: "armimp_sim",
     CONTROLLER_NODE: "armimp_control",
@@ -24,10 +26,13 @@ def default_configs() -> dict[str, str]:
         **node_parameters(ExperimentConfig(), None).by_node(),
         ESTIMATOR_NODE: EstimatorParameters(),
     }
-    return {
+    files = {
         f"{_PACKAGES[node]}/config/{node}.yaml": _HEAD + to_params_yaml({node: model})
         for node, model in models.items()
     }
+    # It takes the place of the simulator, and so has its name.
+    bridge = to_params_yaml({SIM_NODE: BridgeParameters()})
+    return {**files, "armimp_ros2_control/config/ros2_control_bridge.yaml": _BRIDGE_HEAD + bridge}
 
 
 def main() -> None:

@@ -2,15 +2,30 @@
 
 import os
 import shutil
-from collections.abc import Iterator
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.driver_check.findings import Finding
+from armimp_bringup.driver_check.judge import judge
+from armimp_bringup.driver_check.probe import CheckOptions, probe
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.testing import FinishedRun, Run
+from armimp_common.domain import DomainClaim
 from armimp_common.fault_figures import figures, pytest_terminal_summary
+from armimp_common.spin import Spinner
 from armimp_common.testing import context, domain_id, interruptible, node
 from armimp_estimation.report.browser import Browser
 
@@ -63,3 +78,87 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
     started = Browser(executable, tmp_path_factory.mktemp("profile"))
     yield started
     started.close()
+
+
+@pytest.fixture
+def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
+    """A domain that is free: who checks a driver will claim it, not the test."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with DomainClaim() as claim:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
+        return claim.domain_id
+
+
+@pytest.fixture
+def start(driver_domain: int) -> Iterator[Callable[..., None]]:
+    """Starts nodes as somebody else would: in processes of their own."""
+    variables = {**os.environ}
+    variables.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def run(arguments: list[str], *ros: str) -> None:
+        command = [sys.executable, *arguments, *(["--ros-args", *ros] if ros else [])]
+        processes.append(subprocess.Popen(command, env=variables, start_new_session=True))
+
+    yield run
+    for process in processes:
+        process.send_signal(signal.SIGINT)
+    for process in processes:
+        try:
+            process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def host(driver_domain: int) -> Iterator[Callable[..., None]]:
+    """Runs nodes in threads of the test, which is quicker than to start processes."""
+    with ExitStack() as stack:
+
+        def run(make: Callable[..., Node], **parameters: Any) -> None:
+            stack.enter_context(_hosted(make, driver_domain, parameters))
+
+        yield run
+
+
+@contextmanager
+def _hosted(
+    make: Callable[..., Node], domain_id: int, parameters: dict[str, Any]
+) -> Iterator[None]:
+    hosting = Context()
+    rclpy.init(
+        args=[],
+        context=hosting,
+        domain_id=domain_id,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    overrides = [Parameter(name.replace("__", "."), value=v) for name, v in parameters.items()]
+    node = make(context=hosting, parameter_overrides=overrides)
+    ended = threading.Event()
+
+    def spin() -> None:
+        with Spinner([node]) as spinner:
+            spinner.spin(ended.is_set)
+
+    thread = threading.Thread(target=spin)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        node.destroy_node()
+        hosting.try_shutdown()
+
+
+@pytest.fixture
+def check(driver_domain: int) -> Callable[..., dict[str, Finding]]:
+    """Judges the driver that is running; gives the findings by the names of the checks."""
+
+    def run(**options: Any) -> dict[str, Finding]:
+        given = {"joints": ("shoulder", "elbow"), "duration": 1.0, **options}
+        found = judge(probe(CheckOptions(**given), driver_domain))
+        return {finding.check: finding for finding in found}
+
+    return run

@@ -2,8 +2,11 @@
 
 import sys
 import threading
-from typing import Any
+from collections import deque
+from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -17,6 +20,9 @@ from armimp_common.contract import PERIOD_NS
 from armimp_common.pacing import Pacer
 from armimp_common.spin import run_node
 from armimp_sim.node import ArmSimNode
+from armimp_sim.rig import SimulatedRig
+
+Readings: TypeAlias = NDArray[np.float64]
 
 
 class WrongField(ArmSimNode):
@@ -35,6 +41,205 @@ class WrongSign(ArmSimNode):
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         super()._on_command(tuple(-value for value in command))
+
+
+class Altered(ArmSimNode):
+    """Sends what it measures in some other way."""
+
+    def _send(self) -> None:
+        rig = self._rig
+        assert rig is not None
+        self.tell(rig.tick, rig.stamp_ns, rig.position, rig.torque)
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        """Send one sample; to be overridden."""
+        self._joint_states.publish(stamp_ns, angles)
+        self._torque_sensors.publish(stamp_ns, torques)
+
+    def _renamed(self, topic: str, names: tuple[str, ...], profile: QoSProfile) -> None:
+        """Make the publisher of the angles or of the torques anew."""
+        angles = topic == contract.JOINT_STATES
+        old = self._joint_states if angles else self._torque_sensors
+        self.destroy_publisher(old.publisher)
+        field = contract.VALUE_FIELD[topic]
+        new = JointStatePublisher(self, topic, names, field, profile=profile)
+        if angles:
+            self._joint_states = new
+        else:
+            self._torque_sensors = new
+
+
+class Degrees(Altered):
+    """Angles in degrees."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        super().tell(tick, stamp_ns, np.degrees(angles), torques)
+
+
+class Unpaired(Altered):
+    """Each message has the time of its sending."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        self._joint_states.publish(stamp_ns, angles)
+        self._torque_sensors.publish(stamp_ns + 20_000, torques)
+
+
+class Doubled(Altered):
+    """A sample comes twice now and then."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        super().tell(tick, stamp_ns, angles, torques)
+        if tick % 100 == 50:
+            self._joint_states.publish(stamp_ns, angles)
+
+
+class FastClock(Altered):
+    """The clock of the stamps runs fast by a thousandth."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        super().tell(tick, stamp_ns * 1001 // 1000, angles, torques)
+
+
+class BackInTime(Altered):
+    """The clock of the stamps is set back once."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        super().tell(tick, stamp_ns - 10 * PERIOD_NS * (tick > 500), angles, torques)
+
+
+class NotFinite(Altered):
+    """A transducer has nothing to say once."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        super().tell(tick, stamp_ns, angles, np.where(tick == 300, np.nan, torques))
+
+
+class Wraps(Altered):
+    """The counter of the shoulder wraps a bit above where it is."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        turned = angles.copy()
+        turned[0] -= 2.0 * np.pi * (angles[0] > 1.0950)
+        super().tell(tick, stamp_ns, turned, torques)
+
+
+class WrongName(Altered):
+    """Torques of a joint that there is not."""
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = super().on_configure(state)
+        self._renamed(contract.TORQUE_SENSORS, ("shoulder", "wrist"), qos.SAMPLE)
+        return result
+
+
+class BestEffort(Altered):
+    """Angles by best effort."""
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = super().on_configure(state)
+        profile = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
+        self._renamed(contract.JOINT_STATES, tuple(self._settings.joints), profile)
+        return result
+
+
+class SensorSign(Altered):
+    """Transducers that read the torque of the arm on the robot."""
+
+    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
+        super().tell(tick, stamp_ns, angles, -torques)
+
+
+class TwoForOne(ArmSimNode):
+    """Takes two steps for each command."""
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        super()._on_command(command)
+        super()._on_command(command)
+
+
+class Swapped(ArmSimNode):
+    """Commands in another order."""
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        super()._on_command(command[::-1])
+
+
+class Strong(ArmSimNode):
+    """Takes newton metres for something far larger."""
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        super()._on_command(tuple(150.0 * value for value in command))
+
+
+class Late(ArmSimNode):
+    """Six commands are always on their way."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        self._queue: deque[tuple[float, ...]] = deque()
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        self._queue.append(command)
+        first = self._queue.popleft() if len(self._queue) > 6 else (0.0,) * len(command)
+        super()._on_command(first)
+
+
+class Moody(ArmSimNode):
+    """Stops by itself after some time under torque."""
+
+    _patience = 1000
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        self._patience -= any(command)
+        if self._patience == 0:
+            self._fault("the mood")
+        super()._on_command(command)
+
+
+class Mute(ArmSimNode):
+    """Tells nobody of its faults."""
+
+    def _report(self, rig: SimulatedRig) -> None:
+        self._faulty, self._told = bool(rig.fault), rig.tick
+
+
+class Stubborn(ArmSimNode):
+    """Grants no reset."""
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        response.success, response.message = False, "not today"
+        return response
+
+
+class Faulty(ArmSimNode):
+    """Has a fault from the beginning."""
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        result = super().on_activate(state)
+        self._fault("a cable is missing")
+        return result
+
+
+class NoWatchdog(ArmSimNode):
+    """Holds the last torque for ever, in real time."""
+
+    def _pace(self, rig: SimulatedRig) -> None:
+        rig.fade = lambda reason, steps: None  # type: ignore[method-assign]
+        super()._pace(rig)
+
+
+class Relapsing(ArmSimNode):
+    """Lets go when commands stay away, and obeys again as soon as they come."""
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        rig, paced = self._rig, self._paced
+        if rig is not None and paced is not None and rig.fault:
+            self._report(rig)
+            with self._alone:
+                rig.fault, rig._fading = "", 0
+                paced._unanswered.clear()
+                paced._in_step = False
+        super()._on_command(command)
 
 
 class NoStop(ArmSimNode):
@@ -109,7 +314,7 @@ class InUse(Slow):
         self._commander = CommandPublisher(self, contract.COMMANDS, 2)
 
 
-KINDS = (WrongField, WrongSign, NoStop, DeafStop, WrongType, Slow, InUse)
+KINDS = (ArmSimNode, NoWatchdog, Relapsing, WrongType, Slow, InUse)
 DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in KINDS}
 
 if __name__ == "__main__":

@@ -25,10 +25,12 @@ EXECUTABLES = {
     "armimp_control": [CONTROLLER_NODE],
     "armimp_driver_template": ["exo_driver"],
     "armimp_estimation": [ESTIMATOR_NODE],
+    "armimp_ros2_control": ["ros2_control_bridge"],
     "armimp_sim": [SIM_NODE],
 }
 SHARED = ("config", "layouts", "urdf")
 QUICK_TESTS = (
+    "test_bridge_readings.py",
     "test_contract.py",
     "test_driver_conversion.py",
     "test_perturbation_signal.py",

@@ -1,70 +1,46 @@
 """``armimp check-driver`` and the driver template through the real graph."""
 
+import functools
+import io
 import json
-import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.driver_check.findings import Finding, Verdict, failures
-from armimp_bringup.driver_check.judge import judge
-from armimp_bringup.driver_check.probe import CheckOptions, probe
+from armimp_bringup.driver_check.command import ask
+from armimp_bringup.driver_check.findings import Finding, Verdict, failures, open_questions
+from armimp_bringup.driver_check.probe import CheckOptions
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import COMMANDS, CONTROLLER_NODE, ESTIMATOR_NODE
-from armimp_common.domain import DomainClaim
+from armimp_common.errors import ConfigurationError
+from armimp_common.testing import PATIENCE
 from armimp_estimation.bags import read_bag
+from armimp_sim.node import ArmSimNode
 
 TESTS = Path(__file__).resolve().parent
 JOINTS = ("shoulder", "elbow")
 SIMULATOR = ["-m", "armimp_sim.node"]
 TEMPLATE = ["-m", "armimp_driver_template.node"]
 DEFECTIVE = str(TESTS / "defective_driver.py")
-Start = Callable[..., None]
-pytestmark = pytest.mark.usefixtures("environment")
+Start: TypeAlias = Callable[..., None]
+Host: TypeAlias = Start
+Check = Callable[..., dict[str, Finding]]
 
 
-@pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """A domain that is free: the checker will claim it, not this test."""
-    with DomainClaim() as claim:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
-        return claim.domain_id
-
-
-@pytest.fixture
-def start(domain: int) -> Iterator[Start]:
-    """Starts nodes as somebody else would."""
-    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
-    processes: list[subprocess.Popen[bytes]] = []
-
-    def run(arguments: list[str], *ros: str) -> None:
-        command = [sys.executable, *arguments, *(["--ros-args", *ros] if ros else [])]
-        processes.append(subprocess.Popen(command, env=environment, start_new_session=True))
-
-    yield run
-    for process in processes:
-        process.send_signal(signal.SIGINT)
-    for process in processes:
-        try:
-            process.wait(30.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-
-
-def check(domain: int, **options: Any) -> dict[str, Finding]:
-    found = judge(probe(CheckOptions(joints=JOINTS, duration=1.0, **options), domain))
-    return {finding.check: finding for finding in found}
+def but_for_pace(names: list[str]) -> list[str]:
+    """How regular samples are, and how quick answers, depends on what else the machine does."""
+    pace = ("rate", "jitter", "sample to command")
+    return [name for name in names if not name.endswith(pace)]
 
 
 def names(findings: dict[str, Finding]) -> list[str]:
@@ -73,11 +49,11 @@ def names(findings: dict[str, Finding]) -> list[str]:
 
 @pytest.mark.parametrize("driver", [SIMULATOR, TEMPLATE], ids=["simulator", "template"])
 def test_simulator_and_template_pass_every_check_that_lockstep_allows(
-    start: Start, domain: int, driver: list[str]
+    start: Start, check: Check, driver: list[str]
 ) -> None:
     start(driver, "-p", "mode:=lockstep")
 
-    findings = check(domain, move=True)
+    findings = check(move=True)
 
     assert names(findings) == []
     left = {name for name, f in findings.items() if f.verdict is Verdict.NOT_CHECKED}
@@ -88,54 +64,45 @@ def test_simulator_and_template_pass_every_check_that_lockstep_allows(
         "stale commands",
     }
     # It was given back as it was found, so that it can be checked again.
-    assert names(check(domain)) == []
+    assert names(check()) == []
 
 
-def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, domain: int) -> None:
+def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=realtime")
 
-    findings = check(domain)
+    for _ in range(4):
+        findings = check(move=True)
+        # What the machine has spoiled is looked at once more.
+        if not but_for_pace(open_questions(findings.values())):
+            break
 
-    # How regular samples are depends on what else the machine does.
-    pace = ("rate", "jitter")
-    assert [name for name in names(findings) if name.rpartition(": ")[2] not in pace] == []
-    assert findings["emergency stop: told"].verdict is Verdict.PASS
-    assert findings["stale commands"].figure == "not without --move"
+    assert but_for_pace(names(findings)) == []
+    for name in ("stale commands", "stale commands: latched", "emergency stop", "torque: delay"):
+        assert findings[name].verdict is Verdict.PASS, findings[name]
 
 
-def test_when_frames_get_lost_expect_that_named(start: Start, domain: int) -> None:
+def test_a_driver_in_a_namespace_is_found_there(host: Host, check: Check) -> None:
+    host(functools.partial(ArmSimNode, namespace="/exo"), mode="lockstep")
+    assert names(check(namespace="/exo")) == []
+
+
+def test_when_frames_get_lost_expect_that_named(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=lockstep", "-p", "mock.dropout:=0.05")
-    assert "joint_states: stamps 1 ms apart" in names(check(domain))
-
-
-@pytest.mark.parametrize(
-    ("defect", "expected"),
-    [
-        ("WrongField", ["torque_sensors: field"]),
-        ("WrongSign", ["torque: joint and sign", "torque_sensors: sign"]),
-        ("NoStop", ["service arm_sim/emergency_stop", "emergency stop: answer"]),
-        ("DeafStop", ["emergency stop", "emergency stop: told"]),
-    ],
-)
-def test_a_planted_defect_is_named_and_nothing_else(
-    start: Start, domain: int, defect: str, expected: list[str]
-) -> None:
-    start([DEFECTIVE, defect], "-p", "mode:=lockstep")
-    assert names(check(domain, move=True)) == expected
+    assert "joint_states: stamps 1 ms apart" in names(check())
 
 
 def test_when_topics_have_wrong_types_or_are_missing_expect_them_named(
-    start: Start, domain: int
+    start: Start, check: Check
 ) -> None:
     start([DEFECTIVE, "WrongType"])
-    failed = names(check(domain))
+    failed = names(check())
     assert {"joint_states: type", "torque_sensors: type", f"{COMMANDS}: type"} <= set(failed)
 
 
-def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, domain: int) -> None:
+def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: Check) -> None:
     start([DEFECTIVE, "Slow"])
 
-    findings = check(domain)
+    findings = check()
 
     assert findings["lifecycle"].verdict is Verdict.NOT_CHECKED
     expected = {f"service arm_sim/{name}" for name in ("emergency_stop", "reset")}
@@ -151,21 +118,25 @@ def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, domain: 
     [("InUse", "the driver is in use: /arm_sim commands it"), (None, "no driver: neither")],
 )
 def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
-    start: Start, domain: int, defect: str | None, words: str, capfd: pytest.CaptureFixture[str]
+    start: Start,
+    driver_domain: int,
+    defect: str | None,
+    words: str,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     if defect is not None:
         start([DEFECTIVE, defect])
-    assert main(["check-driver", "--domain-id", str(domain)]) == 1
+    assert main(["check-driver", "--domain-id", str(driver_domain)]) == 1
     said = capfd.readouterr().err
     assert words in said
     assert said.count("\n") == 1
 
 
 def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
-    start: Start, domain: int, capfd: pytest.CaptureFixture[str]
+    start: Start, driver_domain: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
     start(SIMULATOR, "-p", "mode:=lockstep")
-    options = ["check-driver", "--domain-id", str(domain), "--duration", "1"]
+    options = ["check-driver", "--domain-id", str(driver_domain), "--duration", "1"]
 
     assert main([*options, "--json"]) == 0
     printed = json.loads(capfd.readouterr().out)
@@ -184,6 +155,9 @@ def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
         (["--joints", "2", "--joint", "elbow"], "two ways to say the same"),
         (["--joint", "elbow", "--joint", "elbow"], "names are not distinct"),
         (["--torque", "-1"], "--torque: -1 N·m is not above 0"),
+        (["--torque", "21"], "--torque: 21 N·m is not above 0 and at most 20"),
+        (["--most-motion", "nan"], "--most-motion: nan rad is not above 0 and at most 1"),
+        (["--move"], "--move: there is nobody to ask; --yes says that it is safe"),
         (["--duration", "0"], "--duration: 0 is not within"),
     ],
 )
@@ -194,6 +168,62 @@ def test_wrong_options_end_in_one_line(
     said = capfd.readouterr().err
     assert words in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(("answer", "allowed"), [("yes\n", True), ("y\n", False), ("", False)])
+def test_before_anything_moves_somebody_is_asked_and_only_yes_is_one(
+    answer: str,
+    allowed: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    terminal = io.StringIO(answer)
+    monkeypatch.setattr(terminal, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "stdin", terminal)
+    options = CheckOptions(joints=JOINTS, move=True, torque=2.0, most=0.1)
+    if allowed:
+        ask(options, 5)
+    else:
+        with pytest.raises(ConfigurationError, match="not without a yes"):
+            ask(options, 5)
+    said = capsys.readouterr()
+    assert said.out == ""
+    for words in ("Nobody may be in the rig", "2 N·m", "0.1 rad", "shoulder, elbow", "domain 5"):
+        assert words in said.err
+
+
+class Listening(ArmSimNode):
+    """The simulator, which calls back when the first torque is commanded."""
+
+    commands: ClassVar[list[tuple[float, ...]]] = []
+    pushed: ClassVar[threading.Event]
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        self.commands.append(command)
+        if any(command):
+            self.pushed.set()
+        super()._on_command(command)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_last(
+    host: Host, driver_domain: int, number: signal.Signals
+) -> None:
+    Listening.commands, Listening.pushed = [], threading.Event()
+    host(Listening, mode="realtime")
+    command = [sys.executable, "-m", "armimp_bringup.cli", "check-driver", "--duration", "1"]
+    command += ["--domain-id", str(driver_domain), "--move", "--yes"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    try:
+        assert Listening.pushed.wait(PATIENCE)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 130, said
+    assert said.count("\n") == 1
+    assert Listening.commands[-5:] == [(0.0, 0.0)] * 5
 
 
 def test_the_experiment_runs_on_the_template_with_the_samples_of_the_simulator(

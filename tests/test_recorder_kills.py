@@ -31,12 +31,13 @@ SAMPLES = 6000
 MOST_LOST = 100
 """Samples, one every millisecond."""
 
-# Records one trial at 1 kHz and tells after each sample that it has been accepted.
+# Records one trial at 1 kHz as the node does, and tells after each sample that it has arrived.
 RECORDER = """
 import os, struct, sys, time
 from pathlib import Path
-from armimp_common.contract import TRIAL
+from armimp_common.contract import DATA_STREAMS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.inbox import TOGETHER, Inbox
 from armimp_estimation.recording import Recording
 from armimp_estimation.testing import recorded_arm
 
@@ -45,6 +46,17 @@ arm = recorded_arm(samples)
 ticks = 60 + samples + 60
 begin = (trial - 1) * ticks * 1_000_000
 recording = Recording(arm.records[0].joint_names, directory, {}, lambda *_: None)
+
+def record():
+    recording.add_many(inbox.take(), lambda topic, error: None)
+
+def on_samples(samples):
+    if samples % TOGETHER == 0:
+        record()
+        recording.flush()
+
+inbox = Inbox(on_samples)
+receivers = {topic: inbox.receiver(topic) for topic in DATA_STREAMS}
 messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]
 began = time.monotonic()
 present = begin
@@ -54,9 +66,10 @@ for topic, stamp, raw in messages:
         present = stamp
         time.sleep(max(began + (stamp - begin) / 1e9 - time.monotonic(), 0.0))
     if topic == TRIAL:
+        record()
         recording.add_status(decode_trial_status(raw))
     else:
-        recording.add(topic, raw)
+        receivers[topic](raw)
 """
 
 

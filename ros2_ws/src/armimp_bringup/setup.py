@@ -25,5 +25,5 @@ setup(
     python_requires=">=3.10",
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"], "dask": ["distributed"]},
-    entry_points={"console_scripts": ["armimp = armimp_bringup.cli:main"]},
+    entry_points={"console_scripts": ["armimp = armimp_bringup.cli:program"]},
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import platform
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,10 +74,31 @@ def _estimate(tell: Callable[[str], None]) -> list[Measured]:
     return time_estimate(tell)
 
 
+def _start(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.start_bench import time_start
+
+    return time_start(tell)
+
+
+def _memory(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.memory_bench import measure_memory
+
+    return measure_memory(tell)
+
+
+def _growth(tell: Callable[[str], None]) -> list[Measured]:
+    from armimp_bringup.growth_bench import measure_growth
+
+    return measure_growth(tell)
+
+
 _BENCHMARKS: dict[str, Benchmark] = {
     "study": _study,
     "graph": _graph,
+    "start": _start,
     "estimate": _estimate,
+    "memory": _memory,
+    "growth": _growth,
     "realtime": _realtime,
 }
 
@@ -174,13 +196,15 @@ def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
     errors = Console(stderr=True, soft_wrap=True)
     check_names(names)
     _require_place(directory)
+    began = time.monotonic()
     results = run_benchmarks(names, lambda text: errors.print(text, highlight=False))
+    took = time.monotonic() - began
     record = bench_record(results)
     path = write_bench(directory, record)
     if as_json:
         print(json.dumps(record))
     else:
-        _print(results, path)
+        _print(results, path, took)
     missed = [one for measured in results.values() for one in measured if one.met is False]
     for one in missed:
         errors.print(
@@ -203,7 +227,7 @@ def _require_place(directory: Path) -> None:
         raise DataError(f"{path}: cannot be written: {error.strerror}") from None
 
 
-def _print(results: dict[str, list[Measured]], path: Path) -> None:
+def _print(results: dict[str, list[Measured]], path: Path, took: float) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -220,7 +244,9 @@ def _print(results: dict[str, list[Measured]], path: Path) -> None:
             limit = "" if one.limit is None else f"≤ {one.limit:g} {one.unit} {mark}"
             table.add_row(one.label, f"{one.value:.3g}", one.unit, limit)
         console.print(table)
-    console.print(f"{available_cores()} cores, {_processor()}", highlight=False)
+    console.print(
+        f"{available_cores()} cores, {_processor()}; measured in {took:.0f} s", highlight=False
+    )
     console.print(f"figures in {path}", highlight=False)
 
 

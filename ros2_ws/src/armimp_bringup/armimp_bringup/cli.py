@@ -5,21 +5,21 @@ Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupt
 
 from __future__ import annotations
 
+import atexit
 import math
+import os
 import sys
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, NoReturn
 
 import typer
 from typer.exceptions import TyperException
 
 from armimp_bringup.investigations.registry import find_investigation, investigations
-from armimp_common.errors import ArmimpError, ConfigurationError, DataError, InterruptionError
-
-if TYPE_CHECKING:
-    from armimp_estimation.results import Summary
+from armimp_bringup.say import say
+from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
 _INTERRUPTED = 130
 """What shells make of a program that SIGINT has ended; typer's own status for it, too."""
@@ -81,10 +81,16 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     json: _Json = False,
 ) -> int:
     """Run the experiment through the node graph: one trial for each joint, then the result."""
+    from armimp_common.compiled import spare_linear_algebra
+
+    spare_linear_algebra()
     from armimp_bringup.config import load_config
     from armimp_bringup.display import LiveDisplay
     from armimp_bringup.orchestrator import run_experiment
+    from armimp_bringup.presentation import present
+    from armimp_bringup.stopwatch import Stopwatch
     from armimp_common.spin import stop_on_signals
+    from armimp_estimation.figure_process import FigureProcess
 
     settings = load_config(
         config,
@@ -104,15 +110,20 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         },
     )
     directory = out if out is not None else _new_directory("run")
-    with stop_on_signals() as stopped, LiveDisplay() as display:
+    stopwatch = Stopwatch()
+    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
+        if settings.mode == "lockstep":  # in real time, nothing may run beside the experiment
+            figures.start()
         summary = run_experiment(
             settings,
             directory,
             domain_id=domain_id,
             on_progress=display.show,
+            on_phase=stopwatch.note,
+            on_over=lambda: figures.draw(directory),
             interrupted=stopped,
         )
-        return _present(summary, directory, json)
+        return present(summary, directory, figures, as_json=json, stopwatch=stopwatch)
 
 
 @app.command()
@@ -130,23 +141,29 @@ def estimate(
     """Estimate the impedance from bags, one trial for each joint among them."""
     from armimp_bringup.offline_estimate import estimate_bags
     from armimp_bringup.orchestrator import prepare_directory
+    from armimp_bringup.presentation import present
+    from armimp_estimation.figure_process import FigureProcess
 
-    if out is not None:
-        prepare_directory(out)
     if torque_delay is not None and not 0.0 <= torque_delay <= 0.1:
         raise ConfigurationError(f"--torque-delay: {torque_delay} is not within 0 to 0.1 s")
-    conclusion, notes = estimate_bags(
-        bags,
-        tuple(estimator or ()),
-        namespace=namespace,
-        allow_gaps=allow_gaps,
-        torque_delay=torque_delay,
-    )
-    for note in notes:
-        _say(f"note: {note}")
-    if out is not None:
-        conclusion.write(out)
-    return _present(conclusion.summary, out, json, bags, namespace)
+    with FigureProcess() as figures:
+        if out is not None:
+            prepare_directory(out)
+            figures.start()
+        conclusion, notes = estimate_bags(
+            bags,
+            tuple(estimator or ()),
+            namespace=namespace,
+            allow_gaps=allow_gaps,
+            torque_delay=torque_delay,
+        )
+        for note in notes:
+            say(f"note: {note}")
+        if out is not None:
+            conclusion.write(out)
+        return present(
+            conclusion.summary, out, figures, as_json=json, bags=bags, namespace=namespace
+        )
 
 
 @app.command()
@@ -160,10 +177,12 @@ def replay(
 ) -> int:
     """Play bags through the graph into a live estimator node."""
     from armimp_bringup.display import LiveDisplay
+    from armimp_bringup.presentation import present
     from armimp_bringup.replay import replay_bags
     from armimp_common.spin import stop_on_signals
+    from armimp_estimation.figure_process import FigureProcess
 
-    with stop_on_signals() as stopped, LiveDisplay() as display:
+    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
         summary = replay_bags(
             bags,
             tuple(estimator or ()),
@@ -173,7 +192,7 @@ def replay(
             on_progress=display.show,
             interrupted=stopped,
         )
-        return _present(summary, out, json, bags)
+        return present(summary, out, figures, as_json=json, bags=bags)
 
 
 @app.command()
@@ -260,7 +279,7 @@ def investigate(
 
 
 @app.command()
-def check_driver(
+def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     domain_id: Annotated[
         int | None, typer.Option(help="ROS domain of the driver; default: ROS_DOMAIN_ID.")
     ] = None,
@@ -269,11 +288,16 @@ def check_driver(
         list[str] | None, typer.Option(help="Name of a joint, in the order of commands; repeat.")
     ] = None,
     node: Annotated[str | None, typer.Option(help="Name of the node; default: arm_sim.")] = None,
+    namespace: Annotated[str, typer.Option(help="Namespace of the driver.")] = "",
     duration: Annotated[float, typer.Option(help="Length of the recording, s.")] = 5.0,
     move: Annotated[
         bool, typer.Option("--move", help="Command torque too: nobody may be in the rig.")
     ] = False,
-    torque: Annotated[float, typer.Option(help="How much torque, N·m.")] = 1.0,
+    torque: Annotated[float, typer.Option(help="How much torque, N·m; at most 20.")] = 1.0,
+    most_motion: Annotated[
+        float, typer.Option(help="Motion of a joint at which torque is taken away, rad.")
+    ] = 0.3,
+    yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether --move is safe.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> int:
     """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
@@ -283,10 +307,13 @@ def check_driver(
         joints=joints,
         joint_names=joint or (),
         node=node,
+        namespace=namespace,
         domain_id=domain_id,
         duration=duration,
         move=move,
         torque=torque,
+        most=most_motion,
+        yes=yes,
         as_json=json,
     )
 
@@ -301,16 +328,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # Asking for nothing shows the help, which has many lines.
             print(message, file=sys.stderr)
         else:
-            _say(f"armimp: {message}")
+            say(f"armimp: {message}")
         return 2
     except ConfigurationError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return 2
     except InterruptionError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return _INTERRUPTED
     except ArmimpError as error:
-        _say(f"armimp: {error}")
+        say(f"armimp: {error}")
         return 1
     except (KeyboardInterrupt, typer.Abort):
         status = _INTERRUPTED
@@ -324,40 +351,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stderr.close()
         return 1
     if status == _INTERRUPTED:
-        _say("armimp: interrupted")
+        say("armimp: interrupted")
     return status if isinstance(status, int) else 0
-
-
-def _present(
-    summary: Summary,
-    directory: Path | None,
-    as_json: bool,
-    bags: Sequence[Path] | None = None,
-    namespace: str | None = None,
-) -> int:
-    """Draw, report and print a result, and return the exit status that it deserves."""
-    complete = True
-    if directory is not None:
-        from armimp_estimation.figures import write_figures
-        from armimp_estimation.report import load_result, write_report
-
-        try:
-            result = load_result(directory, bags, namespace=namespace)
-            write_figures(directory, result)
-            write_report(directory, result)
-        except DataError as error:
-            # As on a full disk; the numbers are there all the same.
-            _say(f"armimp: {error}")
-            complete = False
-    if as_json:
-        print(summary.model_dump_json(by_alias=True))
-    else:
-        from armimp_bringup.tables import print_summary
-
-        print_summary(summary, directory)
-    for problem in summary.problems:
-        _say(f"armimp: not valid: {problem}")
-    return 0 if summary.valid and complete else 1
 
 
 def _share(text: str) -> float:
@@ -383,14 +378,20 @@ def _new_directory(what: str) -> Path:
     return Path("results") / f"{what}-{datetime.now():%Y%m%d-%H%M%S}"
 
 
-def _say(line: str) -> None:
-    """Print a line, which stays one whatever is in the names and values that it quotes."""
-    shown = "".join(
-        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
-        for letter in line
-    )
-    print(shown, file=sys.stderr)
+def program() -> NoReturn:
+    """Run the command line as the whole of a process, which ends at once.
+
+    To take everything apart that was imported would take the interpreter half a second.
+    """
+    status = main()
+    atexit._run_exitfuncs()
+    try:
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except (OSError, ValueError):  # whoever read the output has left
+        status = status or 1
+    os._exit(status)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    program()

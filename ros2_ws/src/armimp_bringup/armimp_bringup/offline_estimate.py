@@ -11,6 +11,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, understand
+from armimp_estimation.estimate import Estimator
 from armimp_estimation.gaps import GapConfig
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.timing import latest_metadata
@@ -18,7 +19,7 @@ from armimp_estimation.timing import latest_metadata
 
 def estimate_bags(
     bags: Sequence[Path],
-    estimators: tuple[str, ...],
+    estimators: Sequence[str | Estimator],
     *,
     namespace: str | None = None,
     allow_gaps: bool = False,
@@ -30,8 +31,8 @@ def estimate_bags(
     ----------
     bags : sequence of Path
         Any bags that the reader takes.
-    estimators : tuple of str
-        Names; empty for the defaults.
+    estimators : sequence of str or Estimator
+        Names, or estimators of one's own; empty for the defaults.
     namespace : str, optional
         Namespace of the topics.
     allow_gaps : bool

@@ -21,6 +21,7 @@ from armimp_common.errors import (
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
+from armimp_common.trial_status import Phase
 from armimp_common.urgency import require_precedence
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
@@ -49,6 +50,8 @@ def run_experiment(
     *,
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    on_phase: Callable[[Phase], None] = lambda _: None,
+    on_over: Callable[[], None] = lambda: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Run an experiment through the node graph.
@@ -62,6 +65,11 @@ def run_experiment(
         ROS domain; by default a free one, or where nodes are external that of the environment.
     on_progress : callable
         Called a few times per second.
+    on_phase : callable
+        Called with each phase of each trial as it begins.
+    on_over : callable
+        Called when all trials have ended and the estimator has stored its result; problems that it
+        does not know of are added when the graph is down.
     interrupted : callable
         Asked often; once true, the experiment ends in good order, as invalid.
 
@@ -91,7 +99,7 @@ def run_experiment(
     problems: list[str] = []
     external = config.processes == "external"
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
-        supervisor = Supervisor(graph, on_progress)
+        supervisor = Supervisor(graph, on_progress, on_phase=on_phase, on_over=on_over)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
             care = Care()
@@ -272,7 +280,7 @@ def _watch(
             problems.append(f"nothing happened for {_STALL:g} s")
         elif supervisor.realtime and supervisor.problems and not supervisor.finished:
             return True
-        return bool(problems) or (supervisor.concluded and supervisor.finished)
+        return bool(problems) or supervisor.over
 
     spinner.spin(over, period=_PERIOD)
     return problems
@@ -321,6 +329,5 @@ def settle(
     if update or new:
         known = [*new, *known]
         summary = summary.model_copy(update={**update, "valid": not known, "problems": known})
-        path.unlink()
-        write_summary(path, summary)
+        write_summary(path, summary, anew=True)
     return summary

@@ -27,7 +27,6 @@ from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract, qos
 from armimp_common.cdr import stamp_of
 from armimp_common.channels import RawSubscription
-from armimp_common.diagnostics import trial_status_message
 from armimp_common.errors import GraphError
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
@@ -86,19 +85,7 @@ class BagPlayer(Node):
 
     def finish(self, last: TrialWindow, trials: int) -> None:
         """Say that nothing more will come."""
-        status = TrialStatus(
-            phase=Phase.DONE,
-            trial=last.trial,
-            trials=max(trials, last.trial),
-            joint=last.joint,
-            joint_name=last.joint_name,
-            tick=0,
-            start_ns=last.start_ns,
-            ticks=last.ticks,
-            seed=last.seed or 0,
-            valid=True,
-        )
-        self._senders[contract.TRIAL].publish(trial_status_message(status))
+        self._senders[contract.TRIAL].publish(_status(Phase.DONE, last, trials))
 
     def _wait(self) -> None:
         if self._heard < self._expected:
@@ -134,6 +121,7 @@ def _with_statuses(bag: BagContent) -> Iterator[tuple[str, bytes]]:
 
 
 def _status(phase: Phase, window: TrialWindow, trials: int) -> bytes:
+    over = phase is Phase.DONE  # said of all trials, with nothing to say of the last one
     return encode_trial_status(
         TrialStatus(
             phase=phase,
@@ -145,8 +133,8 @@ def _status(phase: Phase, window: TrialWindow, trials: int) -> bytes:
             start_ns=window.start_ns,
             ticks=window.ticks,
             seed=window.seed or 0,
-            valid=not window.fault,
-            reason=window.told_again,
+            valid=over or not window.fault,
+            reason="" if over else window.told_again,
         )
     )
 

@@ -42,18 +42,27 @@ class Progress:
 class Supervisor(Node):
     """Listens to everything that tells how the experiment goes."""
 
-    def __init__(self, graph: GraphContext, on_progress: Callable[[Progress], None]) -> None:
+    def __init__(
+        self,
+        graph: GraphContext,
+        on_progress: Callable[[Progress], None],
+        *,
+        on_phase: Callable[[Phase], None] = lambda _: None,
+        on_over: Callable[[], None] = lambda: None,
+    ) -> None:
         super().__init__(
             contract.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False
         )
         self._on_progress = on_progress
+        self._on_phase = on_phase
+        self._on_over = on_over
         self.problems: list[str] = []
         self.concluded = self.finished = False
         self.realtime = False
         """Whether a fault ends the experiment at once, and does not matter after its last trial."""
         self.timing: TimingFigures | None = None
         """Last figures of a rig in real time."""
-        self._done = False
+        self._done = self._told = False
         self.last_news = time.monotonic()
         self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
@@ -64,6 +73,11 @@ class Supervisor(Node):
         self.create_subscription(
             DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
+
+    @property
+    def over(self) -> bool:
+        """Whether all trials have ended, in good order or not, and there is a result."""
+        return self.concluded and self.finished
 
     def _on_progress_message(self, message: DiagnosticStatus) -> None:
         values = values_of(message)
@@ -88,11 +102,22 @@ class Supervisor(Node):
         self.last_news = time.monotonic()
         if message.name == CONCLUSION_NAME:
             self.concluded = True
+            self._tell_if_over()
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
-        phase = values_of(message).get("phase")
-        self._done = self._done or phase == Phase.DONE.value
-        self.finished = self.finished or phase in (Phase.DONE.value, Phase.ABORTED.value)
+        try:
+            phase = Phase(values_of(message).get("phase"))
+        except ValueError:  # the estimator complains
+            return
+        self._done = self._done or phase is Phase.DONE
+        self.finished = self.finished or phase in (Phase.DONE, Phase.ABORTED)
+        self._on_phase(phase)
+        self._tell_if_over()
+
+    def _tell_if_over(self) -> None:
+        if self.over and not self._told:
+            self._told = True
+            self._on_over()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         if self.realtime and self._done:

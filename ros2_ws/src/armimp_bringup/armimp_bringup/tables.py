@@ -10,7 +10,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from armimp_estimation.results import EstimatorSummary, Summary, TimingSummary
+from armimp_estimation.results import EstimatorSummary, Summary, TimingSummary, WallSummary
 
 _COUNTS = ("duplicated", "reordered", "late", "clipped", "excluded")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
@@ -29,8 +29,17 @@ def print_summary(summary: Summary, directory: Path | None, console: Console | N
     out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
     if directory is not None:
         out.print(f"results in {directory}", highlight=False)
+    if summary.wall is not None and not math.isnan(summary.wall.trials):
+        out.print(_wall_line(summary.wall), highlight=False)
     for line in _without_precision(summary):
         out.print(line, highlight=False)
+
+
+def _wall_line(wall: WallSummary) -> str:
+    return (
+        f"{wall.before:.1f} s until the first sample, {wall.trials:.1f} s to the last one, "
+        f"{wall.after:.1f} s for the result"
+    )
 
 
 def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:

@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armimp_bringup.driver_check.findings import Verdict, failures, report
+from armimp_bringup.driver_check.findings import Verdict, failures, open_questions, report
 from armimp_bringup.driver_check.judge import judge
 from armimp_bringup.driver_check.responses import letting
 from armimp_bringup.driver_check.samples import Call, Ending, Endpoint, Message, Push, Record
+from armimp_bringup.driver_check.witness import stalls
 from armimp_common import contract
 from armimp_common.contract import COMMANDS, JOINT_STATES, PERIOD_NS, TORQUE_SENSORS
 from armimp_sim.parameters import SimulatorParameters
@@ -92,6 +93,21 @@ def ending(bench: Bench, end: Callable[[Bench, Torque], list[Torque]]) -> Ending
     )
 
 
+def renewed(bench: Bench, share: float = 0.0) -> Push:
+    """Torque that is commanded anew after a fault, of which a share acts."""
+    bench.play([ZERO] * 500)
+    position, effort = bench.play([ZERO] * REST + [(share, 0.0)] * REST)
+    last = bench.play([ZERO] * AFTER)
+    return Push(
+        joint=0,
+        torque=1.0,
+        position=np.hstack([position, last[0]]),
+        effort=np.hstack([effort, last[1]]),
+        on=REST,
+        off=2 * REST - 1,
+    )
+
+
 def messages(topic: str, edit: Edit = lambda message: message) -> list[Message]:
     """A second of a sound stream, with readings that change by a count now and then."""
     rng = np.random.default_rng(7)
@@ -127,7 +143,7 @@ def endpoint(topic: str) -> Endpoint:
 @pytest.fixture(scope="module")
 def sound() -> Record:
     bench = Bench()
-    silence = ending(bench, ramp(5, 10))
+    silence = replace(ending(bench, ramp(5, 10)), again=renewed(bench))
     stop = ending(bench, lambda bench, torque: [ZERO] * AFTER)
     return Record(
         joints=JOINTS,
@@ -137,6 +153,8 @@ def sound() -> Record:
         services=frozenset({contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE}),
         lifecycle="unconfigured",
         pushes=pushes(bench),
+        moved=0.002,
+        most=0.3,
         stale=silence,
         stop=replace(stop, stop=Call(success=True, seconds=0.01)),
     )
@@ -269,7 +287,7 @@ def test_another_order_of_names_passes_only_if_commands_were_seen_to_obey(sound:
     ("drive", "words"),
     [
         (lambda torque: (-torque[0], torque[1]), "shoulder turns against its torque"),
-        (lambda torque: (torque[1], torque[0]), "does not move, but others do"),
+        (lambda torque: (torque[1], torque[0]), "shoulder and elbow mixed up"),
     ],
     ids=["sign", "order"],
 )
@@ -280,6 +298,15 @@ def test_commands_with_a_wrong_sign_or_order_are_named(
     (found,) = [f for f in findings if f.check == "torque: joint and sign"]
     assert found.verdict is Verdict.FAIL
     assert words in found.figure
+
+
+def test_commands_and_transducers_are_told_apart_where_signs_are_wrong(sound: Record) -> None:
+    def turned(torque: Torque) -> Torque:
+        return (-torque[0], -torque[1])
+
+    for sign, more in ((1.0, []), (-1.0, ["torque_sensors: sign"])):
+        failed = failures(judge(replace(sound, pushes=pushes(Bench(turned), sign=sign))))
+        assert failed == ["torque: joint and sign", *more]
 
 
 def test_transducers_with_a_wrong_sign_are_named(sound: Record) -> None:
@@ -294,7 +321,8 @@ def test_transducers_with_a_wrong_sign_are_named(sound: Record) -> None:
 def test_the_end_of_torque_is_judged_by_motion_alone(
     sound: Record, wait: int, length: int, good: bool
 ) -> None:
-    failed = failures(judge(replace(sound, stale=ending(Bench(), ramp(wait, length)))))
+    stale = replace(ending(Bench(), ramp(wait, length)), again=renewed(Bench()))
+    failed = failures(judge(replace(sound, stale=stale)))
     assert failed == ([] if good else ["stale commands"])
 
 
@@ -340,4 +368,135 @@ def test_nothing_is_judged_by_motion_where_nothing_moved(sound: Record) -> None:
     ]
     findings = {f.check: f.verdict for f in judge(replace(sound, pushes=still))}
     for check in ("torque: joint and sign", "torque_sensors: sign", "torque: delay"):
-        assert findings[check] is Verdict.NOT_CHECKED
+        assert findings[check] is Verdict.INCONCLUSIVE
+
+
+def test_when_torque_acts_again_before_the_reset_expect_that_named_alone(sound: Record) -> None:
+    assert sound.stale is not None
+    for share, named in ((1.0, ["stale commands: latched"]), (0.0, [])):
+        stale = replace(sound.stale, again=renewed(Bench(), share))
+        assert failures(judge(replace(sound, stale=stale))) == named
+
+
+def given_up(sound: Record, **changes: object) -> Record:
+    given: dict[str, object] = {"pushes": (), "stale": None, "stop": None, **changes}
+    return replace(sound, **given)  # type: ignore[arg-type]
+
+
+def test_when_the_rig_moved_too_far_expect_motion_named_and_the_rest_inconclusive(
+    sound: Record,
+) -> None:
+    reason = "elbow went 0.31 rad from where it was: torque taken away"
+    findings = judge(given_up(sound, broken=reason))
+    assert failures(findings) == ["torque: motion"]
+    assert {"torque: joint and sign", "stale commands", "emergency stop"} <= set(
+        open_questions(findings)
+    )
+
+
+def test_when_a_driver_stops_under_regular_commands_expect_that_named(sound: Record) -> None:
+    words = "arm_sim: rig: no command for 5 periods"
+    findings = judge(given_up(sound, broken=f"the driver stopped: {words}", stopped=words))
+    assert failures(findings) == ["torque: no stop"]
+    assert {"torque: delay", "stale commands"} <= set(open_questions(findings))
+
+
+def test_when_the_machine_held_up_all_attempts_expect_no_verdict_on_the_driver(
+    sound: Record,
+) -> None:
+    broken = "commands were held up 8 times, by up to 12 ms"
+    findings = judge(given_up(sound, broken=broken, repeated=8, gap=0.012))
+    assert failures(findings) == []
+    assert {"torque: no stop", "torque: delay", "emergency stop"} <= set(open_questions(findings))
+    assert not report(findings)["passed"]
+
+
+def test_a_fault_at_rest_is_named_and_what_was_asked_for_in_vain_is_inconclusive(
+    sound: Record,
+) -> None:
+    fault = "arm_sim: rig: emergency stop"
+    record = given_up(
+        sound, moved=None, faults=[fault], troubled=True, skipped=f"there is a fault: {fault}"
+    )
+    findings = judge(record)
+    assert failures(findings) == ["no fault at rest"]
+    assert "torque: delay" in open_questions(findings)
+    # Without --move nothing was asked for.
+    findings = judge(replace(record, troubled=False, skipped="not without --move"))
+    assert open_questions(findings) == []
+
+
+def test_jitter_is_the_drivers_only_where_the_checker_was_awake(sound: Record) -> None:
+    record = edited(sound, JOINT_STATES, _held_up)
+    late = [m.stamp_ns for m in record.streams[JOINT_STATES] if m.stamp_ns // PERIOD_NS % 20 == 3]
+    asleep = [(10**12 + stamp - 100_000, 10**12 + stamp + 500_000) for stamp in late]
+    check = f"{JOINT_STATES}: jitter"
+    for found, verdict in (
+        ([], Verdict.FAIL),
+        (asleep[: len(asleep) // 2], Verdict.FAIL),
+        (asleep, Verdict.INCONCLUSIVE),
+    ):
+        judged = judge(replace(record, stalls=stalls(found, 10**9)))
+        assert {f.check: f.verdict for f in judged}[check] is verdict
+
+
+@pytest.mark.parametrize(
+    ("waited", "verdict"), [(0.001, Verdict.FAIL), (0.05, Verdict.INCONCLUSIVE)]
+)
+def test_jitter_is_not_the_drivers_where_it_waited_for_a_processor(
+    sound: Record, waited: float, verdict: Verdict
+) -> None:
+    record = replace(edited(sound, JOINT_STATES, _held_up), waited=waited)
+    check = f"{JOINT_STATES}: jitter"
+    assert {f.check: f.verdict for f in judge(record)}[check] is verdict
+
+
+@pytest.mark.parametrize(
+    ("slower", "stall_ns", "verdict"),
+    [
+        (1.003, 0, Verdict.PASS),
+        (1.015, 1_000_000, Verdict.FAIL),
+        (1.015, 20_000_000, Verdict.INCONCLUSIVE),
+        (2.0, 20_000_000, Verdict.FAIL),
+    ],
+)
+def test_a_wrong_rate_is_the_drivers_unless_a_stall_of_the_checker_explains_it(
+    sound: Record, slower: float, stall_ns: int, verdict: Verdict
+) -> None:
+    record = edited(
+        sound,
+        JOINT_STATES,
+        lambda m: replace(m, arrival_ns=10**12 + round(slower * (m.arrival_ns - 10**12))),
+    )
+    found = stalls([(10**12, 10**12 + stall_ns)] if stall_ns else [], 10**9)
+    check = f"{JOINT_STATES}: rate"
+    assert {f.check: f.verdict for f in judge(replace(record, stalls=found))}[check] is verdict
+
+
+def test_a_single_stall_at_the_end_of_a_recording_is_no_wrong_rate(sound: Record) -> None:
+    kept = list(sound.streams[JOINT_STATES])
+    late = [
+        replace(m, arrival_ns=m.arrival_ns + 30_000_000 - i * 900_000)
+        for i, m in enumerate(kept[-30:])
+    ]
+    record = replace(sound, streams={**sound.streams, JOINT_STATES: [*kept[:-30], *late]})
+    assert f"{JOINT_STATES}: rate" not in failures(judge(record))
+
+
+def test_a_quick_motion_that_leaves_levels_out_says_nothing_of_the_resolution(
+    sound: Record,
+) -> None:
+    count = 2.0 * np.pi / 51200
+    check = f"{JOINT_STATES}: resolution"
+    for levels, verdict in (
+        ((0, 3, 8, 15), Verdict.NOT_CHECKED),
+        ((0, 4, 8, 12), Verdict.FAIL),
+        ((0, 3, 8, 9), Verdict.PASS),
+    ):
+
+        def edit(m: Message, levels: tuple[int, ...] = levels) -> Message:
+            angle = count * levels[min(m.stamp_ns // PERIOD_NS // 50, 3)]
+            return replace(m, position=(angle, 0.0))
+
+        found = judge(edited(sound, JOINT_STATES, edit))
+        assert {f.check: f.verdict for f in found}[check] is verdict

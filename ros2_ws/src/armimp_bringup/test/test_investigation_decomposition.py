@@ -26,10 +26,10 @@ from armimp_bringup.investigations.decomposition_trials import (
     all_at_once,
     in_threads,
     input_mixing,
-    joint_by_joint,
     scales,
 )
 from armimp_bringup.investigations.options import InvestigationOptions
+from armimp_bringup.simulated import simulate
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK
@@ -186,7 +186,7 @@ def test_mixing_keeps_the_power_and_gives_the_correlation() -> None:
 
 def test_all_at_once_has_as_many_trials_each_with_signals_of_its_own() -> None:
     config = BASE.model_copy(update={"duration": 10.0})
-    (alone,), (together,) = joint_by_joint([config]), all_at_once([config])
+    (alone,), (together,) = simulate([config]), all_at_once([config])
     assert [record.samples for record in alone.records] == [10_000, 10_000]
     assert [record.samples for record in together.records] == [10_000, 10_000]
     signals = [row for record in together.records for row in record.perturbation]

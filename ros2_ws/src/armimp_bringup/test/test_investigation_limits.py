@@ -13,11 +13,14 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.investigations.decomposition_trials import joint_by_joint, with_voluntary
+from armimp_bringup.investigations.decomposition_trials import (
+    with_voluntary,
+)
 from armimp_bringup.investigations.limits import LimitsPlan, bound_of, investigate, run_limits
 from armimp_bringup.investigations.limits_statistics import Cell
 from armimp_bringup.investigations.limits_tables import in_words
 from armimp_bringup.investigations.options import InvestigationOptions
+from armimp_bringup.simulated import simulate
 from armimp_common.errors import ConfigurationError
 
 BASE = ExperimentConfig(arm_sim={"substeps": 20})
@@ -37,9 +40,7 @@ def cells() -> Cells:
 def bound(voluntary: float, **levels: int) -> NDArray[np.float64]:
     """Bound of a short experiment with seed 3."""
     base = SHORT.model_copy(update=levels)
-    one, quiet = (
-        joint_by_joint(with_voluntary(base, torque, [3]))[0] for torque in (voluntary, 0.0)
-    )
+    one, quiet = (simulate(with_voluntary(base, torque, [3]))[0] for torque in (voluntary, 0.0))
     return bound_of(one, quiet, BAND)
 
 

@@ -10,11 +10,20 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, UInt64
 
-from armimp_common import qos
-from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateDecoder, JointStateEncoder
+from armimp_common import contract, qos
+from armimp_common.cdr import (
+    CommandDecoder,
+    CommandEncoder,
+    JointStateDecoder,
+    JointStateEncoder,
+    decode_count,
+    encode_clock,
+    encode_count,
+)
 from armimp_common.contract import ValueField
 from armimp_common.errors import MalformedMessageError
 
@@ -45,6 +54,7 @@ class JointStatePublisher:
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
         self.publisher: Publisher = node.create_publisher(JointState, topic, profile)
+        self._send = sender(self.publisher)
         self._encode = JointStateEncoder(names, field).encode
 
     def publish(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
@@ -56,7 +66,7 @@ class JointStatePublisher:
             If the number of values is wrong.
         """
         data = self._encode(stamp_ns, values)
-        self.publisher.publish(data)
+        self._send(data)
         return data
 
 
@@ -65,6 +75,7 @@ class CommandPublisher:
 
     def __init__(self, node: Node, topic: str, n: int, *, profile: QoSProfile = qos.SAMPLE) -> None:
         self.publisher: Publisher = node.create_publisher(Float64MultiArray, topic, profile)
+        self._send = sender(self.publisher)
         self._encode = CommandEncoder(n).encode
 
     def publish(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
@@ -76,8 +87,42 @@ class CommandPublisher:
             If the number of values is wrong.
         """
         data = self._encode(values)
-        self.publisher.publish(data)
+        self._send(data)
         return data
+
+
+class CountPublisher:
+    """Publisher of counts, of which the last one is kept for whoever joins late."""
+
+    def __init__(self, node: Node, topic: str, *, profile: QoSProfile = qos.LATCHED) -> None:
+        self.publisher: Publisher = node.create_publisher(UInt64, topic, profile)
+        self._send = sender(self.publisher)
+
+    def publish(self, count: int) -> None:
+        """Publish a count from 0 to 2⁶⁴ − 1."""
+        self._send(encode_count(count))
+
+
+class ClockPublisher:
+    """Publisher of simulated time."""
+
+    def __init__(self, node: Node) -> None:
+        self.publisher: Publisher = node.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
+        self._send = sender(self.publisher)
+
+    def publish(self, stamp_ns: int) -> None:
+        """Publish a time (ns)."""
+        self._send(encode_clock(stamp_ns))
+
+
+def sender(publisher: Publisher) -> Callable[[bytes], None]:
+    """Return what publishes serialised messages.
+
+    `Publisher.publish` does the same after it has told them from others, and protected the
+    publisher from being destroyed by another thread meanwhile: twice the time of the rest.
+    """
+    send: Callable[[bytes], None] = publisher.handle.publish_raw
+    return send
 
 
 class RawSubscription:
@@ -179,6 +224,31 @@ class CommandSubscription(RawSubscription):
                 callback(values)
 
         super().__init__(node, topic, Float64MultiArray, on_message, profile=profile)
+
+
+class CountSubscription(RawSubscription):
+    """Subscription to counts; see `JointStateSubscription`."""
+
+    def __init__(
+        self,
+        node: Node,
+        topic: str,
+        callback: Callable[[int], None],
+        *,
+        on_malformed: OnMalformed | None = None,
+        profile: QoSProfile = qos.LATCHED,
+    ) -> None:
+        def on_message(data: bytes) -> None:
+            try:
+                count = decode_count(data)
+            except MalformedMessageError as error:
+                if on_malformed is None:
+                    raise
+                on_malformed(error)
+            else:
+                callback(count)
+
+        super().__init__(node, topic, UInt64, on_message, profile=profile)
 
 
 class HasPublisher(Protocol):

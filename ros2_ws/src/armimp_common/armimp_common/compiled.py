@@ -13,7 +13,9 @@ become SIMD code, too.
 from __future__ import annotations
 
 import hashlib
+import importlib
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -48,6 +50,24 @@ def compiled_entry(function: Function) -> Function:
         return cast(Function, compiler(function))
     finally:
         config.CACHE_DIR = before
+
+
+def spare_linear_algebra() -> None:
+    """Do without linear algebra in compiled functions, the import of which takes 0.15 s.
+
+    Only for a process that compiles nothing but what is here: numba then knows no covariances.
+    """
+    blas = "scipy.linalg.cython_blas"
+    if blas in sys.modules:
+        return
+    modules = cast(dict[str, Any], sys.modules)
+    modules[blas] = None  # so that its import fails, which numba allows for
+    try:
+        importlib.import_module("numba.np.arraymath")
+    except ImportError:
+        pass
+    finally:
+        del modules[blas]
 
 
 def source_digest(function: Callable[..., Any]) -> str:

@@ -1,11 +1,13 @@
-"""Signs of life: how a process hears within 120 ms that another one died.
+"""Signs of life: how a process hears that another one died.
 
 Each node offers a latched topic of its own, with the identity of its process. The middleware keeps
 its publisher alive from a thread of its own as long as the process runs, so neither a busy callback
 nor a held interpreter lock looks like a death. Data topics are left as they are, since a reader
 that asks for a lease refuses every publisher which does not offer one, and few drivers do.
 
-A silent process of the same machine is looked up, since a busy machine may hold one up for long.
+A process of the same machine is looked up besides, every 20 ms. So its death is known soon even if
+the middleware of the others is held up, as by what a killed process left locked in shared memory,
+and one that is only silent, on a busy machine, does not count as dead.
 
 A process does not watch itself: the middleware lets the lease between two nodes of one process run
 out without a cause, and never renews it then.
@@ -52,14 +54,14 @@ class Presence(Enum):
         alive, silent
             Numbers of publishers that give a sign of life and that do not any more.
         process_lives
-            Whether the process is there; None if that is not known.
+            Whether the process that told its identity last is there; None if that is not known.
         """
-        if alive:
-            return Presence.ALIVE
-        if silent:
-            if process_lives is None:
-                return Presence.SILENT
-            return Presence.STALLED if process_lives else Presence.GONE
+        if alive or silent:
+            if process_lives is False:
+                return Presence.GONE
+            if alive:
+                return Presence.ALIVE
+            return Presence.STALLED if process_lives else Presence.SILENT
         if self in (Presence.UNKNOWN, Presence.GONE, Presence.LEFT):
             return self
         # The middleware forgets a silent publisher when the lease of its process is over.
@@ -105,7 +107,7 @@ class Watch:
         self.presence = Presence.UNKNOWN
         self._on_change = on_change
         self._alive = self._silent = 0
-        self._process = ""
+        self._process, self._own_process = "", identity()
         self.subscription = node.create_subscription(
             String,
             contract.alive(name),
@@ -113,7 +115,6 @@ class Watch:
             qos.ALIVE_WATCHED,
             event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_event),
         )
-        # The middleware tells only once that a process is silent; a stalled one may die later.
         self._timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
 
     @property
@@ -124,10 +125,11 @@ class Watch:
     @property
     def ghost(self) -> bool:
         """Whether the node is lost but still listed, so that its topics seem to be there."""
-        return self.presence.lost and self._silent > 0
+        return self.presence.lost and self._alive + self._silent > 0
 
     def _on_identity(self, message: String) -> None:
         self._process = message.data
+        self._look()
 
     def _on_event(self, event: QoSLivelinessChangedInfo) -> None:
         # Within one process the middleware counts below zero.
@@ -136,14 +138,16 @@ class Watch:
 
     def _look(self) -> None:
         alive, silent = self._alive, self._silent
-        if silent and self._process and self._process == identity():
-            alive, silent = silent, 0
-        mute = not alive and silent > 0
-        presence = self.presence.after(alive, silent, lives(self._process) if mute else None)
-        if presence is Presence.STALLED:
-            self._timer.reset()
-        else:
+        process_lives = None
+        if self._process and self._process == self._own_process:
+            alive, silent = alive + silent, 0
+        elif alive or silent:
+            process_lives = lives(self._process)
+        presence = self.presence.after(alive, silent, process_lives)
+        if not process_lives:
             self._timer.cancel()
+        elif self._timer.is_canceled():
+            self._timer.reset()
         if presence is not self.presence:
             self.presence = presence
             self._on_change(self)

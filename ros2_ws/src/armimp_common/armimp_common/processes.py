@@ -1,6 +1,10 @@
 """Identity of a process, by which others on the same machine can tell whether it still lives."""
 
+import math
 import os
+import time
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 
 
@@ -34,6 +38,35 @@ def lives(process: str) -> bool | None:
     return started == start and state not in ("Z", "X")
 
 
+def age() -> float:
+    """Return how long ago this process was started, s, to some 10 ms; NaN if it can't be told."""
+    try:
+        started = int(_state("self")[1]) / os.sysconf("SC_CLK_TCK")
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - started
+    except (OSError, AttributeError):
+        return math.nan
+
+
+def waited_ns(process: str) -> int | None:
+    """Return how long the threads of the process with this `identity` waited for a processor, ns.
+
+    That is the time since their start in which they could have run and others did; see
+    proc_pid_schedstat(5). None if it can't be told from here.
+    """
+    if not lives(process):
+        return None
+    number = process.rpartition("] ")[2].partition(" ")[0]
+    total = 0
+    try:
+        for task in Path(f"/proc/{number}/task").iterdir():
+            with suppress(FileNotFoundError, ProcessLookupError):  # a thread that ended just now
+                total += int((task / "schedstat").read_text(encoding="ascii").split()[1])
+    except (OSError, ValueError, IndexError):
+        return None
+    return total
+
+
+@cache
 def _place() -> str:
     boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
     # Ends with "]", like "pid:[4026531836]".

@@ -11,12 +11,15 @@ from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import contract, qos
+from armimp_common.cdr import encode_count
 from armimp_common.channels import (
     CommandPublisher,
     CommandSubscription,
+    CountPublisher,
+    CountSubscription,
     JointStatePublisher,
     JointStateSubscription,
     RawSubscription,
@@ -87,6 +90,28 @@ def test_commands_arrive(node: Node, spin: Spin) -> None:
     assert received == [(1.0, 2.0, float(k)) for k in range(100)]
 
 
+def test_counts_arrive_raw_and_typed_also_where_somebody_joins_late(node: Node, spin: Spin) -> None:
+    publisher = CountPublisher(node, "topic")
+    for count in (0, 10, 2**64 - 1):
+        publisher.publish(count)
+    received: list[int] = []
+    typed: list[UInt64] = []
+    CountSubscription(node, "topic", received.append)
+    node.create_subscription(UInt64, "topic", typed.append, qos.LATCHED)
+
+    spin.until(lambda: len(received) == len(typed) == 3)
+
+    assert received == [message.data for message in typed] == [0, 10, 2**64 - 1]
+
+
+def test_when_the_publisher_was_destroyed_expect_an_error_and_no_crash(node: Node) -> None:
+    publisher = CommandPublisher(node, "topic", 2)
+    node.destroy_publisher(publisher.publisher)
+
+    with pytest.raises(RuntimeError):
+        publisher.publish([1.0, 2.0])
+
+
 def test_sent_bytes_equal_those_of_a_typed_publisher(node: Node, spin: Spin) -> None:
     received: list[bytes] = []
     typed = node.create_publisher(JointState, "topic", qos.SAMPLE)
@@ -131,15 +156,21 @@ def test_typed_subscription_understands_raw_messages(node: Node, spin: Spin) -> 
     assert list(commands[0].data) == [3.0, 4.0]
 
 
-@pytest.mark.parametrize("kind", ["joint state", "command"])
+@pytest.mark.parametrize("kind", ["joint state", "command", "count"])
 def test_when_bytes_are_malformed_expect_the_handler_called_instead(
     node: Node, spin: Spin, kind: str
 ) -> None:
     good: list[object] = []
     errors: list[MalformedMessageError] = []
-    publisher: JointStatePublisher | CommandPublisher
+    publisher: JointStatePublisher | CommandPublisher | CountPublisher
     subscription: RawSubscription
-    if kind == "command":
+    if kind == "count":
+        publisher = CountPublisher(node, "topic", profile=qos.SAMPLE)
+        data = encode_count(7)
+        subscription = CountSubscription(
+            node, "topic", good.append, on_malformed=errors.append, profile=qos.SAMPLE
+        )
+    elif kind == "command":
         publisher = CommandPublisher(node, "topic", 2)
         data = publisher.publish([1.0, 2.0])
         subscription = CommandSubscription(

@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from armimp_common import contract
+from armimp_common import contract, qos
 from armimp_common.channels import wait_until_matched
 from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.spin import Spinner
@@ -104,7 +104,18 @@ def test_a_silent_process_counts_as_what_a_look_at_it_tells(
 ) -> None:
     assert Presence.ALIVE.after(0, 1, lives) is after
     assert Presence.STALLED.after(0, 1, lives) is after
-    assert Presence.ALIVE.after(1, 1, lives) is Presence.ALIVE
+    assert Presence.LEFT.after(0, 0, lives) is Presence.LEFT
+
+
+@pytest.mark.parametrize(
+    ("lives", "after"),
+    [(True, Presence.ALIVE), (False, Presence.GONE), (None, Presence.ALIVE)],
+)
+def test_a_process_that_is_looked_up_in_vain_is_dead_though_its_lease_has_not_run_out(
+    lives: bool | None, after: Presence
+) -> None:
+    assert Presence.ALIVE.after(1, 0, lives) is after
+    assert Presence.ALIVE.after(1, 1, lives) is after
 
 
 def test_only_a_node_that_was_there_can_be_lost() -> None:
@@ -124,6 +135,19 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard(
 
     assert changes[1] is Presence.GONE
     assert watch.sentence == "other is dead"
+    assert watch.ghost
+
+
+def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_runs_out(
+    node: Node, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
+    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.kill()
+        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death", patience=1.0)
+
     assert watch.ghost
 
 

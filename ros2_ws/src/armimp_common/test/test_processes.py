@@ -4,10 +4,11 @@ import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
-from armimp_common.processes import identity, lives
+from armimp_common.processes import identity, lives, waited_ns
 
 TELL = "import time; from armimp_common.processes import identity; print(identity(), flush=True)"
 
@@ -41,6 +42,43 @@ def test_another_process_with_the_same_number_is_not_taken_for_it() -> None:
     assert lives(" ".join([*place, number, str(int(start) + 1)])) is False
 
 
+def test_of_two_processes_on_one_core_each_waits_for_the_other() -> None:
+    core = min(os.sched_getaffinity(0))
+    program = f"{TELL}; import os; os.sched_setaffinity(0, {{{core}}})\nwhile True: pass"
+    busy = [
+        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    try:
+        told = []
+        for process in busy:
+            assert process.stdout is not None
+            told.append(process.stdout.readline().strip())
+        before = [waited_ns(process) for process in told]
+        time.sleep(0.5)
+        after = [waited_ns(process) for process in told]
+    finally:
+        for process in busy:
+            process.kill()
+            process.communicate()
+    for first, last in zip(before, after, strict=True):
+        assert first is not None
+        assert last is not None
+        assert last - first > 100_000_000
+    assert waited_ns(told[0]) is None
+
+
 @pytest.mark.parametrize("process", ["", "rubbish", "boot pid:[1] 1 1", "] x y", "boot pid:[1]"])
 def test_of_a_process_elsewhere_nothing_is_known(process: str) -> None:
     assert lives(process) is None
+    assert waited_ns(process) is None
+
+
+def test_age_is_the_time_since_the_process_was_started() -> None:
+    program = "import time; from armimp_common.processes import age; a = age(); time.sleep(0.5); "
+    began = time.monotonic()
+    told = subprocess.check_output([sys.executable, "-c", f"{program}print(a, age())"], text=True)
+    took = time.monotonic() - began
+    first, second = map(float, told.split())
+    assert 0.0 < first < second <= took + 0.02
+    assert second - first >= 0.5

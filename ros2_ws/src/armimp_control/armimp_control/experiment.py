@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,14 +52,15 @@ class Experiment:
         self._announce = announce
         self._perturbation_config = parameters.perturbation_config()
         self._law = Controller(parameters.law_config(), safety=parameters.safety_config())
-        n = len(parameters.joints)
+        n = self._joints = len(parameters.joints)
         self._segments = timetable(parameters.sequence_config(), joints=n, period=PERIOD)
         self._next_segment = 0
         self._segment: Segment | None = None
+        self._until = 0  # tick with which the next segment begins
         self._ticks = self._perturbed_ticks(1)
         self._due: int | None = None
         self._start_ns: int | None = None
-        self._last_stamp_ns: int | None = None
+        self._next_ns: int | None = None  # stamp that is expected
         self._signal: NDArray[np.float64] = np.zeros(0)
         # In lockstep made when its trial begins, as memory is worth more there than time.
         self._signals = (
@@ -69,14 +72,16 @@ class Experiment:
             if parameters.mode == "realtime"
             else {}
         )
+        self._sample = np.zeros((2, n))
+        self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._sample.data, 0)
         self._tare_config = parameters.sequence_config().tare
         # Readings while all joints are held.
         self._at_rest = np.zeros((n, self._tare_config.ticks(PERIOD)))
         self._tare: Tare | None = None
-        self._theta, self._tau_h = np.zeros(n), np.zeros(n)
         self._tick = 0
         self._reason = self._malformed = ""
         self.command, self.tau_delta = self._law.command, np.zeros(n)
+        self._compute = self._law.ticker(self._sample[0], self._sample[1], self.tau_delta)
         self._clips = ClipLedger()
         self.fault = ""
         self.lost = 0
@@ -96,15 +101,18 @@ class Experiment:
         -----
         A sample that is wrong in any way ends the experiment, and nothing of it is used.
         """
-        self._malformed = self._wrong_length(theta, tau_h)
-        if self._malformed:
-            self.abort(self._malformed)
-        else:
+        if len(theta) == self._joints == len(tau_h):
+            self._malformed = ""
             if not self.finished:
-                self._check(stamp_ns)
-            if not self.finished:
-                self._advance(stamp_ns)
+                if stamp_ns != self._next_ns:
+                    self._check(stamp_ns)
+                self._next_ns = stamp_ns + PERIOD_NS
+                if self._tick >= self._until and not self.finished:
+                    self._advance(stamp_ns)
             self._control(theta, tau_h)
+        else:
+            self._malformed = self._wrong_length(theta, tau_h)
+            self.abort(self._malformed)
         self._tick += 1
 
     @property
@@ -148,7 +156,7 @@ class Experiment:
         if end < self._place:
             end = self._place + NOTICE_TICKS
         if judgement.enough and end < segment.ticks:
-            self._segment = replace(segment, ticks=end)
+            self._enter(replace(segment, ticks=end))
             self._ticks = end
             self._announce(self._status(Phase.PERTURB))
 
@@ -185,9 +193,9 @@ class Experiment:
 
     def _check(self, stamp_ns: int) -> None:
         """Check what the gate can not know: the order of the samples, and gaps between them."""
-        last, self._last_stamp_ns = self._last_stamp_ns, stamp_ns
-        if last is None or stamp_ns - last == PERIOD_NS:
+        if self._next_ns is None:
             return
+        last = self._next_ns - PERIOD_NS
         if stamp_ns <= last:
             self.abort(f"stamp {stamp_ns} ns follows {last} ns: samples must move forward")
             return
@@ -196,9 +204,7 @@ class Experiment:
             self._reason = f"{self.lost} samples did not arrive"
 
     def _advance(self, stamp_ns: int) -> None:
-        """Enter the next phase when its first tick has come."""
-        if self._segment is not None and self._tick < self._segment.end:
-            return
+        """Enter the next phase, whose first tick has come."""
         self._due = None
         if self._next_segment == len(self._segments):
             self.finished = True
@@ -207,7 +213,7 @@ class Experiment:
             return
         before = self._segment
         # A trial that ended early brings forward all that follows.
-        segment = self._segment = replace(self._segments[self._next_segment], first=self._tick)
+        segment = self._enter(replace(self._segments[self._next_segment], first=self._tick))
         self._next_segment += 1
         self.tau_delta[:] = 0.0
         if before is not None and before.tare:
@@ -218,6 +224,10 @@ class Experiment:
         elif segment.phase is Phase.PERTURB:
             self._start_ns = stamp_ns
         self._announce(self._status(segment.phase))
+
+    def _enter(self, segment: Segment) -> Segment:
+        self._segment, self._until = segment, segment.end
+        return segment
 
     def _take_tare(self, settle: Segment) -> None:
         """Find the tare and let the joints take their roles, or end the experiment."""
@@ -254,15 +264,14 @@ class Experiment:
     def _control(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
         segment = self._segment
         place: int | None = None  # within the perturbation
-        self.tau_delta[:] = 0.0
+        # The other joints, and all of them in other phases, were set to zero as the phase began.
         if not self.finished and segment is not None and segment.phase is Phase.PERTURB:
             place = self._tick - segment.first
             self.tau_delta[segment.joint] = self._signal[place]
         elif not self.finished and segment is not None and segment.tare:
             self._at_rest[:, self._tick - segment.first] = tau_h
-        self._theta[:] = theta
-        self._tau_h[:] = tau_h
-        clipped = self._law.tick(self._theta, self._tau_h, self.tau_delta)
+        self._fill(*theta, *tau_h)
+        clipped = self._compute()
         if clipped and place is not None:
             self._clips.add(place, clipped)
         if not self.finished and self._law.closed:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import time
 from typing import Any
@@ -10,12 +9,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
-from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
     CommandPublisher,
+    CountSubscription,
     JointStatePublisher,
     JointStateSubscription,
 )
@@ -36,6 +35,7 @@ from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_common.urgency import Urgency
 from armimp_control.experiment import Experiment
+from armimp_control.pairs import Reading, SamplePairs, first_bad
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.safety import Limit
 from armimp_control.watchdog import Watchdog
@@ -56,7 +56,7 @@ class ImbicControllerNode(LifecycleNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(contract.CONTROLLER_NODE, **kwargs)
         self.transition_error = ""
-        self._active = False
+        self._active = self._lockstep = False
         self._experiment: Experiment | None = None
         self._sign = SignOfLife(self, contract.CONTROLLER_NODE)
         self._watches = [
@@ -72,7 +72,9 @@ class ImbicControllerNode(LifecycleNode):
         self._diagnostics: Publisher | None = None
         self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
-        self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
+        CountSubscription(
+            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
+        )
         self.create_subscription(
             DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
         )
@@ -135,6 +137,7 @@ class ImbicControllerNode(LifecycleNode):
         if self._settings.mode == "realtime":
             self._urgency = Urgency(self._settings.realtime)
         self._active = True
+        self._lockstep = self._settings.mode == "lockstep"
         self._timer.reset()
         return super().on_activate(state)
 
@@ -177,17 +180,15 @@ class ImbicControllerNode(LifecycleNode):
 
     def _prepare(self) -> Experiment:
         self._experiment = Experiment(self._settings, self._announce)
-        # Readings of the two sensor topics that still wait for their partner, by stamp.
-        self._positions: dict[int, tuple[float, ...]] = {}
-        self._torques: dict[int, tuple[float, ...]] = {}
-        self._held: tuple[int, tuple[float, ...], tuple[float, ...]] | None = None
+        self._pairs = SamplePairs()
+        self._held: tuple[int, Reading, Reading] | None = None
         self._garbled = ""
         self._clips_told = 0
         return self._experiment
 
     def _stop(self, reason: str) -> None:
         """Leave the plant with zero torque and the world with an explanation."""
-        self._active = False
+        self._active = self._lockstep = False
         self._timer.cancel()
         if self._urgency is not None:
             self._urgency.give_back()
@@ -204,41 +205,29 @@ class ImbicControllerNode(LifecycleNode):
         if status.phase is Phase.ABORTED and self._active:
             self._latch(status.reason)
 
-    def _on_position(self, stamp_ns: int, theta: tuple[float, ...]) -> None:
-        tau_h = self._torques.pop(stamp_ns, None)
-        if tau_h is None:
-            self._keep(self._positions, stamp_ns, theta, "position")
-        else:
+    def _on_position(self, stamp_ns: int, theta: Reading) -> None:
+        tau_h = self._pairs.with_position(stamp_ns, theta)
+        if tau_h is not None:
             self._answer(stamp_ns, theta, tau_h)
+        elif (bad := first_bad(theta)) is not None:
+            self._refuse_reading("position", bad, theta)
 
-    def _on_torque(self, stamp_ns: int, tau_h: tuple[float, ...]) -> None:
-        theta = self._positions.pop(stamp_ns, None)
-        if theta is None:
-            self._keep(self._torques, stamp_ns, tau_h, "torque reading")
-        else:
+    def _on_torque(self, stamp_ns: int, tau_h: Reading) -> None:
+        theta = self._pairs.with_torque(stamp_ns, tau_h)
+        if theta is not None:
             self._answer(stamp_ns, theta, tau_h)
+        elif (bad := first_bad(tau_h)) is not None:
+            self._refuse_reading("torque reading", bad, tau_h)
 
-    def _keep(
-        self,
-        waiting: dict[int, tuple[float, ...]],
-        stamp_ns: int,
-        values: tuple[float, ...],
-        what: str,
-    ) -> None:
-        """Keep a reading for its partner. That may never come, so nonsense is a fault already."""
-        waiting[stamp_ns] = values
-        bad = next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
-        if bad is not None and self._experiment is not None and not self._experiment.at_rest:
+    def _refuse_reading(self, what: str, bad: int, values: Reading) -> None:
+        """Nonsense is a fault already while its partner is still to come, which may be never."""
+        if self._experiment is not None and not self._experiment.at_rest:
             self._refuse(f"{what} of joint {bad + 1} is not finite: {values[bad]}")
 
-    def _answer(self, stamp_ns: int, theta: tuple[float, ...], tau_h: tuple[float, ...]) -> None:
+    def _answer(self, stamp_ns: int, theta: Reading, tau_h: Reading) -> None:
         experiment = self._experiment
         if not self._active or experiment is None:
             return
-        # Older readings without a partner are lost samples, which the experiment counts.
-        for waiting in (self._positions, self._torques):
-            for old in [stamp for stamp in waiting if stamp < stamp_ns]:
-                del waiting[old]
         now = time.monotonic()
         if not self._lockstep and self._watchdog.expired(now):
             # The sample came before the timer, as after a stall of this process.
@@ -248,7 +237,7 @@ class ImbicControllerNode(LifecycleNode):
         held, self._held = self._held, None
         if held is not None:
             self._command(experiment, *held)  # whoever sends the next sample does not wait
-        elif experiment.awaits_judgement and self._lockstep:
+        elif self._lockstep and experiment.awaits_judgement:
             # So that a trial ends at the same sample however fast the machine is.
             self._held = (stamp_ns, theta, tau_h)
             return
@@ -258,8 +247,8 @@ class ImbicControllerNode(LifecycleNode):
         self,
         experiment: Experiment,
         stamp_ns: int,
-        theta: tuple[float, ...],
-        tau_h: tuple[float, ...],
+        theta: Reading,
+        tau_h: Reading,
     ) -> None:
         experiment.answer(stamp_ns, theta, tau_h)
         self._commands.publish(experiment.command)
@@ -297,15 +286,14 @@ class ImbicControllerNode(LifecycleNode):
         if watch.presence.mute and not waits:
             self._take_away(watch.sentence)
 
-    @property
-    def _lockstep(self) -> bool:
-        return self._active and self._settings.mode == "lockstep"
-
-    def _on_received(self, message: UInt64) -> None:
+    def _on_received(self, samples: int) -> None:
         """Hear from the recorder; without one a trial is of no use to anybody."""
-        recorded, self._recorded = self._recorded, message.data != contract.RECORDER_GONE
+        recorded, self._recorded = self._recorded, samples != contract.RECORDER_GONE
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
+
+    def _on_malformed_count(self, error: ArmimpError) -> None:
+        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
 
     def _on_judgement(self, message: DiagnosticStatus) -> None:
         """Hear from the estimator how good the trial is already."""

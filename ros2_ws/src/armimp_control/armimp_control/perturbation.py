@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from armimp_common.errors import ConfigurationError
+from armimp_control.lowpass import butterworth, filtered
 
 _STREAM = 1  # keeps these random streams apart from that of the voluntary torque
 
@@ -69,8 +69,7 @@ def perturbation(
     """
     random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
     white = random.uniform(-1.0, 1.0, ticks)
-    sos = signal.butter(config.order, config.cutoff, fs=1.0 / config.period, output="sos")
-    filtered: NDArray[np.float64] = signal.sosfilt(sos, white)
+    coloured = filtered(butterworth(config.order, config.cutoff, 1.0 / config.period), white)
     # In this order, the largest value is the peak exactly.
-    scaled: NDArray[np.float64] = filtered / np.max(np.abs(filtered)) * config.peak[joint]
+    scaled: NDArray[np.float64] = coloured / np.max(np.abs(coloured)) * config.peak[joint]
     return scaled

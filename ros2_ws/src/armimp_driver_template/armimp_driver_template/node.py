@@ -35,7 +35,8 @@ from armimp_driver_template.parameters import DriverParameters
 from armimp_driver_template.protection import Protection
 from armimp_sim.backlog import Backlog
 
-_FRAME_TIMEOUT = 0.1
+_FRAME_TIMEOUT, _PATIENCE = 0.002, 0.1
+"""How long a frame is waited for (s): two periods on a bus, longer where commands set the pace."""
 _LOST_FRAMES = 5
 _REPORT_PERIOD = 1.0
 _STOPPED = "emergency stop"
@@ -124,9 +125,10 @@ class ExoDriver(LifecycleNode):
     # that a frame which is lost leaves a gap that everybody can see.
     def _listen(self) -> None:
         wake_up_exactly()
+        timeout = _FRAME_TIMEOUT if self._device.paced else _PATIENCE
         try:
             while self._running.is_set():
-                frame = self._device.receive(_FRAME_TIMEOUT)
+                frame = self._device.receive(timeout)
                 if frame is None:
                     self._miss()
                 else:
@@ -153,7 +155,7 @@ class ExoDriver(LifecycleNode):
                     self._ledger.missed()
                 # Only what the driver changes by itself; commands go out as they come.
                 if protection.fault:
-                    self._send(protection.torque)
+                    self._drive(protection.torque)
         while self._backlog.full and self._running.is_set():
             time.sleep(0.0005)  # in lockstep only: a recorder that is behind would lose samples
         if not self._device.paced:
@@ -174,12 +176,17 @@ class ExoDriver(LifecycleNode):
         self._ledger.answered(time.monotonic_ns() - self._sent_ns)
         with self._lock:
             protection.command(command)
-            self._send(protection.torque)
+            self._drive(protection.torque)
 
-    def _send(self, torque: Sequence[float]) -> None:
+    def _drive(self, torque: Sequence[float]) -> None:
         """Give the drives torques of the joints (n,), N·m, in the device's order and directions."""
         pairs = zip(self._drives, torque, strict=True)
-        self._device.send(self._wiring.to_device([drive.torque(value) for drive, value in pairs]))
+        raw = self._wiring.to_device([drive.torque(value) for drive, value in pairs])
+        try:
+            self._device.send(raw)
+        except Exception as error:  # noqa: BLE001 (of whatever kind: the drives are out of hand)
+            assert self._protection is not None
+            self._protection.latch(f"the device takes no commands: {error}")
 
     def _on_received(self, message: UInt64) -> None:
         self._backlog.acknowledge(message.data)
@@ -187,7 +194,7 @@ class ExoDriver(LifecycleNode):
     def _on_malformed(self, error: ArmimpError) -> None:
         self._latch(f"malformed command: {error}")
         if self._active and not self._device.paced:
-            self._send((0.0,) * len(self._settings.joints))
+            self._drive((0.0,) * len(self._settings.joints))
 
     # Step 7: faults. One latch for all of them; the first reason stays until the reset.
     def _latch(self, reason: str) -> None:
@@ -198,7 +205,7 @@ class ExoDriver(LifecycleNode):
             protection.latch(reason)
             # In lockstep torque is an answer, and no sample has asked for one.
             if self._active and self._device.paced:
-                self._send(protection.torque)
+                self._drive(protection.torque)
 
     def _on_controller(self, controller: Watch) -> None:
         if controller.presence.lost:
@@ -286,7 +293,7 @@ class ExoDriver(LifecycleNode):
             assert self._protection is not None
             with self._lock:
                 self._protection.rest()
-                self._send(self._protection.torque)
+                self._drive(self._protection.torque)
                 self._device.close()
 
 

@@ -21,9 +21,13 @@ from armimp_common.contract import (
     PERTURBATION,
     TORQUE_SENSORS,
 )
+from armimp_common.errors import MalformedMessageError
 from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.blocks import ORDER, TickBlock, block_of
 
 Sink = Callable[[str, bytes, int], None]
+BlockSink = Callable[[TickBlock], None]
+Refuse = Callable[[str, MalformedMessageError], None]
 
 _FOLLOWERS = (JOINT_STATES, TORQUE_SENSORS, COMMANDS)
 _KEPT_EARLY = 30_000
@@ -63,6 +67,8 @@ class TrialCollector:
         Called with each trial when it is complete, or as complete as it will get.
     on_begin : callable
         Called with the first status of each trial.
+    block_sink : callable, optional
+        Called instead of `sink` with ticks that were accepted together.
     """
 
     def __init__(
@@ -70,8 +76,10 @@ class TrialCollector:
         sink: Sink,
         on_complete: Callable[[CollectedTrial], None],
         on_begin: Callable[[TrialStatus], None] = lambda _: None,
+        block_sink: BlockSink | None = None,
     ) -> None:
         self._sink = sink
+        self._block_sink = block_sink
         self._on_complete = on_complete
         self._on_begin = on_begin
         self._waiting_statuses: deque[TrialStatus] = deque()
@@ -148,6 +156,25 @@ class TrialCollector:
         else:
             self._accept(topic, message, stamp_ns)
 
+    def add_many(self, messages: Mapping[str, Sequence[bytes]], refuse: Refuse) -> None:
+        """Take messages of the four data streams, with the outcome of `add` for each in turn.
+
+        Parameters
+        ----------
+        messages : mapping of str to sequence of bytes
+            By topic, each stream in its order.
+        refuse : callable
+            Called with topic and error for each message that is too short to have a stamp.
+        """
+        used = self._take_block(messages)
+        for tick in range(used, max(map(len, messages.values()))):
+            for topic in ORDER:
+                if tick < len(messages[topic]):
+                    try:
+                        self.add(topic, messages[topic][tick])
+                    except MalformedMessageError as error:
+                        refuse(topic, error)
+
     def finish(self) -> None:
         """Complete the present trial with what there is, if its perturbation has begun."""
         if self._start_ns is not None:
@@ -210,6 +237,38 @@ class TrialCollector:
                 self._release(topic)
         if self._finished:
             self._complete_if_all_there()
+
+    def _take_block(self, messages: Mapping[str, Sequence[bytes]]) -> int:
+        """Keep ticks of the present trial all at once where nothing is out of the ordinary.
+
+        Returns how many.
+        """
+        in_step = not (self._commands or self._stamps_without_command or any(self._early.values()))
+        if self._start_ns is None or self._finished or not in_step:
+            return 0
+        whole = block_of(messages)
+        if whole is None or whole.stamps[0] < self._start_ns or whole.stamps[0] <= self._up_to_ns:
+            return 0
+        block = whole.first(self._ticks - len(self._messages[PERTURBATION]))
+        if block.stamps[-1] >= self._end_ns:
+            return 0
+        for topic in DATA_STREAMS:
+            self._messages[topic] += block.messages[topic]
+        self._up_to_ns = block.stamps[-1]
+        self._latest = dict.fromkeys(DATA_STREAMS, self._up_to_ns)
+        self._finished = len(self._messages[PERTURBATION]) >= self._ticks
+        self._sink_block(block)
+        if self._finished:
+            self._complete_if_all_there()
+        return block.ticks
+
+    def _sink_block(self, block: TickBlock) -> None:
+        if self._block_sink is not None:
+            self._block_sink(block)
+            return
+        for tick, stamp_ns in enumerate(block.stamps):
+            for topic in ORDER:
+                self._sink(topic, block.messages[topic][tick], stamp_ns)
 
     def _lead(self, message: bytes, stamp_ns: int) -> None:
         """A perturbation extends the trial up to its stamp."""

@@ -14,6 +14,7 @@ import numpy as np
 from armimp_common.contract import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.estimate import Estimator
 from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.lpm import LpmConfig
@@ -103,7 +104,7 @@ def conclude(
     *,
     metadata: Mapping[str, str],
     joints: int,
-    estimators: Sequence[str],
+    estimators: Sequence[str | Estimator],
     config: IdentifyConfig | None = None,
     gaps: GapConfig | None = None,
     problems: Sequence[str] = (),
@@ -119,8 +120,8 @@ def conclude(
         in real time.
     joints : int
         Number of joints n.
-    estimators : sequence of str
-        Names of estimators.
+    estimators : sequence of str or Estimator
+        As for :func:`armimp_estimation.identify.identify`.
     config : IdentifyConfig, optional
         Options; by default Welch segments that suit the shortest trial, and torques read when the
         metadata say.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armimp_common.errors import DataError
+from armimp_estimation.lean_fonts import lean_fonts
 from armimp_estimation.report.curves import (
     BodeCurve,
     CoherenceCurves,
@@ -106,7 +107,7 @@ def impedance_figure(
     """
     from matplotlib import rc_context
     from matplotlib.patches import Patch
-    from matplotlib.ticker import LogLocator, MultipleLocator
+    from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 
     n = summary.joints
     names = looks(curves)
@@ -134,13 +135,17 @@ def impedance_figure(
                 phase.plot(true.f, true.phase, **style)
                 every.append(true)
             magnitude.set_yscale("log")
-            magnitude.set_ylim(magnitude_range(every))
+            low, high = magnitude_range(every)
+            magnitude.set_ylim(low, high)
+            if high > 10.0 * low:
+                # Else some of the minor ticks have labels; but now they are only made, not seen.
+                magnitude.yaxis.set_minor_locator(NullLocator())
             ends = phase_range(every)
             phase.set_ylim(ends)
             phase.yaxis.set_major_locator(MultipleLocator(phase_step(ends, most=3)))
             magnitude.yaxis.set_major_locator(LogLocator(numticks=20))
             magnitude.yaxis.set_major_formatter("{x:g}")
-            magnitude.set_title(f"$Z_{{{i + 1}{k + 1}}}$", pad=3)
+            _title(magnitude, f"$Z_{{{i + 1}{k + 1}}}$")
             if k == 0:
                 magnitude.set_ylabel("magnitude (N·m/rad)" if width > ONE_COLUMN else "N·m/rad")
                 phase.set_ylabel("phase (°)")
@@ -179,7 +184,7 @@ def coherence_figure(
         height = 0.8 + 0.4 * width / TWO_COLUMNS
         figure, cells = _matrix(joints, width, cell_height=height, rows=(1,), entries=len(keys))
         for (i, k), (axes,) in cells.items():
-            axes.set_title(f"$Z_{{{i + 1}{k + 1}}}$", pad=3)
+            _title(axes, f"$Z_{{{i + 1}{k + 1}}}$")
             axes.set_ylim(floor, 1.01)
             if k == 0:
                 axes.set_ylabel("coherence $\\gamma^2$")
@@ -225,6 +230,7 @@ def trace_figure(
             gap=(0.5, 0.12),
             legend_rows=math.ceil(len(names) / _legend_columns(width)),
         ).make()
+        labelled: list[Axes] = []
         for column, (one, rows) in enumerate(zip(trials, shown, strict=True)):
             for number, row in enumerate(rows):
                 axes = figure.add_subplot(grid[number, column])
@@ -236,13 +242,38 @@ def trace_figure(
                 axes.tick_params(labelbottom=number == len(rows) - 1)
                 if column == 0:
                     axes.set_ylabel(f"{row.title}\n({row.unit})", fontsize=7)
+                    labelled.append(axes)
                 if number == 0:
-                    axes.set_title(f"{_tex(names[one.joint])} perturbed", pad=3)
+                    _title(axes, f"{_tex(names[one.joint])} perturbed")
                 if number == len(rows) - 1:
                     axes.set_xlabel("time (s)")
-            figure.align_ylabels()
+        figure.align_ylabels(labelled)
         _legend(figure, [_line_key(name, joint_colour(j)) for j, name in enumerate(names)])
     return figure
+
+
+def drawings(result: Result) -> dict[str, Callable[[], Figure]]:
+    """What draws each figure that a result gives, by its name.
+
+    Parameters
+    ----------
+    result : Result
+        The result; figures for which it lacks the data are left out.
+    """
+    n, curves = result.summary.joints, result.curves
+    found: dict[str, Callable[[], Figure]] = {}
+    if curves:
+        found["impedance"] = lambda: impedance_figure(result.summary, curves)
+        spectra = result.spectra
+        elements = {
+            (i, k): coherence_curves(spectra[k], curves, i) for i in range(n) for k in spectra
+        }
+        if elements:
+            found["coherence"] = lambda: coherence_figure(elements, n)
+    trials = [one for one in result.trials if one.assembled.segments]
+    if trials and len(trials) <= n:
+        found["traces"] = lambda: trace_figure(trials)
+    return found
 
 
 def write_figures(directory: Path, result: Result) -> None:
@@ -253,41 +284,35 @@ def write_figures(directory: Path, result: Result) -> None:
     directory : Path
         Where ``impedance``, ``coherence`` and ``traces`` go.
     result : Result
-        The result; figures for which it lacks the data are left out.
+        See `drawings`.
 
     Raises
     ------
     DataError
         If one cannot be written.
     """
-    n = result.summary.joints
-    if result.curves:
-        _write(directory, "impedance", impedance_figure(result.summary, result.curves))
-        spectra = result.spectra
-        elements = {
-            (i, k): coherence_curves(spectra[k], result.curves, i)
-            for i in range(n)
-            for k in spectra
-        }
-        if elements:
-            _write(directory, "coherence", coherence_figure(elements, n))
-    trials = [one for one in result.trials if one.assembled.segments]
-    if trials and len(trials) <= n:
-        _write(directory, "traces", trace_figure(trials))
+    for name, draw in drawings(result).items():
+        figure = draw()
+        for form in FORMATS:
+            save_figure(figure, directory / f"{name}.{form}")
 
 
-def _write(directory: Path, name: str, figure: Figure) -> None:
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure in the format that its path names; equal figures give equal files.
+
+    Raises
+    ------
+    DataError
+        If it cannot be written.
+    """
     from matplotlib import rc_context
 
-    for form in FORMATS:
-        path = directory / f"{name}.{form}"
-        # Without the date, equal results give equal files.
-        metadata = {"CreationDate": None} if form == "pdf" else {"Software": None}
-        try:
-            with rc_context(_STYLE):
-                figure.savefig(path, dpi=200, metadata=metadata)
-        except OSError as error:
-            raise DataError(f"{path}: cannot be written: {error.strerror}") from None
+    metadata = {"CreationDate": None} if path.suffix == ".pdf" else {"Software": None}
+    try:
+        with rc_context(_STYLE), lean_fonts():
+            figure.savefig(path, dpi=200, metadata=metadata)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -367,6 +392,11 @@ def _frequency_axis(axes: Axes, grids: Sequence[Any], *, last: bool) -> None:
     axes.minorticks_off()
     if last:
         axes.set_xlabel("frequency (Hz)")
+
+
+def _title(axes: Axes, text: str) -> None:
+    # With y given, no time is spent on finding out whether anything is in the way.
+    axes.set_title(text, pad=3, y=1.0)
 
 
 def _legend_columns(width: float) -> int:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
@@ -106,7 +106,7 @@ class Identification:
 
 def identify(
     trials: Sequence[TrialData],
-    estimators: Sequence[str],
+    estimators: Sequence[str | Estimator],
     truth: MBK | None = None,
     config: IdentifyConfig | None = None,
 ) -> Identification:
@@ -116,8 +116,8 @@ def identify(
     ----------
     trials : sequence of TrialData
         One for each joint, in any order.
-    estimators : sequence of str
-        Names from :func:`armimp_estimation.registry.estimator_names`.
+    estimators : sequence of str or Estimator
+        Names from :func:`armimp_estimation.registry.estimator_names`, or estimators of one's own.
     truth : MBK, optional
         True matrices, for the VAF only; they have no part in the verdict.
     config : IdentifyConfig, optional
@@ -131,9 +131,12 @@ def identify(
         If a joint has no trial or the data cannot be estimated.
     """
     options = config if config is not None else IdentifyConfig()
-    if not estimators or len(set(estimators)) != len(estimators):
-        raise ConfigurationError(f"estimators must be distinct, at least one: {list(estimators)}")
-    workers = [make_estimator(name, options) for name in estimators]
+    workers = [make_estimator(one, options) if isinstance(one, str) else one for one in estimators]
+    distinct = {worker.name for worker in workers}
+    if not workers or len(distinct) != len(workers):
+        raise ConfigurationError(
+            f"estimators must be distinct, at least one: {[worker.name for worker in workers]}"
+        )
     ordered = order_trials(trials)
     names = ordered[0].record.joint_names
     if truth is not None and truth.joints != len(names):

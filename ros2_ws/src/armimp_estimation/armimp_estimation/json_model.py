@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 
 def _nan_for_null(value: object) -> object:
@@ -22,3 +22,10 @@ class JsonModel(BaseModel):
     """Unknown keys are an error: they would be lost when the file is written again."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+def first_complaint(error: ValidationError) -> str:
+    """Return the first thing that is wrong with a JSON file, on one line: the place and why."""
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"])) or "content"
+    return f"{where}: {' '.join(first['msg'].removeprefix('Value error, ').split())}"

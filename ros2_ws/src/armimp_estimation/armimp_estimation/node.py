@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,10 +16,10 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, UInt64
+from std_msgs.msg import Float64MultiArray
 
 from armimp_common import contract, qos
-from armimp_common.channels import RawSubscription
+from armimp_common.channels import CountPublisher, RawSubscription
 from armimp_common.diagnostics import judgement_message, values_of
 from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import (
@@ -35,6 +37,7 @@ from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
 from armimp_estimation.gaps import segments_for
+from armimp_estimation.inbox import TOGETHER, Inbox
 from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.messages import (
     column_message,
@@ -79,19 +82,23 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the topics."""
         self._settings = load(self, EstimatorParameters)
+        # Judgements are made from what is recorded.
+        self._together = contract.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
+        self._inbox = Inbox(self._on_samples)
+        self._inbox.close()
         self._metadata = self._settings.bag_metadata()
         self._reset()
         self._check_metadata()
         self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
-        self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        self._received = CountPublisher(self, contract.RECEIVED)
         self._judgement = self.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
         self._streams = [
             RawSubscription(
                 self,
                 topic,
                 _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]],
-                partial(self._on_message, topic),
+                self._inbox.receiver(topic),
             )
             for topic in contract.DATA_STREAMS
         ]
@@ -119,9 +126,10 @@ class ImpedanceEstimatorNode(LifecycleNode):
             watches=[self._rig, self._controller],
         )
         self._active = True
-        self._counts = dict.fromkeys(contract.DATA_STREAMS, 0)
-        self._acknowledged = 0
-        self._received.publish(UInt64(data=0))
+        self._inbox.open()
+        self._acknowledged = self._recorded = self._flushed = 0
+        self._seen = -1
+        self._received.publish(0)
         self._timer.reset()
         return super().on_activate(state)
 
@@ -138,7 +146,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self.destroy_timer(self._timer)
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
-        self.destroy_publisher(self._received)
+        self.destroy_publisher(self._received.publisher)
         self.destroy_publisher(self._judgement)
         self.destroy_publisher(self._progress)
         self.destroy_publisher(self._result)
@@ -185,37 +193,51 @@ class ImpedanceEstimatorNode(LifecycleNode):
 
     def _stop(self, reason: str) -> None:
         self._active = False
-        self._received.publish(UInt64(data=contract.RECORDER_GONE))
+        self._inbox.close()
+        self._received.publish(contract.RECORDER_GONE)
         self._timer.cancel()
         if not self._concluded:
             # Before the trial is finished, which may be the last one that was awaited.
             self._note(reason)
+        self._finish()
+
+    def _finish(self) -> None:
+        """Record all that has come, and conclude."""
+        self._record(incomplete=True)
         self._recording.stop()
         self._conclude()
 
-    def _on_message(self, topic: str, message: bytes) -> None:
-        if not self._active:
-            return
+    def _on_samples(self, samples: int) -> None:
+        """Record so many samples that came since the activation, and tell that they are here."""
+        if samples - self._recorded >= self._together:
+            self._recorded = samples
+            self._record()
+        if self._active and samples - self._flushed >= TOGETHER:
+            self._flushed = samples
+            self._flush()
+        if self._active:
+            # First, so that in lockstep the judgement is there before the samples go on.
+            if (judgement := self._recording.judge()) is not None:
+                self._judgement.publish(judgement_message(judgement))
+            self._acknowledged = samples
+            self._received.publish(samples)
+
+    def _record(self, *, incomplete: bool = False) -> None:
+        """Record what waits for it."""
         try:
-            self._recording.add(topic, message)
-        except MalformedMessageError as error:
-            self._note(f"{topic}: {error}")
+            self._add(self._inbox.take(incomplete=incomplete))
         except ArmimpError as error:
             self._give_up(str(error))
-        self._acknowledge(topic)
 
-    def _acknowledge(self, topic: str) -> None:
-        """Tell now and then how many samples are here with all of their messages."""
-        counts = self._counts
-        counts[topic] += 1
-        if counts[topic] % contract.RECEIVED_EVERY == 0:
-            samples = min(counts.values()) // contract.RECEIVED_EVERY * contract.RECEIVED_EVERY
-            if samples > self._acknowledged:
-                self._acknowledged = samples
-                # First, so that in lockstep the judgement is there before the samples go on.
-                if (judgement := self._recording.judge()) is not None:
-                    self._judgement.publish(judgement_message(judgement))
-                self._received.publish(UInt64(data=samples))
+    def _add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
+        self._recording.add_many(messages, lambda topic, error: self._note(f"{topic}: {error}"))
+
+    def _flush(self) -> None:
+        """Hand on what was recorded, so that a kill of this process cannot reach it."""
+        try:
+            self._recording.flush()
+        except ArmimpError as error:
+            self._give_up(str(error))
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -223,7 +245,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if topic == contract.DIAGNOSTICS:
             self._note_timing(message)
         try:
-            self._recording.add_beside(topic, message)
+            self._recording.add_beside(topic, message, self._inbox.newest_ns)
         except ArmimpError as error:
             self._give_up(str(error))
 
@@ -248,13 +270,15 @@ class ImpedanceEstimatorNode(LifecycleNode):
             healed = self._settings.allow_gaps and only_missed_samples(status)
             if status.reason and not healed:
                 self._note(f"trial {status.trial}: {status.reason}")
+            self._record(incomplete=status.phase is Phase.ABORTED)
+            if not self._active:
+                return
             self._recording.add_status(status)
         except ArmimpError as error:
             self._give_up(str(error))
             return
         if status.phase is Phase.ABORTED:
-            self._recording.stop()
-            self._conclude()
+            self._finish()
         elif status.phase is Phase.DONE:
             # Samples of the last trial may be under way, as topics do not wait for one another.
             self._done_at = time.monotonic()
@@ -266,8 +290,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
         if controller.presence.lost and self._active and not self._concluded:
             if self._done_at == math.inf:
                 self._note(controller.sentence)
-            self._recording.stop()
-            self._conclude()
+            self._finish()
 
     def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
         self._ended += 1
@@ -326,8 +349,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
         """Recording failed: keep what there is, and say so."""
         self._note(problem)
         self._active = False
-        self._received.publish(UInt64(data=contract.RECORDER_GONE))
+        self._inbox.close()
+        self._received.publish(contract.RECORDER_GONE)
         self._timer.cancel()
+        with suppress(ArmimpError):
+            self._add(self._inbox.take())  # goes into the bag as that is closed
         try:
             self._recording.close()
         except ArmimpError as error:
@@ -335,12 +361,14 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._conclude()
 
     def _on_timer(self) -> None:
+        if self._active and self._acknowledged == self._seen:
+            self._record()  # nothing has come that would see to it, or not from all
+        self._seen = self._acknowledged
         status = self._recording.status
         if not self._active or status is None:
             return
         if time.monotonic() - self._done_at > _STRAGGLERS:
-            self._recording.stop()
-            self._conclude()
+            self._finish()
             return
         try:
             self._recording.flush_if_idle()

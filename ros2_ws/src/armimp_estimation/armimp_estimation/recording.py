@@ -14,6 +14,7 @@ from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
 from armimp_estimation.bags.reserve import DiskReserve, reserve_bytes
 from armimp_estimation.bags.statuses import encode_trial_status
+from armimp_estimation.blocks import TickBlock
 from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
@@ -63,7 +64,9 @@ class Recording:
         self._directory = directory
         self._metadata = metadata
         self._on_finished = on_finished
-        self._collector = TrialCollector(self._write, self._on_complete, self._open)
+        self._collector = TrialCollector(
+            self._write, self._on_complete, self._open, self._write_block
+        )
         self._writer: BagWriter | None = None
         self._bag: Path | None = None
         self._lpm = LpmFull() if lpm is None else LpmFull(config=lpm)
@@ -72,7 +75,7 @@ class Recording:
         self._judge: Judge | None = None
         self._column: FittedColumn | None = None
         self._column_at = 0.0
-        self._began = 0.0
+        self._began = self._opened_at = self._told_at = 0.0
         self._last_ns = 0
         self._statuses_written = 0
         self._reserve: DiskReserve | None = None
@@ -81,6 +84,7 @@ class Recording:
         self.timing: TimingRecord | None = None
         """Latest known timing of the run, which goes into the bag of each trial as it ends."""
         self.add = self._collector.add
+        self.add_many = self._collector.add_many
 
     @property
     def status(self) -> TrialStatus | None:
@@ -105,10 +109,19 @@ class Recording:
         BagError
             If the bag of a new trial can't be written.
         """
+        if status.phase is Phase.PERTURB:
+            self._told_at = time.monotonic()
         self._collector.add_status(status)
 
-    def add_beside(self, topic: str, message: bytes) -> None:
+    def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
+
+        Parameters
+        ----------
+        topic : str
+        message : bytes
+        time_ns : int, optional
+            Stamp of the last sample (ns), if that was not added yet.
 
         Raises
         ------
@@ -116,7 +129,7 @@ class Recording:
             If it can't be written.
         """
         if self._writer is not None and self._statuses_written:
-            self._writer.write(topic, message, self._last_ns)
+            self._writer.write(topic, message, max(self._last_ns, time_ns or 0))
 
     def update(self) -> tuple[float, float] | None:
         """Running coherence (motion, torque) of the present trial, see `RunningTrial`."""
@@ -149,8 +162,10 @@ class Recording:
         return self._column
 
     def _keep_column(self, column: FittedColumn | None) -> None:
-        # From its end on, so that a slow machine does not do nothing else.
-        self._column, self._column_at = column, time.monotonic()
+        self._column = column
+        if column is not None:
+            # From its end on, so that a slow machine does not do nothing else.
+            self._column_at = time.monotonic()
 
     def _present(self) -> RunningTrial | None:
         status = self._collector.status
@@ -195,14 +210,26 @@ class Recording:
         BagError
             If that fails.
         """
-        if self._writer is not None and self.samples == self._seen:
-            self._writer.flush()
+        if self.samples == self._seen:
+            self.flush()
         self._seen = self.samples
+
+    def flush(self) -> None:
+        """Hand what was recorded to the operating system, where a kill cannot reach it.
+
+        Raises
+        ------
+        BagError
+            If that fails.
+        """
+        if self._writer is not None:
+            self._writer.flush()
 
     def _open(self, status: TrialStatus) -> None:
         self.close()
         self._running = self._judge = self._column = None
         self._began = self._column_at = 0.0
+        self._opened_at = time.monotonic()
         self._statuses_written = 0
         self._latest_ns.clear()
         if self._directory is not None:
@@ -214,15 +241,28 @@ class Recording:
             self._writer = BagWriter(self._bag, metadata=self._metadata)
 
     def _write(self, topic: str, message: bytes, time_ns: int) -> None:
-        if self._statuses_written == 0:
-            self._began = time.monotonic()
-            self._write_statuses(self._collector.statuses, time_ns)
+        self._begin_at(time_ns)
         if self._writer is not None:
             # Readers sort by this time, and shall find every stream in the order of its arrival.
             log_time_ns = max(time_ns, self._latest_ns.get(topic, 0))
             self._latest_ns[topic] = log_time_ns
             self._writer.write(topic, message, log_time_ns)
         self._last_ns = time_ns
+
+    def _begin_at(self, time_ns: int) -> None:
+        if self._statuses_written == 0:
+            # The messages may have waited for others, with which they are written.
+            self._began = max(self._told_at, self._opened_at)
+            self._write_statuses(self._collector.statuses, time_ns)
+
+    def _write_block(self, block: TickBlock) -> None:
+        self._begin_at(block.stamps[0])
+        last_ns = block.stamps[-1]
+        if self._writer is not None:
+            # Each stream goes on after what was written of it: stamps of a block are later.
+            self._latest_ns.update(dict.fromkeys(block.messages, last_ns))
+            self._writer.write_block(block.stamps, block.messages)
+        self._last_ns = last_ns
 
     def _write_statuses(self, statuses: Sequence[TrialStatus], time_ns: int) -> None:
         """Statuses have no stamp: they get that of the sample beside them."""

@@ -1,8 +1,7 @@
 """Files of a result: ``summary.json`` for the figures, ``frf.npz`` for the curves."""
 
 import math
-import os
-from collections.abc import Callable, Mapping, Sized
+from collections.abc import Mapping, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -15,10 +14,11 @@ from armimp_common.errors import DataError
 from armimp_estimation.curve_checks import UNREADABLE, check_curve
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
-from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.sample_ledger import SampleLedger
 from armimp_estimation.torque_reading import ReadingSummary
+from armimp_estimation.whole_files import write_whole
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -156,6 +156,14 @@ class TimingSummary(JsonModel):
     max_latency: float
 
 
+class WallSummary(JsonModel):
+    """Wall time of a run from the command line, s; see `armimp_bringup.stopwatch`."""
+
+    before: Number
+    trials: Number
+    after: Number
+
+
 class Summary(JsonModel):
     """Content of ``summary.json``."""
 
@@ -170,6 +178,8 @@ class Summary(JsonModel):
     truth: TruthSummary | None
     timing: TimingSummary | None = None
     """Of a run in real time."""
+    wall: WallSummary | None = None
+    """Of a run from the command line."""
     torque_reading: ReadingSummary | None = None
     """What is known of the torque readings, and so was corrected."""
 
@@ -286,8 +296,17 @@ def summarise(
     )
 
 
-def write_summary(path: Path, summary: Summary) -> None:
+def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
     """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    summary : Summary
+        Its content.
+    anew : bool
+        Whether to put it in the place of a file that is there, which stays if that fails.
 
     Raises
     ------
@@ -295,7 +314,7 @@ def write_summary(path: Path, summary: Summary) -> None:
         If the file exists already or cannot be written.
     """
     text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
-    _write_new(path, lambda part: part.write_text(text, encoding="utf-8"))
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
 
 
 def read_summary(path: Path) -> Summary:
@@ -312,13 +331,6 @@ def read_summary(path: Path) -> Summary:
         raise DataError(f"{path}: {error.strerror}") from error
     except ValidationError as error:
         raise DataError(f"{path}: not a summary: {first_complaint(error)}") from error
-
-
-def first_complaint(error: ValidationError) -> str:
-    """Return the first thing that is wrong with a JSON file, on one line: the place and why."""
-    first = error.errors()[0]
-    where = ".".join(map(str, first["loc"])) or "content"
-    return f"{where}: {' '.join(first['msg'].removeprefix('Value error, ').split())}"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -370,7 +382,7 @@ def write_frf(path: Path, estimates: Mapping[str, ImpedanceEstimate]) -> None:
         with part.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
 
-    _write_new(path, save)
+    write_whole(path, save)
 
 
 def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
@@ -400,18 +412,3 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
     return curves
-
-
-def _write_new(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file beside its place and move it there, so that no half-written one can be seen."""
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        if path.exists():
-            raise DataError(f"{path}: exists already")
-        try:
-            write(part)
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise DataError(f"{path}: cannot write: {error.strerror}") from error

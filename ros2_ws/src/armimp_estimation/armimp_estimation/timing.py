@@ -10,7 +10,8 @@ from pydantic import ValidationError
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.jitter import TimingFigures, TimingLimits, judge_timing
-from armimp_estimation.results import TimingSummary, first_complaint
+from armimp_estimation.json_model import first_complaint
+from armimp_estimation.results import TimingSummary
 
 RECORD_KEY = "timing"
 """Metadata of a bag: timing up to the end of its trial, as JSON."""

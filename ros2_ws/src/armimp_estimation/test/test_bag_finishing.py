@@ -9,6 +9,7 @@ import pytest
 from rosbags.highlevel import AnyReader, AnyReaderError
 
 from armimp_common import contract
+from armimp_common.contract import CLOCK, DATA_STREAMS, PERIOD_NS
 from armimp_common.errors import BagError
 from armimp_common.fault_figures import Figures
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
@@ -16,6 +17,7 @@ from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
 from armimp_estimation.bags.reserve import RESERVE_FILE, DiskReserve
 from armimp_estimation.bags.synthetic import Message, synthetic_recording
+from armimp_estimation.blocks import block_of
 
 MESSAGES = synthetic_recording(ticks=160).messages
 METADATA = {"seed": "1", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
@@ -54,6 +56,28 @@ def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path, namespace
     count = len(MESSAGES) - LOST
     assert note == f"{path}: its recorder did not finish it: finished now, with {count} messages"
     assert content_of(path) == content_of(finished(tmp_path / "b" / "bag", namespace))
+
+
+def test_bag_written_by_the_block_is_finished_as_that_of_a_recorder_that_lived(
+    tmp_path: Path,
+) -> None:
+    """What was written beside the samples makes chunks longer than single messages would."""
+    recording = synthetic_recording(ticks=160, start_ns=PERIOD_NS).by_topic()
+    block = block_of({topic: recording[topic] for topic in DATA_STREAMS})
+    assert block is not None
+    writers = [BagWriter(tmp_path / run / "bag", metadata=METADATA) for run in ("a", "b")]
+    for writer in writers:
+        for start in range(0, 150, 50):
+            writer.write(CLOCK, b"\0\1\0\0" + bytes(8), start * PERIOD_NS)
+            part = slice(start, start + 50)
+            messages = {topic: raws[part] for topic, raws in block.messages.items()}
+            writer.write_block(block.stamps[part], messages)
+    writers[0]._file.abandon()
+    writers[1].close()
+
+    assert finish_bag(writers[0].path)
+
+    assert content_of(writers[0].path) == content_of(writers[1].path)
 
 
 def test_other_readers_open_it_only_then(tmp_path: Path) -> None:

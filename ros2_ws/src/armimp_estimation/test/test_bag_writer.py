@@ -325,6 +325,98 @@ class TestFullDisk:
         assert size < expected_bytes(500, joints) < 40 * size
 
 
+class TestBlocks:
+    TICKS = 733
+
+    @pytest.fixture
+    def recording(self) -> dict[str, list[bytes]]:
+        topics = synthetic_recording(ticks=self.TICKS).by_topic()
+        return {topic: topics[topic] for topic in contract.DATA_STREAMS}
+
+    def write_blocks(
+        self, writer: BagWriter, topics: dict[str, list[bytes]], size: int, first: int = 0
+    ) -> None:
+        times = [tick * contract.PERIOD_NS for tick in range(self.TICKS)]
+        for start in range(first, self.TICKS, size):
+            part = slice(start, start + size)
+            writer.write_block(times[part], {topic: raws[part] for topic, raws in topics.items()})
+
+    @pytest.mark.parametrize("size", [1, 10, 50, 500])
+    def test_messages_and_times_are_those_of_messages_written_one_by_one(
+        self, tmp_path: Path, recording: dict[str, list[bytes]], size: int
+    ) -> None:
+        clock = (contract.CLOCK, b"\0\1\0\0abcdefgh", 3 * contract.PERIOD_NS)
+        with BagWriter(tmp_path / "one", metadata=METADATA) as writer:
+            writer.write(*clock)
+            for tick in range(self.TICKS):
+                for topic, raws in recording.items():
+                    writer.write(topic, raws[tick], tick * contract.PERIOD_NS)
+        with BagWriter(tmp_path / "blocks", metadata=METADATA) as writer:
+            writer.write(*clock)
+            self.write_blocks(writer, recording, size)
+
+        one, blocks = (list(iterate_messages(tmp_path / name)) for name in ("one", "blocks"))
+        assert blocks == one
+        path = tmp_path / "blocks" / "blocks_0.mcap"
+        with path.open("rb") as file:
+            assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > 4 * self.TICKS
+        with AnyReader([tmp_path / "blocks"]) as reader:
+            assert [raw for _, _, raw in reader.messages()] == [raw for _, _, raw in one]
+
+    @pytest.mark.parametrize("size", [1, 7, 10, 50])
+    def test_what_is_not_yet_in_the_file_is_bounded(
+        self, tmp_path: Path, recording: dict[str, list[bytes]], size: int
+    ) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata={})
+        most = 0
+        for start in range(0, self.TICKS, size):
+            part = {topic: raws[start : start + size] for topic, raws in recording.items()}
+            ticks = range(start, min(start + size, self.TICKS))
+            times = [tick * contract.PERIOD_NS for tick in ticks]
+            writer.write_block(times, part)
+            try:
+                last_ns = max(time for _, time, _ in iterate_messages(tmp_path / "bag"))
+            except BagError:
+                last_ns = -contract.PERIOD_NS
+            most = max(most, times[-1] - last_ns)
+        writer.close()
+        assert most + size * contract.PERIOD_NS <= FLUSH_INTERVAL_NS
+
+    def test_single_messages_and_blocks_can_take_turns(
+        self, tmp_path: Path, recording: dict[str, list[bytes]]
+    ) -> None:
+        with BagWriter(tmp_path / "bag", metadata={}) as writer:
+            for topic, raws in recording.items():
+                writer.write(topic, raws[0], 0)
+            self.write_blocks(writer, recording, 30, first=1)
+
+        written = [(topic, raw) for topic, _, raw in iterate_messages(tmp_path / "bag")]
+        for topic, raws in recording.items():
+            assert [raw for name, raw in written if name == topic] == raws
+
+    def test_when_the_bag_is_closed_or_the_topic_unknown_expect_one_line(
+        self, tmp_path: Path, recording: dict[str, list[bytes]]
+    ) -> None:
+        writer = BagWriter(tmp_path / "bag", metadata={})
+        with pytest.raises(BagError, match="not part of the contract") as error:
+            writer.write_block([0], {"other": [bytes(4)]})
+        one_line(error)
+        writer.close()
+        with pytest.raises(BagError, match="the bag is closed") as error:
+            self.write_blocks(writer, recording, 50)
+        one_line(error)
+
+    def test_messages_of_unequal_length_are_refused_and_harmless(
+        self, tmp_path: Path, recording: dict[str, list[bytes]]
+    ) -> None:
+        with BagWriter(tmp_path / "bag", metadata={}) as writer:
+            with pytest.raises(BagError, match="not all of 36 bytes") as error:
+                writer.write_block([0, 1], {contract.COMMANDS: [bytes(36), bytes(37)]})
+            one_line(error)
+            self.write_blocks(writer, recording, 50)
+        assert len(list(iterate_messages(tmp_path / "bag"))) == 4 * self.TICKS
+
+
 class TestKilledWriter:
     def test_killed_process_leaves_all_but_the_last_100_ms(self, tmp_path: Path) -> None:
         path = tmp_path / "bag"

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from armimp_estimation.bags import BagWriter, iterate_messages
 from armimp_estimation.bags.chunk_layout import ChunkLayout, ChunkLayouts
-from armimp_estimation.bags.mcap_file import MESSAGE_HEAD
+from armimp_estimation.bags.message_records import MESSAGE_HEAD
 from armimp_estimation.bags.synthetic import synthetic_recording
 
 Record = tuple[int, int, bytes]

@@ -14,7 +14,9 @@ from armimp_common.errors import MalformedMessageError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
+from armimp_estimation.blocks import ORDER, TickBlock
 from armimp_estimation.collector import CollectedTrial, TrialCollector
+from armimp_estimation.inbox import Inbox
 
 SETTLE, TICKS, REST = 4, 30, 5
 LENGTH = SETTLE + TICKS + REST
@@ -32,9 +34,11 @@ def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
 
 
 class Desk:
-    """A collector with a diary."""
+    """A collector with a diary; messages go to it one by one, or so many ticks together."""
 
-    def __init__(self) -> None:
+    def __init__(self, together: int = 0) -> None:
+        self.together, self.heard, self.inbox = together, 0, Inbox()
+        self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
         self.events: list[tuple[str, int]] = []
         self.sunk: list[tuple[str, bytes, int]] = []
         self.trials: list[CollectedTrial] = []
@@ -58,17 +62,30 @@ class Desk:
             for _ in range(count):
                 if not (self.feed_status(others) if topic == TRIAL else self.feed_one(topic, data)):
                     break
+        self.drain(incomplete=True)
+
+    def drain(self, *, incomplete: bool = False) -> None:
+        self.collector.add_many(self.inbox.take(incomplete=incomplete), self.refuse)
+
+    def refuse(self, topic: str, error: MalformedMessageError) -> None:
+        raise error
 
     def feed_status(self, statuses: Iterator[TrialStatus]) -> bool:
         status = next(statuses, None)
         if status is not None:
+            self.drain()
             self.collector.add_status(status)
         return status is not None
 
     def feed_one(self, topic: str, data: Mapping[str, Iterator[bytes]]) -> bool:
         raw = next(data[topic], None)
-        if raw is not None:
+        if raw is not None and not self.together:
             self.collector.add(topic, raw)
+        elif raw is not None:
+            self.receivers[topic](raw)
+            self.heard += topic == PERTURBATION
+            if topic == PERTURBATION and self.heard % self.together == 0:
+                self.drain()
         return raw is not None
 
     def assert_orderly(self, trials: int) -> None:
@@ -104,12 +121,15 @@ turns_of_any_kind = st.lists(
 )
 
 
+ticks_together = st.sampled_from([0, 1, 7, 20])
+
+
 @settings(max_examples=300, deadline=None)
-@given(turns=turns_of_any_kind, order=st.permutations(TOPICS))
+@given(turns=turns_of_any_kind, order=st.permutations(TOPICS), together=ticks_together)
 def test_in_every_interleaving_each_trial_has_exactly_its_messages_in_order(
-    turns: Turns, order: Sequence[str]
+    turns: Turns, order: Sequence[str], together: int
 ) -> None:
-    desk = Desk()
+    desk = Desk(together)
 
     desk.feed(RECORDING.by_topic(), statuses_of(RECORDING), [*turns, *((t, 1000) for t in order)])
 
@@ -133,11 +153,16 @@ def ended_early(*, announced: bool) -> list[TrialStatus]:
 
 
 @settings(max_examples=300, deadline=None)
-@given(turns=turns_of_any_kind, order=st.permutations(TOPICS), announced=st.booleans())
+@given(
+    turns=turns_of_any_kind,
+    order=st.permutations(TOPICS),
+    announced=st.booleans(),
+    together=ticks_together,
+)
 def test_in_every_interleaving_trials_that_end_early_have_exactly_their_messages(
-    turns: Turns, order: Sequence[str], announced: bool
+    turns: Turns, order: Sequence[str], announced: bool, together: int
 ) -> None:
-    desk = Desk()
+    desk = Desk(together)
 
     desk.feed(
         RECORDING.by_topic(),
@@ -190,6 +215,70 @@ def test_in_natural_order_a_trial_is_complete_with_its_first_sample_of_rest() ->
     ]
 
 
+@pytest.mark.parametrize("together", [1, 3, 10, 50])
+def test_ticks_taken_together_are_kept_as_if_they_had_come_one_by_one(together: int) -> None:
+    one_by_one, at_once = Desk(), Desk(together)
+    for desk in (one_by_one, at_once):
+        desk.feed(RECORDING.by_topic(), statuses_of(RECORDING), natural_turns())
+
+    at_once.assert_orderly(3)
+    assert at_once.sunk == one_by_one.sunk
+    for trial, expected in zip(at_once.trials, one_by_one.trials, strict=True):
+        assert (trial.messages, trial.statuses) == (expected.messages, expected.statuses)
+
+
+def blocks_of(messages: Mapping[str, Sequence[bytes]]) -> list[TickBlock]:
+    """What is kept as a block when all ticks of the first trial are taken together."""
+    blocks: list[TickBlock] = []
+    collector = TrialCollector(lambda *_: None, lambda _: None, block_sink=blocks.append)
+    for status in statuses_of(RECORDING)[:2]:
+        collector.add_status(status)
+    collector.add_many({t: messages[t][SETTLE:LENGTH] for t in DATA_STREAMS}, lambda *_: None)
+    return blocks
+
+
+def test_ticks_of_a_trial_that_are_as_they_should_be_are_kept_as_one_block() -> None:
+    (block,) = blocks_of(RECORDING.by_topic())
+
+    assert block.messages == own_messages(RECORDING, 1)
+    assert block.stamps == [stamp_of(raw) for raw in block.messages[PERTURBATION]]
+    assert tuple(block.messages) == ORDER
+
+
+def test_when_anything_is_unusual_expect_each_message_looked_at_for_itself() -> None:
+    topics = RECORDING.by_topic()
+    for topic in STAMPED:
+        swapped, longer, foreign = (list(topics[topic]) for _ in range(3))
+        swapped[8], swapped[9] = swapped[9], swapped[8]
+        longer[8] += b"\0"
+        foreign[8] = b"\0\0" + foreign[8][2:]
+        for spoilt in (swapped, longer, foreign, topics[topic][1:], [b"\0\1\0\0"] * LENGTH):
+            assert blocks_of({**topics, topic: spoilt}) == []
+    swapped_everywhere = {**topics}
+    for topic in STAMPED:
+        swapped_everywhere[topic] = list(topics[topic])
+        swapped_everywhere[topic][8:10] = reversed(topics[topic][8:10])
+    assert blocks_of(swapped_everywhere) == []
+
+
+def test_malformed_messages_among_others_are_refused_by_name() -> None:
+    topics = {topic: list(raws) for topic, raws in RECORDING.by_topic().items()}
+    topics[contract.TORQUE_SENSORS][SETTLE + 3] = b"\0\1"
+    refused: list[str] = []
+    desk = Desk()
+    for status in statuses_of(RECORDING)[:2]:
+        desk.collector.add_status(status)
+
+    desk.collector.add_many(
+        {topic: topics[topic] for topic in DATA_STREAMS},
+        lambda topic, error: refused.append(f"{topic}: {error}"),
+    )
+
+    (told,) = refused
+    assert told.startswith("torque_sensors: message has 2 bytes")
+    assert len(desk.collector.messages[contract.JOINT_STATES]) == TICKS
+
+
 lost_ticks = st.sets(st.integers(0, 3 * LENGTH - 1), max_size=12)
 
 
@@ -197,11 +286,12 @@ lost_ticks = st.sets(st.integers(0, 3 * LENGTH - 1), max_size=12)
 @given(
     lost=st.fixed_dictionaries(dict.fromkeys(DATA_STREAMS, lost_ticks)),
     order=st.permutations(DATA_STREAMS),
+    together=ticks_together,
 )
 def test_lost_messages_are_missing_and_nothing_else(
-    lost: Mapping[str, set[int]], order: Sequence[str]
+    lost: Mapping[str, set[int]], order: Sequence[str], together: int
 ) -> None:
-    desk = Desk()
+    desk = Desk(together)
     present = {
         topic: [raw for tick, raw in enumerate(RECORDING.by_topic()[topic]) if tick not in gone]
         for topic, gone in lost.items()
@@ -239,11 +329,14 @@ def test_commands_are_paired_with_perturbations_by_their_number_from_the_beginni
     assert desk.trials[0].messages[PERTURBATION] == own_messages(RECORDING, 1)[PERTURBATION]
 
 
-def test_when_a_stream_falls_silent_expect_the_trial_without_it_once_it_is_overdue() -> None:
+@pytest.mark.parametrize("together", [0, 50])
+def test_when_a_stream_falls_silent_expect_the_trial_without_it_once_it_is_overdue(
+    together: int,
+) -> None:
     recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=2050)
     topics = recording.by_topic()
     del topics[contract.TORQUE_SENSORS][25:]
-    desk = Desk()
+    desk = Desk(together)
     turns = [(topic, 1) for _ in range(2 * 2105) for topic in DATA_STREAMS]
 
     desk.feed(topics, statuses_of(recording), [(TRIAL, 10), *turns])

@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common import contract, qos
-from armimp_common.channels import RawSubscription, wait_until_matched
+from armimp_common.channels import CountSubscription, RawSubscription, wait_until_matched
 from armimp_common.contract import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.errors import GraphError
@@ -326,6 +326,27 @@ class TestFaults:
         assert summary.problems[0].startswith(f"{topic}: ")
         assert f"1 sample of {topic} is missing" in summary.problems[1]
         assert len(bags_of(tmp_path)) == 2
+
+    @pytest.mark.parametrize("order", [DATA_STREAMS, DATA_STREAMS[::-1]])
+    def test_samples_are_acknowledged_whichever_stream_comes_last(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, order: Sequence[str]
+    ) -> None:
+        """As after a halt of the process, when all of one stream comes before the others."""
+        told: list[int] = []
+        CountSubscription(script.node, contract.RECEIVED, told.append)
+        bring_up(make(), script)
+        eventually(spinner, lambda: told == [0], "the first count")
+        ticks = 5 * contract.RECEIVED_EVERY - 1
+
+        for topic in order:
+            stream = [message for message in MADE_UP if message[0] == topic]
+            script.play(spinner, stream[:ticks])
+        eventually(spinner, lambda: told[-1] == ticks + 1 - contract.RECEIVED_EVERY, "the count")
+        for topic in order:
+            script.play(spinner, [m for m in MADE_UP if m[0] == topic][ticks : ticks + 1])
+        eventually(spinner, lambda: told[-1] == ticks + 1, "the last count")
+
+        assert told == sorted(set(told))
 
     def test_when_a_status_makes_no_sense_expect_the_end_with_a_closed_bag(
         self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path

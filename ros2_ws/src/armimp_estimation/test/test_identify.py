@@ -13,6 +13,7 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialAccumulator, TrialData
 from armimp_estimation.verdict import Limits, judge_coherence, judge_estimate, judge_locking
+from armimp_estimation.welch import WelchSiso
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
 LOOP = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
@@ -149,6 +150,22 @@ def test_when_estimators_are_not_distinct_known_names_expect_configuration_error
 ) -> None:
     with pytest.raises(ConfigurationError, match="estimator"):
         identify(trials(), estimators, None, CONFIG)
+
+
+def test_an_estimator_of_ones_own_gives_what_one_with_a_name_gives() -> None:
+    named = identify(trials(), ["welch_siso"], TWO_JOINT_ARM, CONFIG)
+    own = identify(trials(), [WelchSiso(name="own"), "welch_full"], TWO_JOINT_ARM, CONFIG)
+    assert list(own.estimators) == ["own", "welch_full"]
+    np.testing.assert_array_equal(
+        own.estimators["own"].fit.mbk.B, named.estimators["welch_siso"].fit.mbk.B
+    )
+
+
+def test_when_an_estimator_of_ones_own_has_a_name_that_is_taken_expect_configuration_error() -> (
+    None
+):
+    with pytest.raises(ConfigurationError, match="'welch_full', 'welch_full'"):
+        identify(trials(), ["welch_full", WelchSiso(name="welch_full")], TWO_JOINT_ARM, CONFIG)
 
 
 def test_when_the_truth_is_of_another_arm_expect_configuration_error() -> None:

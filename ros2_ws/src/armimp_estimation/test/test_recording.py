@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from armimp_common import contract
-from armimp_common.contract import DATA_STREAMS, TRIAL
-from armimp_common.errors import BagError
+from armimp_common.contract import DATA_STREAMS, PERTURBATION, TRIAL
+from armimp_common.errors import BagError, MalformedMessageError
 from armimp_common.judgement import NOTICE_TICKS, Judgement
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
 from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import FinishedTrial
+from armimp_estimation.inbox import Inbox
 from armimp_estimation.lpm import LpmFull
 from armimp_estimation.precision import PrecisionGoal, largest_error
 from armimp_estimation.record import TrialRecord
@@ -40,6 +41,8 @@ class Desk:
     finished: list[FinishedTrial] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     goal: PrecisionGoal | None = None
+    together: int = 1
+    inbox: Inbox = field(default_factory=Inbox)
     judgements: list[Judgement] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -56,11 +59,19 @@ class Desk:
     def feed(self, messages: Iterable[Message]) -> None:
         for topic, _, raw in messages:
             if topic == TRIAL:
+                self.recording.add_many(self.inbox.take(), self.refuse)
                 self.recording.add_status(decode_trial_status(raw))
+            elif self.together > 1:
+                self.inbox.receiver(topic)(raw)
+                if topic == PERTURBATION and self.inbox.samples % self.together == 0:
+                    self.recording.add_many(self.inbox.take(), self.refuse)
             else:
                 self.recording.add(topic, raw)
                 if (judgement := self.recording.judge()) is not None:
                     self.judgements.append(judgement)
+
+    def refuse(self, topic: str, error: MalformedMessageError) -> None:
+        raise error
 
     @property
     def bags(self) -> list[Path]:
@@ -77,8 +88,11 @@ def assert_equal(record: TrialRecord, expected: TrialRecord, samples: int | None
     assert record.perturbed_joint == expected.perturbed_joint
 
 
-def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
+@pytest.mark.parametrize("together", [1, 10, 50])
+def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
+    tmp_path: Path, together: int
+) -> None:
+    desk = Desk(tmp_path, together=together)
 
     desk.feed(MADE_UP.messages)
 
@@ -97,8 +111,11 @@ def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(tmp_path: Path
         assert content.notes == ()
 
 
-def test_bag_holds_the_messages_of_its_trial_and_its_statuses(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
+@pytest.mark.parametrize("together", [1, 10, 50])
+def test_bag_holds_the_messages_of_its_trial_and_its_statuses(
+    tmp_path: Path, together: int
+) -> None:
+    desk = Desk(tmp_path, together=together)
     desk.feed(MADE_UP.messages)
 
     for number, path in enumerate(desk.bags, 1):
@@ -315,3 +332,18 @@ def test_column_is_made_anew_at_most_once_a_second(monkeypatch: pytest.MonkeyPat
     second = desk.recording.column()
     assert second is not None
     assert second is not first
+
+
+def test_while_there_are_too_few_samples_expect_the_column_as_soon_as_there_are_enough(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("armimp_estimation.recording.time.monotonic", lambda: 100.0)
+    recording = recorded_arm()
+    desk = Desk(None, recording.records[0].joint_names)
+    messages = iter(recording.messages)
+
+    desk.feed(next(messages) for _ in range(1000))
+    assert desk.recording.column() is None
+    desk.feed(next(messages) for _ in range(20_000))
+
+    assert desk.recording.column() is not None

@@ -52,7 +52,7 @@ def test_summary_has_the_keys_of_schema_1(summary: Summary, tmp_path: Path) -> N
     write_summary(tmp_path / "summary.json", summary)
     content = json.loads((tmp_path / "summary.json").read_text())
     keys = ["schema", "config", "joints", "seed", "valid", "problems", "trials", "estimators"]
-    assert list(content) == [*keys, "truth", "timing", "torque_reading"]
+    assert list(content) == [*keys, "truth", "timing", "wall", "torque_reading"]
     assert content["schema"] == 1
     assert content["config"] == {"duration": 50.0, "a": [None]}
     assert (content["joints"], content["seed"]) == (2, 1)
@@ -150,7 +150,7 @@ def test_when_the_file_exists_expect_an_error_and_the_file_untouched(
 def test_when_the_directory_is_missing_expect_the_path_in_the_error(
     summary: Summary, tmp_path: Path
 ) -> None:
-    with pytest.raises(DataError, match=r"nowhere/summary.json: cannot write: No such file"):
+    with pytest.raises(DataError, match=r"nowhere/summary.json: cannot be written: No such file"):
         write_summary(tmp_path / "nowhere" / "summary.json", summary)
 
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rosgraph_msgs.msg import Clock
-from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
 from armimp_common.channels import (
+    ClockPublisher,
     CommandSubscription,
+    CountSubscription,
     JointStatePublisher,
 )
 from armimp_common.diagnostics import Level, make_array, make_status
@@ -26,7 +26,6 @@ from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.pacing import Pacer
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
-from armimp_common.stamps import to_time
 from armimp_common.urgency import Urgency
 from armimp_sim.backlog import Backlog
 from armimp_sim.paced import PacedRig
@@ -75,7 +74,7 @@ class ArmSimNode(LifecycleNode):
             self._rig.latch(_STOPPED)
         self._joint_states = JointStatePublisher(self, contract.JOINT_STATES, names, "position")
         self._torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "effort")
-        self._clock_publisher = self.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
+        self._clock_publisher = ClockPublisher(self)
         self._diagnostics = self.create_publisher(
             DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
         )
@@ -85,8 +84,8 @@ class ArmSimNode(LifecycleNode):
         self._backlog = Backlog()
         self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
-        self._received = self.create_subscription(
-            UInt64, contract.RECEIVED, self._on_received, qos.LATCHED
+        self._received = CountSubscription(
+            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
         )
         self._timers = [self.create_timer(_FAULT_PERIOD, self._on_fault_timer)]
         if parameters.mode == "realtime":
@@ -127,12 +126,12 @@ class ArmSimNode(LifecycleNode):
         for publisher in (
             self._joint_states.publisher,
             self._torque_sensors.publisher,
-            self._clock_publisher,
+            self._clock_publisher.publisher,
             self._diagnostics,
         ):
             self.destroy_publisher(publisher)
         self.destroy_subscription(self._commands.subscription)
-        self.destroy_subscription(self._received)
+        self.destroy_subscription(self._received.subscription)
         self._rig = None
         return TransitionCallbackReturn.SUCCESS
 
@@ -231,9 +230,10 @@ class ArmSimNode(LifecycleNode):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            if self._rig is not None:
-                with self._alone:
-                    self._rig.reset()
+            if self._paced is not None:
+                self._paced.reset()
+            elif self._rig is not None:
+                self._rig.reset()
         except GraphError as error:
             response.success, response.message = False, str(error)
             return response
@@ -268,9 +268,12 @@ class ArmSimNode(LifecycleNode):
         if bool(rig.fault) is not self._faulty or rig.tick - self._told >= _DIAGNOSTICS_TICKS:
             self._report(rig)
 
-    def _on_received(self, message: UInt64) -> None:
-        self._backlog.acknowledge(message.data)
+    def _on_received(self, samples: int) -> None:
+        self._backlog.acknowledge(samples)
         self._go_on()
+
+    def _on_malformed_count(self, error: ArmimpError) -> None:
+        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
 
     def _go_on(self) -> None:
         if self._holding and self._active and not self._backlog.full:
@@ -298,7 +301,7 @@ class ArmSimNode(LifecycleNode):
         self._joint_states.publish(stamp_ns, rig.position)
         self._torque_sensors.publish(stamp_ns, rig.torque)
         if rig.tick % _CLOCK_TICKS == 0:
-            self._clock_publisher.publish(Clock(clock=to_time(stamp_ns)))
+            self._clock_publisher.publish(stamp_ns)
 
     def _report(self, rig: SimulatedRig) -> None:
         with self._alone:

@@ -78,6 +78,20 @@ class PacedRig:
             self._command = (0.0,) * len(self._command)
             self._arrive(now_ns)
 
+    def reset(self) -> None:
+        """Obey commands again after a fault; samples that were left unanswered are forgotten.
+
+        Raises
+        ------
+        GraphError
+            If the rig refuses.
+        """
+        with self.lock:
+            self._rig.reset()
+            self._unanswered.clear()
+            self._began = self._arrived = self._in_step = False
+            self._silent = 0
+
     def figures(self) -> TimingFigures:
         """Timing since the start."""
         with self.lock:

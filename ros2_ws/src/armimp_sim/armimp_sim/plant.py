@@ -243,15 +243,16 @@ def check_ratio(ratio: float, step: float) -> None:
     IntegrationError
         If the ratio is not below :data:`RK4_LIMIT`, or not a number.
     """
+    if ratio < RK4_LIMIT:
+        return
     if np.isnan(ratio):
         raise IntegrationError(
             "plant: the state is not finite any more: a command was not, or the joints move too "
             f"fast for h = {step:.3g} s"
         )
-    if not ratio < RK4_LIMIT:
-        raise IntegrationError(
-            f"plant: h·σ0|v|/g(v) = {ratio:.3g} with h = {step:.3g} s, must stay below {RK4_LIMIT}"
-        )
+    raise IntegrationError(
+        f"plant: h·σ0|v|/g(v) = {ratio:.3g} with h = {step:.3g} s, must stay below {RK4_LIMIT}"
+    )
 
 
 def _transmission(configs: Sequence[PlantConfig]) -> NDArray[np.float64] | None:

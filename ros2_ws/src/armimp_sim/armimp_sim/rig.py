@@ -25,6 +25,8 @@ class SimulatedRig:
 
     Attributes
     ----------
+    position : (n,) encoder readings, rad; valid until the next step
+    torque : (n,) torque transducer readings, N·m; likewise
     tick : number of the present sample, from 0
     fault : why no torque is applied any more; empty while all is well
 
@@ -37,6 +39,8 @@ class SimulatedRig:
     def __init__(self, parameters: SimulatorParameters) -> None:
         config = parameters.plant_config()
         self._plant = Plant([config])
+        self.position: NDArray[np.float64] = self._plant.position[0]
+        self.torque: NDArray[np.float64] = self._plant.torque[0]
         self._voluntary = VoluntaryTorque(
             parameters.voluntary_config(),
             joints=config.joints,
@@ -56,18 +60,6 @@ class SimulatedRig:
         return self.tick * PERIOD_NS
 
     @property
-    def position(self) -> NDArray[np.float64]:
-        """Encoder readings (n,), rad; valid until the next step."""
-        reading: NDArray[np.float64] = self._plant.position[0]
-        return reading
-
-    @property
-    def torque(self) -> NDArray[np.float64]:
-        """Torque transducer readings (n,), N·m; valid until the next step."""
-        reading: NDArray[np.float64] = self._plant.torque[0]
-        return reading
-
-    @property
     def applied(self) -> tuple[float, ...]:
         """Torque that the drives apply now (n,), N·m; zero after a fault, whatever is commanded."""
         return tuple(self._command[0].tolist())
@@ -85,9 +77,8 @@ class SimulatedRig:
             If the simulation itself broke down.
         """
         self._resting = not any(command)
-        for joint, value in enumerate(command):
-            if not math.isfinite(value):
-                self.latch(f"command of joint {joint + 1} is not finite: {value}")
+        if not math.isfinite(sum(command)):
+            self._refuse(command)
         if not self.fault:
             self._command[0] = command
         elif self._fading > 1:
@@ -97,6 +88,12 @@ class SimulatedRig:
             self._command[:] = 0.0
         self._plant.tick(self._command, self._voluntary.take(1))
         self.tick += 1
+
+    def _refuse(self, command: Sequence[float]) -> None:
+        """Latch the fault of a command that is not finite; a sum may be too large without one."""
+        for joint, value in enumerate(command):
+            if not math.isfinite(value):
+                self.latch(f"command of joint {joint + 1} is not finite: {value}")
 
     def latch(self, reason: str) -> None:
         """Take torque away at once and until :meth:`reset`; the first reason stays."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from armimp_common.errors import ConfigurationError
 
@@ -45,6 +44,9 @@ class VoluntaryConfig:
 @functools.lru_cache(maxsize=16)
 def _low_pass(cutoff: float, period: float) -> tuple[NDArray[np.float64], float]:
     """Second-order sections, and the rms with which white noise of rms 1 leaves them (Parseval)."""
+    # Where nobody asks for this torque, nobody waits for the import, which takes 0.6 s.
+    from scipy import signal
+
     sos: NDArray[np.float64] = signal.butter(2, cutoff, fs=1.0 / period, output="sos")
     _, response = signal.freqz_sos(sos, worN=1 << 18)
     return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
@@ -66,6 +68,8 @@ def power_spectrum(
     (n_freq,) NDArray
         (N·m)², two-sided.
     """
+    from scipy import signal
+
     sos, passed = _low_pass(config.cutoff, period)
     _, response = signal.freqz_sos(sos, worN=f, fs=1.0 / period)
     power: NDArray[np.float64] = np.abs(config.rms / passed * response) ** 2
@@ -95,9 +99,10 @@ class VoluntaryTorque:
             )
         self._rms, self._joints = config.rms, joints
         self._random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM]))
-        self._sos, passed = _low_pass(config.cutoff, period)
-        self._state = np.zeros((self._sos.shape[0], joints, 2))
-        self._gain = config.rms / passed
+        if config.rms > 0.0:
+            self._sos, passed = _low_pass(config.cutoff, period)
+            self._state = np.zeros((self._sos.shape[0], joints, 2))
+            self._gain = config.rms / passed
         self._block = np.zeros((0, joints))
         self._next = 0
 
@@ -121,6 +126,8 @@ class VoluntaryTorque:
         return np.concatenate(parts)
 
     def _refill(self) -> None:
+        from scipy import signal
+
         white = self._random.standard_normal((_BLOCK, self._joints))
         filtered, self._state = signal.sosfilt(
             self._sos, white.T * self._gain, axis=-1, zi=self._state

@@ -4,29 +4,55 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from armimp_bringup.driver_check.findings import Finding, Verdict, failures, report
+from armimp_bringup.driver_check.findings import (
+    Finding,
+    Verdict,
+    failures,
+    open_questions,
+    report,
+)
 from armimp_common.contract import SIM_NODE
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, InterruptionError
 
-_COLOURS = {Verdict.PASS: "green", Verdict.FAIL: "bold red", Verdict.NOT_CHECKED: "dim"}
+if TYPE_CHECKING:
+    from armimp_bringup.driver_check.probe import CheckOptions
+    from armimp_bringup.driver_check.samples import Record
+
+_COLOURS = {
+    Verdict.PASS: "green",
+    Verdict.FAIL: "bold red",
+    Verdict.INCONCLUSIVE: "yellow",
+    Verdict.NOT_CHECKED: "dim",
+}
+_LARGEST_TORQUE = 20.0
+"""A slip of the keyboard must not become a blow (N·m)."""
+_LARGEST_MOTION = 1.0
 
 
-def check_driver(
+def check_driver(  # noqa: PLR0913 (the options of a command)
     *,
     joints: int | None,
     joint_names: Sequence[str],
     node: str | None,
+    namespace: str,
     domain_id: int | None,
     duration: float,
     move: bool,
     torque: float,
+    most: float,
+    yes: bool,
     as_json: bool,
 ) -> int:
     """Judge a running driver, print the findings, and return the exit status.
@@ -34,7 +60,7 @@ def check_driver(
     Raises
     ------
     ConfigurationError
-        If an option is wrong.
+        If an option is wrong, or the rig may not be moved.
     GraphError
         If there is no driver, or it is in use.
     """
@@ -44,21 +70,93 @@ def check_driver(
 
     if not 1.0 <= duration <= 3600.0:
         raise ConfigurationError(f"--duration: {duration:g} is not within 1 to 3600 s")
-    if not (math.isfinite(torque) and torque > 0.0):
-        raise ConfigurationError(f"--torque: {torque:g} N·m is not above 0")
+    if not (math.isfinite(torque) and 0.0 < torque <= _LARGEST_TORQUE):
+        raise ConfigurationError(
+            f"--torque: {torque:g} N·m is not above 0 and at most {_LARGEST_TORQUE:g}"
+        )
+    if not (math.isfinite(most) and 0.0 < most <= _LARGEST_MOTION):
+        raise ConfigurationError(
+            f"--most-motion: {most:g} rad is not above 0 and at most {_LARGEST_MOTION:g}"
+        )
     options = CheckOptions(
         joints=expected_joints(joints, joint_names),
         node=node or SIM_NODE,
         duration=duration,
         move=move,
         torque=torque,
+        most=most,
+        namespace=namespace,
     )
-    findings = judge(probe(options, external_domain(domain_id)))
+    domain = external_domain(domain_id)
+    if move and not yes:
+        ask(options, domain)
+    with _terminated_is_interrupted():
+        record = probe(options, domain)
+    findings = judge(record)
     if as_json:
-        print(json.dumps(report(findings), ensure_ascii=False))
+        print(json.dumps(report(findings) | about(options, domain, record), ensure_ascii=False))
     else:
         print_findings(findings)
-    return 1 if failures(findings) else 0
+    return 1 if failures(findings) or open_questions(findings) else 0
+
+
+def ask(options: CheckOptions, domain: int) -> None:
+    """Ask whether the rig may be moved.
+
+    Raises
+    ------
+    ConfigurationError
+        If nobody is there to be asked, or the answer is no.
+    """
+    if not sys.stdin.isatty():
+        raise ConfigurationError("--move: there is nobody to ask; --yes says that it is safe")
+    # What is printed on standard output may be JSON for somebody.
+    print(
+        f"--move lets {options.node} (ROS domain {domain}) push each joint"
+        f" ({', '.join(options.joints)}) with {options.torque:g} N·m, again and again, for about a"
+        " minute.\n"
+        "Nobody may be in the rig, nothing may be in its way within"
+        f" {options.most:g} rad of where each joint is,\n"
+        "and the switch that cuts the power of the drives must be at hand.",
+        file=sys.stderr,
+    )
+    print("Type 'yes' to go on: ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() != "yes":
+        raise ConfigurationError("--move: not without a yes")
+
+
+def about(options: CheckOptions, domain: int, record: Record) -> dict[str, object]:
+    """Return what ``--json`` prints of the driver and of how it was looked at."""
+    return {
+        "driver": {
+            "node": options.node,
+            "namespace": options.namespace,
+            "domain_id": domain,
+            "joints": list(options.joints),
+            "mode": "realtime" if record.paced else "lockstep",
+            "lifecycle": record.lifecycle,
+        },
+        "move": {"torque": options.torque, "most_motion": options.most} if options.move else None,
+        "held_up": {
+            "share": record.stalls.share,
+            "longest": record.stalls.longest,
+            "driver": record.waited,
+        },
+    }
+
+
+@contextmanager
+def _terminated_is_interrupted() -> Iterator[None]:
+    """Leave in an orderly way when told to end: torque may be on."""
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        raise InterruptionError("terminated")
+
+    before = signal.signal(signal.SIGTERM, on_signal)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def expected_joints(joints: int | None, names: Sequence[str]) -> tuple[str, ...]:
@@ -97,9 +195,10 @@ def print_findings(findings: Sequence[Finding], console: Console | None = None) 
         cells = (escape(text) for text in (finding.figure, finding.limit))
         table.add_row(escape(finding.check), f"[{colour}]{finding.verdict.value}[/]", *cells)
     out.print(table)
-    failed = failures(findings)
+    failed, unsure = failures(findings), open_questions(findings)
     left = sum(finding.verdict is Verdict.NOT_CHECKED for finding in findings)
-    if failed:
-        out.print(f"[bold red]{len(failed)} of {len(findings)} checks failed[/]; {left} not made")
-    else:
-        out.print(f"[bold]no check failed[/]; {left} of {len(findings)} not made")
+    words = f"{len(failed)} of {len(findings)} checks failed" if failed else "no check failed"
+    words = f"[bold{' red' if failed else ''}]{words}[/]"
+    if unsure:
+        words += f", [yellow]{len(unsure)} inconclusive[/]"
+    out.print(f"{words}; {left} not made")

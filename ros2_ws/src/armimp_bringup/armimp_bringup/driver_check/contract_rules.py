@@ -24,6 +24,10 @@ def judge_contract(record: Record) -> Iterator[Finding]:
         yield not_checked("lifecycle", "none: nobody can lead this node through its life", limit)
     else:
         yield judged("lifecycle", True, f"was {record.lifecycle}", limit)
+    # Whoever says so: armimp run takes it for a problem of the run.
+    limit = f"no status ERROR on {contract.DIAGNOSTICS}"
+    figure = record.faults[0] if record.faults else "none"
+    yield judged("no fault at rest", not record.faults, figure, limit)
 
 
 def _judge_topic(record: Record, topic: str, role: str) -> Iterator[Finding]:

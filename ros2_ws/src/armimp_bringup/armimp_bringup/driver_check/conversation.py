@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
@@ -18,8 +18,10 @@ from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
+from armimp_bringup.driver_check.guard import MotionGuard
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Call, Endpoint, Message
 from armimp_bringup.graph import GraphContext
 from armimp_common import contract, qos
@@ -31,6 +33,25 @@ from armimp_common.spin import Spinner
 from armimp_common.stamps import to_ns
 
 _NODE = "armimp_check_driver"
+_FAREWELLS = 5
+
+
+class Error(NamedTuple):
+    """A status of level ERROR.
+
+    Attributes
+    ----------
+    when : monotonic time of its arrival (s)
+    name, message : its words
+    """
+
+    when: float
+    name: str
+    message: str
+
+    def __str__(self) -> str:
+        """Say it in one line."""
+        return f"{self.name}: {self.message}"
 
 
 class Conversation(Node):
@@ -40,25 +61,35 @@ class Conversation(Node):
     ----------
     graph : GraphContext
     joints : names, in the order of commands
+    namespace : of the driver
 
     Attributes
     ----------
+    guard : asked about each sample of the angles; when it objects, zero torque is the answer
     torque : answer to each sample (n,), N·m, beside a script; None: no answer
     samples : complete samples that came
     answered : commands sent
     last_sent : monotonic time of the last command (s)
     silent_since : the same, of the last command before samples were left without answer
-    errors : monotonic times (s) at which a status of level ERROR came, with its words
+    gap : longest time between two commands that was not meant to be longer (s); may be set back
+    errors : statuses of level ERROR that came
     timing : what the driver last reported of its timing
+    process : identity of the driver's process, as its sign of life has it; empty without
     """
 
-    def __init__(self, graph: GraphContext, joints: Sequence[str]) -> None:
-        super().__init__(_NODE, context=graph.context, use_global_arguments=False)
+    def __init__(self, graph: GraphContext, joints: Sequence[str], namespace: str = "") -> None:
+        super().__init__(
+            _NODE, namespace=namespace, context=graph.context, use_global_arguments=False
+        )
+        self.guard: MotionGuard | None = None
+        self._zero = (0.0,) * len(joints)
         self.torque: tuple[float, ...] | None = None
         self.samples = self.answered = 0
         self.last_sent = self.silent_since = 0.0
-        self.errors: list[tuple[float, str]] = []
+        self.gap = 0.0
+        self.errors: list[Error] = []
         self.timing: TimingFigures | None = None
+        self.process = ""
         self._raw: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in SENSOR_TOPICS}
         self._script: deque[tuple[int, tuple[float, ...] | None]] = deque()
         self._subscriptions_by_topic: dict[str, RawSubscription] = {}
@@ -69,6 +100,10 @@ class Conversation(Node):
         }
         self.create_subscription(
             DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+
+        self.create_subscription(
+            String, contract.alive(contract.SIM_NODE), self._on_alive, qos.LATCHED
         )
 
     def listen(self) -> None:
@@ -111,11 +146,24 @@ class Conversation(Node):
             if count > 1:
                 self._script.appendleft((count - 1, torque))
         if torque is None:
-            self.silent_since = self.last_sent
-        else:
-            self.answered += 1
-            self._commands.publish(torque)
-            self.last_sent = time.monotonic()
+            self.silent_since = self.last_sent or self.silent_since
+            self.last_sent = 0.0
+            return
+        if self.guard is not None and self.guard.reason:
+            torque = self._zero
+        self.answered += 1
+        self._commands.publish(torque)
+        now = time.monotonic()
+        if self.last_sent:
+            self.gap = max(self.gap, now - self.last_sent)
+        self.last_sent = now
+
+    def let_go(self) -> None:
+        """Command zero torque now, more than once, whatever else there was to be done."""
+        self.drop()
+        for _ in range(_FAREWELLS):
+            self._commands.publish(self._zero)
+            time.sleep(0.005)
 
     def messages(self, topic: str) -> int:
         """Number of messages that came."""
@@ -181,6 +229,8 @@ class Conversation(Node):
 
     def _on_sensor(self, topic: str, data: bytes) -> None:
         self._raw[topic].append((time.monotonic_ns(), data))
+        if self.guard is not None and topic == contract.JOINT_STATES and not self.guard.look(data):
+            self.drop()
         # A sample is complete with the second of its two messages, in either order. Stamps are what
         # is to be judged, so they are not asked.
         complete = min(len(kept) for kept in self._raw.values())
@@ -188,10 +238,13 @@ class Conversation(Node):
             self.samples = complete
             self.answer()
 
+    def _on_alive(self, message: String) -> None:
+        self.process = message.data
+
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
             if status.level == bytes([Level.ERROR]):
-                self.errors.append((time.monotonic(), f"{status.name}: {status.message}"))
+                self.errors.append(Error(time.monotonic(), status.name, status.message))
             if status.name == TIMING_NAME:
                 try:
                     self.timing = TimingFigures.from_values(values_of(status))

@@ -8,10 +8,15 @@ from enum import Enum
 
 
 class Verdict(Enum):
-    """How one check ended."""
+    """How one check ended.
+
+    A check is not made where it does not apply, or was not asked for. It is inconclusive where it
+    was asked for and could not be finished, or where the machine may be to blame.
+    """
 
     PASS = "pass"
     FAIL = "fail"
+    INCONCLUSIVE = "inconclusive"
     NOT_CHECKED = "not checked"
 
 
@@ -44,23 +49,38 @@ def judged(check: str, good: bool, figure: str, limit: str) -> Finding:
 
 
 def not_checked(check: str, reason: str, limit: str) -> Finding:
-    """Return a finding for what could not be looked at."""
+    """Return a finding for what does not apply or was not asked for."""
     return Finding(check=check, verdict=Verdict.NOT_CHECKED, figure=reason, limit=limit)
+
+
+def inconclusive(check: str, reason: str, limit: str) -> Finding:
+    """Return a finding for what was looked at in vain."""
+    return Finding(check=check, verdict=Verdict.INCONCLUSIVE, figure=reason, limit=limit)
 
 
 def failures(findings: Iterable[Finding]) -> list[str]:
     """Names of the checks that failed, in their order."""
-    return [finding.check for finding in findings if finding.verdict is Verdict.FAIL]
+    return _named(findings, Verdict.FAIL)
+
+
+def open_questions(findings: Iterable[Finding]) -> list[str]:
+    """Names of the checks that are inconclusive, in their order."""
+    return _named(findings, Verdict.INCONCLUSIVE)
+
+
+def _named(findings: Iterable[Finding], verdict: Verdict) -> list[str]:
+    return [finding.check for finding in findings if finding.verdict is verdict]
 
 
 def report(findings: Sequence[Finding]) -> dict[str, object]:
-    """Return what ``--json`` prints."""
-    count = {verdict: sum(f.verdict is verdict for f in findings) for verdict in Verdict}
+    """Return what ``--json`` prints of the findings."""
+    count = {verdict: len(_named(findings, verdict)) for verdict in Verdict}
     return {
         "schema": 1,
-        "passed": not count[Verdict.FAIL],
+        "passed": not count[Verdict.FAIL] and not count[Verdict.INCONCLUSIVE],
         "pass": count[Verdict.PASS],
         "fail": count[Verdict.FAIL],
+        "inconclusive": count[Verdict.INCONCLUSIVE],
         "not_checked": count[Verdict.NOT_CHECKED],
         "findings": [finding.to_json() for finding in findings],
     }

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_bringup.driver_check.witness import Stalls, stalls
 from armimp_common.contract import JOINT_STATES, TORQUE_SENSORS
 from armimp_common.jitter import TimingFigures
 
@@ -105,12 +106,14 @@ class Ending:
     released, held : for comparison, the same ended by a command of zero torque, and held for longer
     told : seconds from the last command, or the stop, to an ERROR on /diagnostics; None: never
     stop : the call of the emergency stop, if it was that
+    again : torque that was commanded anew before the reset, which must not act; None: not tried
     reset : the call of the reset afterwards
     """
 
     push: Push | None
     released: Push | None = None
     held: Push | None = None
+    again: Push | None = None
     told: float | None = None
     stop: Call | None = None
     reset: Call | None = None
@@ -126,11 +129,23 @@ class Record:
     paced : whether samples come by themselves; else one comes for each command
     endpoints : who publishes and listens, without the checker itself
     streams : messages by topic
+    moving : messages by topic that came while torque was commanded
     malformed : messages that could not be decoded, by topic
     answered : commands sent in lockstep while the streams were recorded
     services : names of the services that are there, relative to the namespace
     lifecycle : state in which the driver was found; None if it is no lifecycle node
-    skipped : why tests with commands were left out; empty if they were made
+    skipped : why tests with commands were not asked for, or could not begin
+    troubled : what was wrong at rest, so that no torque was commanded in spite of having been asked
+    broken : why they were given up after they had begun
+    stopped : what the driver said when it stopped though commands came as they should
+    repeated : pushes that were made anew, as commands had been held up
+    gap : longest time between two commands of those (s)
+    moved : how far a joint went from where it was (rad); None if there was no torque
+    most : how far it was allowed to go (rad)
+    faults : statuses of level ERROR on /diagnostics before anything was commanded
+    stalls : when this process was held up
+    waited : how long the driver's process waited for a processor during the recording (s), None
+        where that cannot be told
     pushes : one for each joint
     stale : commands that stopped under torque
     stop : the emergency stop
@@ -141,11 +156,22 @@ class Record:
     paced: bool
     endpoints: Sequence[Endpoint]
     streams: Mapping[str, Sequence[Message]]
+    moving: Mapping[str, Sequence[Message]] = field(default_factory=dict)
     malformed: Mapping[str, int] = field(default_factory=dict)
     answered: int = 0
     services: frozenset[str] = frozenset()
     lifecycle: str | None = None
     skipped: str = ""
+    troubled: bool = False
+    broken: str = ""
+    stopped: str = ""
+    repeated: int = 0
+    gap: float = 0.0
+    moved: float | None = None
+    most: float = 0.0
+    faults: Sequence[str] = ()
+    stalls: Stalls = field(default_factory=stalls)
+    waited: float | None = None
     pushes: Sequence[Push] = ()
     stale: Ending | None = None
     stop: Ending | None = None

@@ -86,7 +86,8 @@ def _judge_values(
     readings = values_in_order(record.joints, topic, messages)
     # Of numbers in the wrong place at least that can be said.
     numbers = [v for m in messages for v in (*m.position, *m.effort)] if not readings.size else []
-    everything = readings.ravel() if readings.size else np.array(numbers)
+    moving = values_in_order(record.joints, topic, record.moving.get(topic, ()))
+    everything = np.hstack([readings.ravel() if readings.size else numbers, moving.ravel()])
     bad = int(np.sum(~np.isfinite(everything)))
     yield judged(f"{topic}: finite", bad == 0, f"{bad} of {everything.size} are not", finite_limit)
     bound = limits.angle if angles else limits.torque
@@ -94,7 +95,8 @@ def _judge_values(
     if not readings.size:
         yield not_checked(f"{topic}: range", "no whole message", limit)
         return
-    sound = np.where(np.isfinite(readings), readings, 0.0)
+    still, moved = (np.where(np.isfinite(part), part, 0.0) for part in (readings, moving))
+    sound = np.hstack([still, moved])
     largest = float(np.max(np.abs(sound)))
     hint = " (degrees?)" if angles else " (N·mm?)"
     figure = f"{largest:.4g} {unit}"
@@ -102,32 +104,47 @@ def _judge_values(
         f"{topic}: range", largest <= bound, figure + (hint if largest > bound else ""), limit
     )
     if angles:
-        jump = float(np.max(np.abs(np.diff(sound, axis=1)), initial=0.0))
+        # Between the two parts of the recording samples are missing.
+        jump = max(
+            float(np.max(np.abs(np.diff(part, axis=1)), initial=0.0)) for part in (still, moved)
+        )
         limit = f"≤ {limits.step:g} rad from one sample to the next"
         yield judged(f"{topic}: jumps", jump <= limits.step, f"{jump:.3g} rad", limit)
     coarsest = limits.encoder if angles else limits.transducer
     limit = f"≤ {coarsest:.4g} {unit}, the coarsest of the study"
-    field = VALUE_FIELD[topic]
-    step = resolution(np.hstack([sound, *(getattr(push, field) for push in record.pushes)]))
-    if step is None:
+    found = resolution(sound)
+    if found is None:
         reason = "readings do not change" + ("" if not angles else ": move the arm, or --move")
         yield not_checked(f"{topic}: resolution", reason, limit)
+        return
+    step, certain = found
+    good = step <= 1.01 * coarsest
+    if not good and not certain:
+        yield not_checked(f"{topic}: resolution", "too few readings that differ", limit)
     else:
-        good = step <= 1.01 * coarsest
         yield judged(f"{topic}: resolution", good, f"{step:.4g} {unit}", limit)
 
 
-def resolution(readings: NDArray[np.float64]) -> float | None:
+def resolution(readings: NDArray[np.float64]) -> tuple[float, bool] | None:
     """Smallest step between readings (n, N) of the joint with the largest one, None if none moves.
 
     Readings that are rounded lie on a grid, whose step this is as soon as neighbours occur.
+
+    Returns
+    -------
+    step : float
+        It is no smaller than the step of the grid.
+    certain : bool
+        Whether all readings lie on a grid of this step.
     """
-    steps: list[float] = []
+    steps: list[tuple[float, bool]] = []
     for row in readings:
         levels = np.unique(row)
         gaps = np.diff(levels)
         # Levels of one grid differ in the last bits.
         gaps = gaps[gaps > 1e-9 * max(float(np.max(np.abs(levels))), 1e-3)]
         if gaps.size:
-            steps.append(float(np.min(gaps)))
+            step = float(np.min(gaps))
+            ratios = gaps / step
+            steps.append((step, float(np.max(np.abs(ratios - np.rint(ratios)))) < 0.1))
     return max(steps, default=None)

@@ -8,10 +8,11 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.driver_check.findings import Finding, judged, not_checked
+from armimp_bringup.driver_check.findings import Finding, inconclusive, judged, not_checked
 from armimp_bringup.driver_check.limits import Limits
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Message, Record
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_bringup.driver_check.witness import Stalls
+from armimp_common.contract import JOINT_STATES, NS_PER_S, PERIOD_NS
 
 
 def judge_timing(record: Record, limits: Limits) -> Iterator[Finding]:
@@ -21,7 +22,7 @@ def judge_timing(record: Record, limits: Limits) -> Iterator[Finding]:
         if len(messages) >= 2:
             yield from _judge_stamps(topic, messages, limits)
             if record.paced:
-                yield from _judge_pace(topic, messages, limits)
+                yield from _judge_pace(record, topic, messages, limits)
             else:
                 extra = len(messages) - record.answered
                 limit = "one for each command, and the first"
@@ -35,8 +36,13 @@ def judge_timing(record: Record, limits: Limits) -> Iterator[Finding]:
         yield not_checked("sample to command", "the driver does not report it", limit)
     else:
         latency = record.timing.latency_p99
-        good = latency <= limits.latency
-        yield judged("sample to command", good, f"99 %: {1e3 * latency:.3g} ms", limit)
+        figure = f"99 %: {1e3 * latency:.3g} ms"
+        # Part of the way is the checker's own.
+        busy = max(record.stalls.share, _waited(record) / _length(record)) > limits.late_share
+        if not latency <= limits.latency and busy:
+            yield inconclusive("sample to command", figure + _held_up(record.stalls), limit)
+        else:
+            yield judged("sample to command", latency <= limits.latency, figure, limit)
 
 
 def _judge_stamps(topic: str, messages: Sequence[Message], limits: Limits) -> Iterator[Finding]:
@@ -58,22 +64,69 @@ def _judge_stamps(topic: str, messages: Sequence[Message], limits: Limits) -> It
     yield judged(f"{topic}: clock", abs(mean - 1.0) <= limits.clock, f"{mean:.6f} ms", limit)
 
 
-def _judge_pace(topic: str, messages: Sequence[Message], limits: Limits) -> Iterator[Finding]:
+def _judge_pace(
+    record: Record, topic: str, messages: Sequence[Message], limits: Limits
+) -> Iterator[Finding]:
+    stalls = record.stalls
     arrivals = np.array([message.arrival_ns for message in messages], dtype=np.int64)
-    duration = float(arrivals[-1] - arrivals[0]) / NS_PER_S
-    rate = (arrivals.size - 1) / duration if duration > 0.0 else 0.0
+    period = beat(arrivals)
+    rate = 1.0 / period if period > 0.0 else 0.0
     nominal = NS_PER_S / PERIOD_NS
     limit = f"{nominal:g} Hz ± {100 * limits.rate:g} %"
-    good = abs(rate / nominal - 1.0) <= limits.rate
-    yield judged(f"{topic}: rate", good, f"{rate:.1f} Hz", limit)
+    error = abs(rate / nominal - 1.0)
+    # So much can stalls at both ends of the recording make of it.
+    doubt = 2.0 * stalls.longest / max(period * arrivals.size, limits.late)
+    if limits.rate < error <= limits.rate + doubt:
+        yield inconclusive(f"{topic}: rate", f"{rate:.1f} Hz" + _held_up(stalls), limit)
+    else:
+        yield judged(f"{topic}: rate", error <= limits.rate, f"{rate:.1f} Hz", limit)
     delay = lateness(arrivals)
-    share = float(np.mean(delay > limits.late))
-    figure = f"{100 * share:.3g} %; worst {1e3 * float(np.max(delay)):.3g} ms"
-    yield judged(f"{topic}: jitter", share <= limits.late_share, figure, _late_limit(limits))
+    late = delay > limits.late
+    share, worst = float(np.mean(late)), 1e3 * float(np.max(delay))
+    rest = late & ~record.stalls.excuse(arrivals, delay)
+    own = float(np.mean(rest))
+    figure = f"{100 * share:.3g} %; worst {worst:.3g} ms"
+    check, limit = f"{topic}: jitter", _late_limit(limits)
+    if share > limits.late_share >= own:
+        figure += f"; but for {100 * own:.3g} % of all, this process was held up itself"
+        yield inconclusive(check, figure, limit)
+    elif own > limits.late_share and _waited(record) >= 0.5 * float(np.sum(delay[rest])):
+        figure += f"; the driver's process waited {1e3 * _waited(record):.3g} ms for a processor"
+        yield inconclusive(check, figure, limit)
+    else:
+        yield judged(check, share <= limits.late_share, figure, limit)
+
+
+def _length(record: Record) -> float:
+    """Length of the recording at rest, s."""
+    kept = record.streams.get(JOINT_STATES, ())
+    return max(kept[-1].arrival_ns - kept[0].arrival_ns, PERIOD_NS) / NS_PER_S if kept else 1.0
+
+
+def _waited(record: Record) -> float:
+    return record.waited or 0.0
+
+
+def _held_up(stalls: Stalls) -> str:
+    return f"; this process was held up itself, by up to {1e3 * stalls.longest:.3g} ms"
 
 
 def _late_limit(limits: Limits) -> str:
     return f"≤ {100 * limits.late_share:g} % arrive more than {1e3 * limits.late:g} ms late"
+
+
+def beat(arrivals_ns: NDArray[np.int64]) -> float:
+    """Mean period of arrivals (N,), s, whatever held some of them up.
+
+    Taken between the medians of the first and of the last tenth.
+    """
+    part = max(arrivals_ns.size // 10, 1)
+    count = arrivals_ns.size - part
+    ends = (
+        np.median(arrivals_ns[-part:] - arrivals_ns[0]),
+        np.median(arrivals_ns[:part] - arrivals_ns[0]),
+    )
+    return float(ends[0] - ends[1]) / NS_PER_S / max(count, 1)
 
 
 def lateness(arrivals_ns: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -83,8 +136,7 @@ def lateness(arrivals_ns: NDArray[np.int64]) -> NDArray[np.float64]:
     well. A message that was held up does not move it.
     """
     seconds = (arrivals_ns - arrivals_ns[0]) / NS_PER_S
-    period = float(seconds[-1]) / max(seconds.size - 1, 1)
-    offset = seconds - period * np.arange(seconds.size)
+    offset = seconds - beat(arrivals_ns) * np.arange(seconds.size)
     delay: NDArray[np.float64] = offset - np.median(offset)
     return delay
 

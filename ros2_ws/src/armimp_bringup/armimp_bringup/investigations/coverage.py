@@ -15,7 +15,6 @@ from armimp_bringup.investigations.decomposition_trials import (
     estimate,
     in_blocks,
     in_threads,
-    joint_by_joint,
     matrices,
     scales,
     with_voluntary,
@@ -27,6 +26,7 @@ from armimp_bringup.investigations.writing import (
     write_figure,
     write_tables,
 )
+from armimp_bringup.simulated import simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
@@ -83,7 +83,7 @@ class _Task:
         configs = with_voluntary(self.base.model_copy(update=levels), self.voluntary, self.seeds)
         welch = WelchConfig.for_samples(round(self.base.duration * NS_PER_S / PERIOD_NS))
         found = []
-        for experiment in joint_by_joint(configs):
+        for experiment in simulate(configs):
             true = matrices(experiment.truth)
             for name, run in estimate(experiment, self.estimators, welch).items():
                 setting = _Setting(levels=self.levels, voluntary=self.voluntary, estimator=name)

@@ -25,13 +25,11 @@ from armimp_bringup.investigations.decomposition_tables import cell_rows, print_
 from armimp_bringup.investigations.decomposition_trials import (
     JOINT_BY_JOINT,
     MIMO,
-    Experiment,
     Run,
     all_at_once,
     estimate,
     in_blocks,
     in_threads,
-    joint_by_joint,
     matrices,
     scales,
     with_voluntary,
@@ -43,6 +41,7 @@ from armimp_bringup.investigations.writing import (
     write_figure,
     write_tables,
 )
+from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_estimation.estimate import ImpedanceEstimate
@@ -87,7 +86,7 @@ class _Task:
     def __call__(self) -> list[Outcome]:
         configs = with_voluntary(self.base, self.voluntary, self.seeds)
         if self.correlation is None:
-            experiments = joint_by_joint(configs)
+            experiments = simulate(configs)
         else:
             experiments = all_at_once(configs, self.correlation)
         names = JOINT_BY_JOINT if self.correlation is None else (MIMO,)
@@ -129,7 +128,7 @@ class Outcome:
 
     @classmethod
     def of(
-        cls, experiment: Experiment, run: Run, voluntary: float, correlation: float | None
+        cls, experiment: SimulatedExperiment, run: Run, voluntary: float, correlation: float | None
     ) -> Outcome:
         """What is kept of a run."""
         true = matrices(experiment.truth)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, TypeVar
 
 import numpy as np
@@ -13,18 +13,16 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from armimp_bringup.benchmarks import available_cores
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
-from armimp_bringup.offline import OfflineTrial, run_offline, run_together
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.offline import run_together
+from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.backends import as_ready
-from armimp_bringup.study.engine import RATE
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.mbk import MBK
 from armimp_estimation.mimo import InputCoupling, estimate_mimo
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.registry import make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
@@ -72,56 +70,22 @@ class Run:
     coupling: InputCoupling | None = None
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Experiment:
-    """The records of one experiment, and the truth behind them.
-
-    Attributes
-    ----------
-    config : with its seed
-    records : one for each trial
-    truth : of the arm
-    """
-
-    config: ExperimentConfig
-    records: tuple[TrialRecord, ...]
-    truth: MBK
-
-    def shortened(self, samples: int) -> Experiment:
-        """The same as if each trial had ended after so many samples."""
-        return replace(self, records=tuple(_shortened(one, samples) for one in self.records))
-
-
-def joint_by_joint(configs: Sequence[ExperimentConfig]) -> list[Experiment]:
-    """Experiments with one trial for each joint, in which the others are held still.
-
-    Parameters
-    ----------
-    configs : of one number of joints and duration
-
-    Raises
-    ------
-    ConfigurationError, IntegrationError
-        If the configuration does not make an experiment, or it cannot be simulated.
-    """
-    parameters = [node_parameters(one, None) for one in configs]
-    return _experiments(configs, parameters, run_offline([one.rig() for one in parameters]))
-
-
-def all_at_once(configs: Sequence[ExperimentConfig], correlation: float = 0.0) -> list[Experiment]:
+def all_at_once(
+    configs: Sequence[ExperimentConfig], correlation: float = 0.0
+) -> list[SimulatedExperiment]:
     """Experiments of the same length, n trials in each of which all joints are perturbed.
 
     The safety gate leaves them alone.
 
     Parameters
     ----------
-    configs : as for :func:`joint_by_joint`
+    configs : as for :func:`armimp_bringup.simulated.simulate`
     correlation : of the perturbations of any two joints
 
     Raises
     ------
     ConfigurationError, IntegrationError
-        As :func:`joint_by_joint`, and if there are no perturbations with this correlation.
+        As :func:`simulate`, and if there are no perturbations with this correlation.
     """
     free = [
         one.model_copy(
@@ -134,7 +98,10 @@ def all_at_once(configs: Sequence[ExperimentConfig], correlation: float = 0.0) -
     mixing = [input_mixing(rig.perturbation.peak, correlation) for rig in rigs]
     n = configs[0].joints
     trials = run_together(rigs, trials=n, mixing=mixing if correlation else None)
-    return _experiments(free, parameters, trials)
+    return [
+        SimulatedExperiment.of(config, one, of_config)
+        for config, one, of_config in zip(free, parameters, trials, strict=True)
+    ]
 
 
 def input_mixing(peak: Sequence[float], correlation: float) -> FloatArray:
@@ -163,13 +130,13 @@ def input_mixing(peak: Sequence[float], correlation: float) -> FloatArray:
 
 
 def estimate(
-    experiment: Experiment, estimators: Sequence[str], welch: WelchConfig
+    experiment: SimulatedExperiment, estimators: Sequence[str], welch: WelchConfig
 ) -> dict[str, Run]:
     """Estimate the impedance from one experiment, each estimator from the records alone.
 
     Parameters
     ----------
-    experiment : Experiment
+    experiment : SimulatedExperiment
     estimators : names; :data:`MIMO` for experiments with all joints at once, and no other
     welch : segments and band
 
@@ -264,41 +231,3 @@ def scales(truth: FloatArray) -> FloatArray:
 def matrices(mbk: MBK) -> FloatArray:
     """M, B and K in one array, shape (3, n, n)."""
     return np.stack((mbk.M, mbk.B, mbk.K))
-
-
-def _experiments(
-    configs: Sequence[ExperimentConfig],
-    parameters: Sequence[NodeParameters],
-    trials: Sequence[Sequence[OfflineTrial]],
-) -> list[Experiment]:
-    found = []
-    for config, one, of_config in zip(configs, parameters, trials, strict=True):
-        arm = one.simulator.human_arm()
-        records = tuple(
-            TrialRecord(
-                trial=number,
-                perturbed_joint=trial.joint,
-                rate=RATE,
-                joint_names=one.simulator.joints,
-                perturbation=trial.perturbation,
-                position=trial.position,
-                torque=trial.torque,
-                command=trial.command,
-                start_ns=trial.first_tick * PERIOD_NS,
-                seed=config.seed,
-            )
-            for number, trial in enumerate(of_config, start=1)
-        )
-        truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
-        found.append(Experiment(config=config, records=records, truth=truth))
-    return found
-
-
-def _shortened(record: TrialRecord, samples: int) -> TrialRecord:
-    return replace(
-        record,
-        perturbation=record.perturbation[:, :samples],
-        position=record.position[:, :samples],
-        torque=record.torque[:, :samples],
-        command=None if record.command is None else record.command[:, :samples],
-    )

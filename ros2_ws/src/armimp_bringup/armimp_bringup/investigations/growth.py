@@ -18,13 +18,11 @@ from armimp_bringup.investigations.decomposition_statistics import Mean, root_me
 from armimp_bringup.investigations.decomposition_trials import (
     ESTIMATORS,
     MIMO,
-    Experiment,
     Run,
     all_at_once,
     estimate,
     in_blocks,
     in_threads,
-    joint_by_joint,
     matrices,
     scales,
     with_voluntary,
@@ -38,6 +36,7 @@ from armimp_bringup.investigations.writing import (
     write_figure,
     write_tables,
 )
+from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
@@ -80,11 +79,11 @@ class _Task:
     together: bool
 
     def __call__(self) -> list[Outcome]:
-        simulate = all_at_once if self.together else joint_by_joint
+        of_kind = all_at_once if self.together else simulate
         names = (MIMO,) if self.together else JOINT_BY_JOINT
         return [
             outcome
-            for experiment in simulate(self.configs)
+            for experiment in of_kind(self.configs)
             for outcome in _outcomes(experiment, names)
         ]
 
@@ -107,7 +106,7 @@ class Outcome:
     seconds: float
 
     @classmethod
-    def of(cls, experiment: Experiment, run: Run) -> Outcome:
+    def of(cls, experiment: SimulatedExperiment, run: Run) -> Outcome:
         """From one run."""
         true = matrices(experiment.truth)
         errors = matrices(run.fit.mbk) - true
@@ -287,7 +286,7 @@ def investigate(options: InvestigationOptions, plan: GrowthPlan | None = None) -
     return 0
 
 
-def _outcomes(experiment: Experiment, names: Sequence[str]) -> Iterator[Outcome]:
+def _outcomes(experiment: SimulatedExperiment, names: Sequence[str]) -> Iterator[Outcome]:
     """Of whole trials and of their first halves, by the same segments."""
     samples = experiment.records[0].samples
     welch = WelchConfig.for_samples(samples)

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.investigations.decomposition_trials import (
-    Experiment,
     estimate,
     in_blocks,
     in_threads,
-    joint_by_joint,
     matrices,
     scales,
     with_voluntary,
@@ -28,6 +26,7 @@ from armimp_bringup.investigations.writing import (
     write_figure,
     write_tables,
 )
+from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
@@ -93,12 +92,10 @@ class _Task:
         levels = dict(zip(("friction", "resolution", "perturbation"), self.levels, strict=True))
         base = self.base.model_copy(update=levels)
         welch = WelchConfig.for_samples(round(self.base.duration * NS_PER_S / PERIOD_NS))
-        relaxed = joint_by_joint(with_voluntary(base, 0.0, self.seeds))
+        relaxed = simulate(with_voluntary(base, 0.0, self.seeds))
         found = []
         for torque in self.voluntary:
-            experiments = (
-                joint_by_joint(with_voluntary(base, torque, self.seeds)) if torque else relaxed
-            )
+            experiments = simulate(with_voluntary(base, torque, self.seeds)) if torque else relaxed
             for experiment, quiet in zip(experiments, relaxed, strict=True):
                 true = matrices(experiment.truth)
                 bound = bound_of(experiment, quiet, (welch.f_low, welch.f_high)) / scales(true)
@@ -108,7 +105,9 @@ class _Task:
         return found
 
 
-def bound_of(experiment: Experiment, quiet: Experiment, band: tuple[float, float]) -> FloatArray:
+def bound_of(
+    experiment: SimulatedExperiment, quiet: SimulatedExperiment, band: tuple[float, float]
+) -> FloatArray:
     """Cramér-Rao bound of one experiment.
 
     Parameters

@@ -10,26 +10,16 @@ from typing import Any
 
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.conditions import Condition
 from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.errors import StudyError
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.versions import git_revision, versions
-from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimate import ImpedanceEstimate
-from armimp_estimation.identify import identify
-from armimp_estimation.lpm import LpmConfig
-from armimp_estimation.mbk import MBK
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.results import TrialLedger, summarise
-from armimp_estimation.settings import IdentifyConfig
-from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import TrialData
 from armimp_sim.kernel import WIDTH
 from armimp_sim.plant import IntegrationError
-
-RATE = NS_PER_S / PERIOD_NS
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,27 +164,17 @@ def estimate_condition(
     StudyError
         If the trials can't be estimated.
     """
-    simulator = parameters.simulator
-    arm = simulator.human_arm()
-    records = [_record(trial, simulator.joints, condition.seed) for trial in trials]
-    options = _identify_config(parameters, min(record.samples for record in records))
+    config = condition_config(batch.base, condition)
+    experiment = SimulatedExperiment.of(config, parameters, trials)
     try:
-        identification = identify(
-            [
-                TrialData.from_record(record, options.welch, options.lpm.reading)
-                for record in records
-            ],
-            batch.base.estimators,
-            MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness),
-            options,
-        )
+        identification = experiment.identify(config.estimators)
     except ConfigurationError:
         raise
     except ArmimpError as error:
         raise StudyError(f"{condition}: {error}") from None
     summary = summarise(
         identification,
-        {r.perturbed_joint: TrialLedger(bag=None, ticks=r.samples) for r in records},
+        {r.perturbed_joint: TrialLedger(bag=None, ticks=r.samples) for r in experiment.records},
         config=_described(batch, parameters),
         seed=condition.seed,
     )
@@ -207,26 +187,6 @@ def estimate_condition(
     )
     estimates = {name: one.estimate for name, one in identification.estimators.items()}
     return ConditionResult(entry=entry, estimates=estimates)
-
-
-def _record(trial: OfflineTrial, joint_names: tuple[str, ...], seed: int) -> TrialRecord:
-    return TrialRecord(
-        trial=trial.joint + 1,
-        perturbed_joint=trial.joint,
-        rate=RATE,
-        joint_names=joint_names,
-        perturbation=trial.perturbation,
-        position=trial.position,
-        torque=trial.torque,
-        command=trial.command,
-        start_ns=trial.first_tick * PERIOD_NS,
-        seed=seed,
-    )
-
-
-def _identify_config(parameters: NodeParameters, samples: int) -> IdentifyConfig:
-    reading = reading_of(parameters.estimator.bag_metadata())
-    return IdentifyConfig(welch=WelchConfig.for_samples(samples), lpm=LpmConfig(reading=reading))
 
 
 def _described(batch: Batch, parameters: NodeParameters) -> dict[str, Any]:

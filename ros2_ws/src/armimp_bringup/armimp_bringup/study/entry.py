@@ -10,7 +10,8 @@ from pydantic import TypeAdapter, ValidationError, model_validator
 
 from armimp_bringup.study.conditions import Condition
 from armimp_common.errors import DataError
-from armimp_estimation.results import Summary, first_complaint
+from armimp_estimation.json_model import first_complaint
+from armimp_estimation.results import Summary
 
 
 class StudyEntry(Summary):

@@ -4,7 +4,9 @@ Messages of one stream differ only in their stamp and their numbers, so a layout
 and then reused with one comparison and one ``struct`` call.
 """
 
+from armimp_common.cdr.clock import encode_clock
 from armimp_common.cdr.command import CommandDecoder, CommandEncoder
+from armimp_common.cdr.count import decode_count, encode_count
 from armimp_common.cdr.joint_state import (
     JointStateDecoder,
     JointStateEncoder,
@@ -19,6 +21,9 @@ __all__ = [
     "CommandEncoder",
     "JointStateDecoder",
     "JointStateEncoder",
+    "decode_count",
+    "encode_clock",
+    "encode_count",
     "joint_names_of",
     "stamp_of",
 ]

@@ -42,6 +42,8 @@ class CommandEncoder:
         MalformedMessageError
             If the number of values is wrong.
         """
+        if isinstance(values, np.ndarray):
+            values = values.tolist()  # numbers of Python's own are packed in a third of the time
         try:
             return self._pack(b"\0\1\0\0", 0, 0, self._n, *values)
         except struct.error:
@@ -78,11 +80,11 @@ class CommandDecoder:
             On truncated or foreign bytes, or another number of values.
         """
         layout = self._layout
-        if (
-            len(data) != layout.length
-            or int.from_bytes(data, "little") & layout.mask != layout.constant
-        ):
-            layout = self._layout = self._parse(data)
+        if len(data) == layout.length:
+            items = layout.unpack(data)
+            if (items[0] == layout.before and items[-1] == layout.after) or layout.matches(data):
+                return layout.values(items)
+        layout = self._layout = self._parse(data)
         return layout.values(layout.unpack(data))
 
     def decode_many(self, messages: Sequence[Buffer]) -> NDArray[np.float64]:

@@ -74,6 +74,8 @@ class JointStateEncoder:
             If the number of values is wrong or the stamp does not fit the message.
         """
         sec, nanosec = divmod(stamp_ns, NS_PER_S)
+        if isinstance(values, np.ndarray):
+            values = values.tolist()  # numbers of Python's own are packed in a third of the time
         try:
             return self._pack(b"\0\1\0\0", sec, nanosec, self._before, *values, self._after)
         except struct.error:
@@ -95,6 +97,8 @@ class JointStateDecoder:
         The joints that every message must have, no more and no less.
     field
         The array that carries the numbers; others may be filled and are ignored.
+    others
+        Whether messages may have further joints, which are ignored.
 
     Raises
     ------
@@ -102,8 +106,9 @@ class JointStateDecoder:
         If a name is empty, doubled or not encodable, or the field is not known.
     """
 
-    def __init__(self, names: Sequence[str], field: ValueField) -> None:
+    def __init__(self, names: Sequence[str], field: ValueField, *, others: bool = False) -> None:
         _check(names, field)
+        self._others = others
         self._names = [name.encode() for name in names]
         self._field: ValueField = field
         self._layout = NO_LAYOUT
@@ -125,14 +130,15 @@ class JointStateDecoder:
             whose length is not the number of joints.
         """
         layout = self._layout
-        # Layout.matches, written out: the call would cost as much as the comparison.
-        if (
-            len(data) != layout.length
-            or int.from_bytes(data, "little") & layout.mask != layout.constant
-        ):
-            layout = self._layout = self._parse(data)
+        if len(data) == layout.length:
+            items = layout.unpack(data)
+            if (
+                items[0] == layout.head and items[3] == layout.before and items[-1] == layout.after
+            ) or layout.matches(data):
+                return items[1] * NS_PER_S + items[2], layout.values(items)
+        layout = self._layout = self._parse(data)
         items = layout.unpack(data)
-        return items[0] * NS_PER_S + items[1], layout.values(items)
+        return items[1] * NS_PER_S + items[2], layout.values(items)
 
     def decode_many(
         self, messages: Sequence[Buffer]
@@ -204,7 +210,7 @@ class JointStateDecoder:
         for name in self._names:
             if name not in index:
                 raise reader.error(f"lacks joint {_joined([name])}; it has {_joined(names)}")
-        if len(names) != len(self._names):
+        if len(names) != len(self._names) and not self._others:
             unknown = [name for name in names if name not in self._names]
             raise reader.error(f"has unknown joint {_joined(unknown)}")
         return [index[name] for name in self._names]

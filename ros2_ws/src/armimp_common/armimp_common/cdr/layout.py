@@ -36,7 +36,12 @@ class Layout:
         A message `m` has this layout if ``len(m) == length`` and
         ``int.from_bytes(m, "little") & mask == constant``.
     unpack
-        Returns seconds and nanoseconds (where there is a stamp), then the doubles.
+        Returns the bytes before the stamp, seconds and nanoseconds (where there is a stamp), the
+        bytes before the doubles, these, and the bytes behind them.
+    head, before, after
+        These bytes in the message that was parsed (no `head` where there is no stamp). A message of
+        the same `length` with the same ones has this layout, which is sooner found out than by the
+        mask. Others may have it, too, as senders leave arbitrary bytes in the padding.
     values
         Picks the values, in order, from what `unpack` returned.
     """
@@ -48,7 +53,10 @@ class Layout:
         "_numbers",
         "_order",
         "_stamp",
+        "after",
+        "before",
         "constant",
+        "head",
         "length",
         "mask",
         "unpack",
@@ -80,13 +88,15 @@ class Layout:
         self.mask = int.from_bytes(mask, "little")
         self.constant = int.from_bytes(data, "little") & self.mask
         count = (numbers[1] - numbers[0]) // 8
-        head = 0 if stamp is None else 2
-        before = "" if stamp is None else f"{stamp}xiI"
+        head = "" if stamp is None else f"{stamp}siI"
         skipped = 0 if stamp is None else stamp + 8
         self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
-            f"{byte_order}{before}{numbers[0] - skipped}x{count}d{self.length - numbers[1]}x"
+            f"{byte_order}{head}{numbers[0] - skipped}s{count}d{self.length - numbers[1]}s"
         ).unpack
-        self.values = _picker([head + index for index in self._order], head + count)
+        first = 1 if stamp is None else 4
+        self.head = bytes(data[:stamp]) if stamp is not None else b""
+        self.before, self.after = bytes(data[skipped : numbers[0]]), bytes(data[numbers[1] :])
+        self.values = _picker([first + index for index in self._order])
 
     def matches(self, data: Buffer) -> bool:
         """Tell whether a message has this layout."""
@@ -143,11 +153,12 @@ class _NoLayout(Layout):
         self.length = -1
 
 
-def _picker(indices: Sequence[int], total: int) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
-    """Return a function that picks these items of a tuple of `total` items, as a tuple."""
+def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
+    """Return a function that picks these items of a tuple, as a tuple."""
     first = indices[0] if indices else 0
-    if list(indices) == list(range(first, total)):
-        return itemgetter(slice(first, None))
+    end = first + len(indices)
+    if list(indices) == list(range(first, end)):
+        return itemgetter(slice(first, end))
     # With a single index itemgetter would not return a tuple, hence the slice above for n = 1.
     return itemgetter(*indices)
 

@@ -12,24 +12,10 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_estimation.bags.mcap_file import MESSAGE_HEAD
+from armimp_estimation.bags.message_records import BEYOND_LENGTH, HEAD, MESSAGE, MESSAGE_HEAD
 
 Split: TypeAlias = tuple[NDArray[np.uint16], list[int], tuple[bytes, ...]]
 
-_HEAD: Final = np.dtype(
-    [
-        ("opcode", "u1"),
-        ("length", "<u8"),
-        ("channel", "<u2"),
-        ("sequence", "<u4"),
-        ("log_time", "<u8"),
-        ("publish_time", "<u8"),
-    ]
-)
-"""Head of a message record, as `MESSAGE_HEAD` has it."""
-_MESSAGE: Final = 5
-_BEYOND_LENGTH: Final = 22
-"""Bytes of the head that the length counts."""
 _KINDS: Final = 32
 """Layouts of one size that are remembered; a recording with more has no regular streams."""
 
@@ -45,12 +31,12 @@ class ChunkLayout:
 
     def __init__(self, lengths: Sequence[int]) -> None:
         self._lengths = np.array(lengths, np.uint64)
-        sizes = np.array(lengths, np.int64) + (MESSAGE_HEAD.size - _BEYOND_LENGTH)
+        sizes = np.array(lengths, np.int64) + (MESSAGE_HEAD.size - BEYOND_LENGTH)
         starts = np.cumsum(sizes) - sizes
         self.size = int(sizes.sum())
         self._heads = (starts[:, None] + np.arange(MESSAGE_HEAD.size)).ravel()
         self._payloads = struct.Struct(
-            "".join(f"{MESSAGE_HEAD.size}x{length - _BEYOND_LENGTH}s" for length in lengths)
+            "".join(f"{MESSAGE_HEAD.size}x{length - BEYOND_LENGTH}s" for length in lengths)
         ).unpack
 
     def split(self, records: bytes) -> Split | None:
@@ -66,9 +52,9 @@ class ChunkLayout:
         None
             If the chunk has another layout.
         """
-        heads = np.frombuffer(records, np.uint8)[self._heads].view(_HEAD)
+        heads = np.frombuffer(records, np.uint8)[self._heads].view(HEAD)
         # If each record is of the length that was expected, the next one is where it was expected.
-        if not ((heads["opcode"] == _MESSAGE) & (heads["length"] == self._lengths)).all():
+        if not ((heads["opcode"] == MESSAGE) & (heads["length"] == self._lengths)).all():
             return None
         return heads["channel"].copy(), heads["log_time"].tolist(), self._payloads(records)
 

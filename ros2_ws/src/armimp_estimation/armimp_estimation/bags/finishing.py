@@ -140,7 +140,7 @@ def _copy(source: BinaryIO, copy: McapFile) -> dict[str, tuple[str, int]]:
                 copy.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.CHUNK:
             for number, log_time_ns, payload in chunk_messages(content):
-                copy.add_message(number, log_time_ns, payload)
+                copy.append(number, log_time_ns, payload)
             copy.flush()
     return topics
 

@@ -8,7 +8,7 @@ well, so that a killed process loses little. All other records are those of the 
 import fcntl
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
@@ -18,7 +18,6 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -29,6 +28,8 @@ from mcap.records import (
     Statistics,
     SummaryOffset,
 )
+
+from armimp_estimation.bags.message_records import BEYOND_LENGTH, MESSAGE, MESSAGE_HEAD, TickRecords
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 
@@ -44,8 +45,17 @@ FLUSH_MESSAGES: Final = 256
 FLUSH_BYTES: Final = 1 << 18
 """A chunk is closed when its messages take more bytes than this."""
 
-MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
-"""Head of a message record: opcode, length, channel, sequence, log time, publish time."""
+_COMPRESSION: Final = b"zstd"
+_CHUNK_HEAD: Final = struct.Struct(f"<BQQQQII{len(_COMPRESSION)}sQ")
+"""Head of a chunk record: opcode, length, first and last time, size and checksum of what it holds
+without compression; compression, and size with it."""
+
+_INDEX_HEAD: Final = struct.Struct("<BQHI")
+"""Head of a message index: opcode, length, channel, bytes of the entries."""
+_INDEX_BEYOND: Final = 6
+"""Bytes of it that the length counts."""
+_ENTRY: Final = struct.Struct("<QQ")
+"""Entry of a message index: log time, offset in the chunk."""
 
 # Level 1: on these streams it compresses as well as level 3 in less than half of the time.
 _LEVEL: Final = 1
@@ -80,7 +90,9 @@ class McapFile:
         with suppress(OSError):  # Not every file system has locks.
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._position = 0
-        self._compress: Callable[[bytes], bytes] = zstandard.ZstdCompressor(level=_LEVEL).compress
+        self._compress: Callable[[bytearray], bytes] = zstandard.ZstdCompressor(
+            level=_LEVEL
+        ).compress
         self._pack = MESSAGE_HEAD.pack
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
@@ -92,8 +104,10 @@ class McapFile:
         self._chunk = bytearray()
         self._pending = 0
         self._deadline_ns = 0
-        # Log time and offset of each message of the chunk in turn, by channel.
-        self._index: dict[int, list[int]] = {}
+        self._start_ns = self._end_ns = 0
+        # Log time and offset of each message of the chunk, by channel, as they are written.
+        self._index: dict[int, bytearray] = {}
+        self._records = TickRecords(())
         try:
             self._write(MAGIC + _encoded(Header(profile="ros2", library=library)))
         except OSError:
@@ -131,7 +145,7 @@ class McapFile:
         self._write(_encoded(channel))
         self._channels.append(channel)
         self._counts[channel.id] = 0
-        self._index[channel.id] = []
+        self._index[channel.id] = bytearray()
         return channel.id
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -149,19 +163,66 @@ class McapFile:
         struct.error
             If the log time is negative or beyond 64 bits; nothing is written then.
         """
-        chunk = self._chunk
-        head = self._pack(5, 22 + len(data), channel, 0, log_time_ns, log_time_ns)
-        offset = len(chunk)
-        if not offset:
-            self._deadline_ns = log_time_ns + FLUSH_INTERVAL_NS
-        chunk += head
-        chunk += data
-        self._index[channel] += (log_time_ns, offset)
-        self._pending += 1
+        self.append(channel, log_time_ns, data)
         if (
             log_time_ns >= self._deadline_ns
             or self._pending >= FLUSH_MESSAGES
-            or offset > FLUSH_BYTES
+            or len(self._chunk) > FLUSH_BYTES
+        ):
+            self.flush()
+
+    def append(self, channel: int, log_time_ns: int, data: bytes) -> None:
+        """Append a message to the current chunk, however long it gets; see `add_message`."""
+        chunk = self._chunk
+        head = self._pack(MESSAGE, BEYOND_LENGTH + len(data), channel, 0, log_time_ns, log_time_ns)
+        offset = len(chunk)
+        self._span(log_time_ns, log_time_ns)
+        chunk += head
+        chunk += data
+        self._index[channel] += _ENTRY.pack(log_time_ns, offset)
+        self._pending += 1
+
+    def _span(self, first_ns: int, last_ns: int) -> None:
+        """Take account of the log times of messages that are about to be appended."""
+        if not self._chunk:
+            self._deadline_ns = first_ns + FLUSH_INTERVAL_NS
+            self._start_ns, self._end_ns = first_ns, last_ns
+        else:
+            self._start_ns = min(self._start_ns, first_ns)
+            self._end_ns = max(self._end_ns, last_ns)
+
+    def add_block(self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]) -> None:
+        """Append messages of several channels for each of some times, and flush as is due.
+
+        Parameters
+        ----------
+        log_times : sequence of int
+            Not negative, in rising order (ns).
+        channels : mapping of int to sequence of bytes
+            As many messages of each channel, in the order in which those of one time are appended;
+            those of a channel are of equal length.
+
+        Raises
+        ------
+        BagError
+            If they are not; nothing is appended then.
+        """
+        lengths = tuple((channel, len(raws[0])) for channel, raws in channels.items())
+        if lengths != self._records.lengths:
+            self._records = TickRecords(lengths)
+        records = self._records.encode(log_times, channels)
+        start = len(self._chunk)
+        first_ns, last_ns = log_times[0], log_times[-1]
+        self._span(first_ns, last_ns)
+        self._chunk += records
+        for channel, entries in self._records.index(log_times, start):
+            self._index[channel] += entries
+        self._pending += len(channels) * len(log_times)
+        # Another block like this must not lead beyond what may be lost.
+        if (
+            2 * last_ns - first_ns >= self._deadline_ns
+            or 2 * self._pending >= FLUSH_MESSAGES
+            or len(self._chunk) > FLUSH_BYTES
         ):
             self.flush()
 
@@ -172,41 +233,46 @@ class McapFile:
         """
         if not self._pending:
             return
-        messages = bytes(self._chunk)
-        start_ns = min(min(entries[::2]) for entries in self._index.values() if entries)
-        end_ns = max(max(entries[::2]) for entries in self._index.values() if entries)
+        messages = self._chunk
+        start_ns, end_ns = self._start_ns, self._end_ns
         compressed = self._compress(messages)
-        record = _encoded(
-            Chunk(
-                compression="zstd",
-                data=compressed,
-                message_start_time=start_ns,
-                message_end_time=end_ns,
-                uncompressed_crc=zlib.crc32(messages),
-                uncompressed_size=len(messages),
-            )
+        head = _CHUNK_HEAD.pack(
+            Opcode.CHUNK,
+            _CHUNK_HEAD.size - 9 + len(compressed),
+            start_ns,
+            end_ns,
+            len(messages),
+            zlib.crc32(messages),
+            len(_COMPRESSION),
+            _COMPRESSION,
+            len(compressed),
         )
-        output = bytearray(record)
+        output = bytearray(head)
+        output += compressed
+        length = len(output)
         offsets: dict[int, int] = {}
         for channel, entries in self._index.items():
             if entries:
                 offsets[channel] = self._position + len(output)
-                output += _message_index(channel, entries)
+                output += _INDEX_HEAD.pack(
+                    Opcode.MESSAGE_INDEX, _INDEX_BEYOND + len(entries), channel, len(entries)
+                )
+                output += entries
         entry = ChunkIndex(
             chunk_start_offset=self._position,
-            chunk_length=len(record),
-            compression="zstd",
+            chunk_length=length,
+            compression=_COMPRESSION.decode(),
             compressed_size=len(compressed),
             uncompressed_size=len(messages),
             message_start_time=start_ns,
             message_end_time=end_ns,
             message_index_offsets=offsets,
-            message_index_length=len(output) - len(record),
+            message_index_length=len(output) - length,
         )
         self._write(output)
         self._chunks.append(entry)
         for channel, entries in self._index.items():
-            self._counts[channel] += len(entries) // 2
+            self._counts[channel] += len(entries) // _ENTRY.size
         self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
         self._last_ns = max(self._last_ns, end_ns)
         self.discard()
@@ -298,9 +364,3 @@ def _encoded(record: _Record) -> bytes:
     record.write(builder)
     data: bytes = builder.end()
     return data
-
-
-def _message_index(channel: int, entries: list[int]) -> bytes:
-    size = 8 * len(entries)
-    head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel, size)
-    return head + struct.pack(f"<{len(entries)}Q", *entries)

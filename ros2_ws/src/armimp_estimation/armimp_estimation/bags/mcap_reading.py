@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import BagError
 from armimp_estimation.bags.chunk_layout import ChunkLayouts
-from armimp_estimation.bags.mcap_file import MAGIC, MESSAGE_HEAD
+from armimp_estimation.bags.mcap_file import MAGIC
+from armimp_estimation.bags.message_records import MESSAGE_HEAD
 from armimp_estimation.bags.metadata import parse_custom_data
 from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
 

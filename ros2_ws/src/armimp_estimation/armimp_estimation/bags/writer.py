@@ -3,7 +3,7 @@
 import errno
 import shutil
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Final
@@ -104,9 +104,7 @@ class BagWriter:
         """
         if self._closed:
             raise BagError(f"{self._path}: cannot be written: the bag is closed")
-        channel = self._channels.get(topic)
-        if channel is None:
-            channel = self._register(topic)
+        channel = self._channel(topic)
         try:
             self._add_message(channel, log_time_ns, raw)
         except (OSError, ValueError) as error:
@@ -115,6 +113,32 @@ class BagWriter:
             raise BagError(
                 f"{self._path}: log time of {topic} is out of range: {log_time_ns}"
             ) from None
+
+    def write_block(
+        self, log_times: Sequence[int], messages: Mapping[str, Sequence[bytes]]
+    ) -> None:
+        """Append messages of several topics for each of some times at once.
+
+        Parameters
+        ----------
+        log_times : sequence of int
+            Times of reception (ns), not negative, in rising order.
+        messages : mapping of str to sequence of bytes
+            A serialised message for each of them, by topic, in the order in which those of one
+            time are written; those of a topic are of equal length.
+
+        Raises
+        ------
+        BagError
+            As `write`.
+        """
+        if self._closed:
+            raise BagError(f"{self._path}: cannot be written: the bag is closed")
+        channels = {self._channel(topic): raws for topic, raws in messages.items()}
+        try:
+            self._file.add_block(log_times, channels)
+        except (OSError, ValueError) as error:
+            raise self._error(error) from None
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
         """Add to the metadata what is known only after recording.
@@ -187,6 +211,10 @@ class BagWriter:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _channel(self, topic: str) -> int:
+        channel = self._channels.get(topic)
+        return self._register(topic) if channel is None else channel
 
     def _register(self, topic: str) -> int:
         if topic not in self._names:

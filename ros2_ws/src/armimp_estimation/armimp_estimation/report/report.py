@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
-from armimp_common.errors import DataError
 from armimp_estimation.report.curves_part import coherence_section, impedance_section
 from armimp_estimation.report.estimates import parameters_section, scores_section
 from armimp_estimation.report.html import Html, element, join
@@ -16,6 +14,7 @@ from armimp_estimation.report.settings_part import assumptions_section, settings
 from armimp_estimation.report.timing_part import timing_section
 from armimp_estimation.report.trials_part import locking_section, traces_section
 from armimp_estimation.report.verdict_part import verdict_section
+from armimp_estimation.whole_files import write_whole
 
 REPORT_FILE = "report.html"
 
@@ -55,15 +54,8 @@ def write_report(directory: Path, result: Result) -> Path:
         If it cannot be written.
     """
     path = directory / REPORT_FILE
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        try:
-            part.write_text(report_page(result), encoding="utf-8")
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror}") from None
+    text = report_page(result)
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), anew=True)
     return path
 
 

@@ -1,0 +1,29 @@
+"""The person pushes, too: an estimator that ignores the loop is biased, more data do not help.
+
+.venv/bin/python examples/03_voluntary_torque.py
+"""
+
+import numpy as np
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.simulated import simulate
+
+# Any parameter of a node can be set under its name; docs/interfaces.md lists them.
+configs = [
+    ExperimentConfig(duration=20.0, seed=seed, arm_sim={"voluntary": {"rms": 0.5, "cutoff": 2.0}})
+    for seed in range(8)
+]
+
+# Experiments of equal duration run side by side, sixteen of them at the price of one.
+experiments = simulate(configs)
+results = [experiment.identify(["direct", "lpm_full"]) for experiment in experiments]
+true = experiments[0].truth.K[1, 1]
+
+for name in ("direct", "lpm_full"):
+    found = np.array([result.estimators[name].fit.mbk.K[1, 1] for result in results])
+    errors = 100.0 * (found / true - 1.0)
+    scatter = np.std(errors, ddof=1)
+    print(
+        f"{name:9s} error of K22: mean {np.mean(errors):+5.1f} % "
+        f"± {scatter / np.sqrt(errors.size):.1f} %, scatter from run to run {scatter:.1f} %"
+    )

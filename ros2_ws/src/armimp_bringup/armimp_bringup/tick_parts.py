@@ -1,0 +1,134 @@
+"""What a tick of an experiment costs without ROS, part by part."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter_ns
+
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateDecoder, JointStateEncoder
+from armimp_common.contract import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    NS_PER_S,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    VALUE_FIELD,
+)
+from armimp_common.errors import DataError, MalformedMessageError
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_control.experiment import Experiment
+from armimp_estimation.inbox import TOGETHER, Inbox
+from armimp_estimation.recording import Recording
+from armimp_sim.rig import SimulatedRig
+
+
+@dataclass(frozen=True, kw_only=True)
+class TickParts:
+    """Wall time of each part of a tick, s.
+
+    Attributes
+    ----------
+    plant : simulated step of the rig
+    law : control law and safety gate
+    codecs : encoding and decoding of the messages
+    recording : of the messages, into a bag
+    """
+
+    plant: float
+    law: float
+    codecs: float
+    recording: float
+
+
+class _Loop:
+    """Rig, controller and recorder, which hand the bytes of their messages to one another."""
+
+    def __init__(self, config: ExperimentConfig, directory: Path) -> None:
+        parameters = node_parameters(config, directory)
+        names = parameters.simulator.joints
+        self.rig = SimulatedRig(parameters.simulator)
+        self.statuses: list[TrialStatus] = []
+        self.experiment = Experiment(parameters.controller, self.statuses.append)
+        self.inbox = Inbox()
+        self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
+        self.recording = Recording(
+            names, directory, parameters.estimator.bag_metadata(), lambda *_: None
+        )
+        self.encoders = {
+            topic: JointStateEncoder(names, field) for topic, field in VALUE_FIELD.items()
+        }
+        self.decoders = {
+            topic: JointStateDecoder(names, VALUE_FIELD[topic])
+            for topic in (JOINT_STATES, TORQUE_SENSORS)
+        }
+        self.encode_command = CommandEncoder(len(names)).encode
+        self.decode_command = CommandDecoder(len(names)).decode
+        self.command = (0.0,) * len(names)
+
+    def tick(self) -> tuple[int, int, int, int]:
+        """Go through one tick; the time that plant, law, codecs and recording took, ns."""
+        rig, experiment = self.rig, self.experiment
+        t0 = perf_counter_ns()
+        rig.step(self.command)
+        t1 = perf_counter_ns()
+        position = self.encoders[JOINT_STATES].encode(rig.stamp_ns, rig.position)
+        torque = self.encoders[TORQUE_SENSORS].encode(rig.stamp_ns, rig.torque)
+        stamp_ns, theta = self.decoders[JOINT_STATES].decode(position)
+        _, tau_h = self.decoders[TORQUE_SENSORS].decode(torque)
+        t2 = perf_counter_ns()
+        experiment.answer(stamp_ns, theta, tau_h)
+        t3 = perf_counter_ns()
+        command = self.encode_command(experiment.command)
+        perturbation = self.encoders[PERTURBATION].encode(stamp_ns, experiment.tau_delta)
+        self.command = self.decode_command(command)
+        t4 = perf_counter_ns()
+        self.receivers[JOINT_STATES](position)
+        self.receivers[TORQUE_SENSORS](torque)
+        self.receivers[COMMANDS](command)
+        self.receivers[PERTURBATION](perturbation)
+        if experiment.tick % TOGETHER == 0:
+            self.recording.add_many(self.inbox.take(), _refuse)
+        return t1 - t0, t3 - t2, t2 - t1 + t4 - t3, perf_counter_ns() - t4
+
+
+def tick_parts(config: ExperimentConfig, ticks: int = 4000) -> TickParts:
+    """Go through the beginning of an experiment without ROS and see where the time goes.
+
+    Parameters
+    ----------
+    config : ExperimentConfig
+    ticks : int
+        Of the first perturbation, to be measured.
+
+    Raises
+    ------
+    DataError
+        If the experiment ends before that.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        loop = _Loop(config, Path(folder))
+        told = 0
+        totals = [0, 0, 0, 0]
+        left = ticks
+        while left:
+            spent = loop.tick()
+            for status in loop.statuses[told:]:
+                loop.recording.add_status(status)
+            told = len(loop.statuses)
+            phase = loop.statuses[-1].phase
+            if phase in (Phase.ABORTED, Phase.DONE):
+                raise DataError(f"the experiment ended: {loop.experiment.fault or phase.value}")
+            if phase is Phase.PERTURB:
+                left -= 1
+                totals = [total + one for total, one in zip(totals, spent, strict=True)]
+        loop.recording.stop()
+    plant, law, codecs, recording = (total / ticks / NS_PER_S for total in totals)
+    return TickParts(plant=plant, law=law, codecs=codecs, recording=recording)
+
+
+def _refuse(topic: str, error: MalformedMessageError) -> None:
+    raise DataError(f"{topic}: {error}")

@@ -1,0 +1,58 @@
+"""The benchmark of the node graph: what is measured is told apart, and adds up."""
+
+import pytest
+
+from armimp_bringup.benchmarks import Measured
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.graph_bench import RATIO_LIMIT, Processes, graph_figures
+from armimp_bringup.tick_parts import TickParts, tick_parts
+
+PARTS = TickParts(plant=25e-6, law=3e-6, codecs=4e-6, recording=5e-6)
+
+
+def figures(processes: Processes, graph: float, lost: int = 0) -> dict[str, Measured]:
+    measured = graph_figures(
+        processes, [39e-6, 40e-6, 90e-6], [graph, graph, 0.9 * graph], [PARTS], lost, limit=5.0
+    )
+    return {one.key.removeprefix(f"{processes}_"): one for one in measured}
+
+
+def test_parts_and_rest_of_a_composed_tick_add_up() -> None:
+    found = figures("composed", 85e-6)
+
+    parts = ("bare", "plant", "law", "codecs", "recording", "rest")
+    assert sum(found[part].value for part in parts) == pytest.approx(found["graph"].value)
+    assert found["bare"].value == pytest.approx(40.0)
+
+
+def test_recording_is_no_part_of_a_tick_of_separate_processes() -> None:
+    found = figures("separate", 400e-6)
+
+    parts = ("bare", "plant", "law", "codecs", "rest")
+    assert sum(found[part].value for part in parts) == pytest.approx(found["graph"].value)
+
+
+@pytest.mark.parametrize(("graph", "met"), [(84e-6, True), (86e-6, False)])
+def test_the_target_of_the_ratio_leaves_out_the_plant_and_both_are_told(
+    graph: float, met: bool
+) -> None:
+    found = figures("composed", graph)
+
+    assert found["ratio"].limit == RATIO_LIMIT
+    assert found["ratio"].value == pytest.approx((graph - 25e-6) / 40e-6)
+    assert found["ratio"].met is met
+    assert found["ratio_with_plant"].value == pytest.approx(graph / 40e-6)
+    assert found["ratio_with_plant"].limit is None
+
+
+def test_a_lost_sample_and_a_slow_trial_miss_the_target() -> None:
+    assert figures("composed", 85e-6, lost=1)["lost"].met is False
+    assert figures("composed", 85e-6)["lost"].met is True
+    assert figures("composed", 199e-6)["slowest"].met is True
+    assert figures("composed", 201e-6)["slowest"].met is False
+
+
+def test_each_part_of_a_tick_takes_time_and_the_recording_is_complete() -> None:
+    parts = tick_parts(ExperimentConfig(duration=10.0), 200)
+
+    assert min(parts.plant, parts.law, parts.codecs, parts.recording) > 0.0

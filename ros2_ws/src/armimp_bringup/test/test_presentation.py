@@ -1,0 +1,113 @@
+"""What becomes of a result on the command line, whatever goes wrong with its figures."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from armimp_bringup.presentation import present
+from armimp_bringup.stopwatch import Stopwatch
+from armimp_common.errors import DataError
+from armimp_common.trial_status import Phase
+from armimp_estimation.figure_process import FigureProcess
+from armimp_estimation.report.testing import make_result
+from armimp_estimation.results import read_summary
+
+
+class NoProcess(FigureProcess):
+    """A process that draws nothing; what it says instead is given."""
+
+    def __init__(self, error: str = "") -> None:
+        super().__init__()
+        self._error = error
+
+    def draw(
+        self, directory: Path, bags: Sequence[Path] | None = None, *, namespace: str | None = None
+    ) -> None:
+        """Do nothing."""
+
+    def finished(self) -> bool:
+        """Nothing is drawn, or worse."""
+        if self._error:
+            raise DataError(self._error)
+        return False
+
+
+@pytest.fixture
+def directory(tmp_path: Path) -> Path:
+    return make_result(tmp_path / "result")
+
+
+def names(directory: Path) -> set[str]:
+    return {path.name for path in directory.iterdir() if path.is_file()}
+
+
+def test_when_the_process_for_figures_is_gone_expect_them_to_be_drawn_all_the_same(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = read_summary(directory / "summary.json")
+    assert present(summary, directory, NoProcess(), as_json=True) == 0
+    assert {"report.html", "impedance.png", "coherence.pdf", "traces.png"} <= names(directory)
+    assert capsys.readouterr().err == ""
+
+
+def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = read_summary(directory / "summary.json")
+    assert present(summary, directory, NoProcess("no room"), as_json=True) == 1
+    told = capsys.readouterr()
+    assert told.err == "armimp: no room\n"
+    assert json.loads(told.out)["valid"] is True
+    assert "report.html" in names(directory)
+
+
+def test_when_the_report_cannot_be_written_expect_the_figures_all_the_same(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (directory / "report.html").mkdir()
+    summary = read_summary(directory / "summary.json")
+    assert present(summary, directory, NoProcess(), as_json=True) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"armimp: {directory / 'report.html'}: cannot be written: ")
+    assert {"impedance.png", "impedance.pdf"} <= names(directory)
+
+
+def test_wall_times_become_part_of_the_summary_and_change_nothing_else(
+    directory: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopwatch = Stopwatch()
+    for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST, Phase.DONE):
+        stopwatch.note(phase)
+    before = read_summary(directory / "summary.json")
+    assert present(before, directory, NoProcess(), as_json=False, stopwatch=stopwatch) == 0
+    after = read_summary(directory / "summary.json")
+    assert after.wall is not None
+    assert after.wall.before > 0.0
+    assert after.wall.trials >= 0.0
+    assert after.wall.after > 0.0
+    assert after.model_copy(update={"wall": None}) == before
+    assert "until the first sample" in capsys.readouterr().out
+
+
+def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -> None:
+    stopwatch = Stopwatch()
+    stopwatch.note(Phase.SETTLE)
+    wall = stopwatch.stop()
+    assert math.isnan(wall.before)
+    assert math.isnan(wall.trials)
+    stopwatch.note(Phase.PERTURB)
+    first = stopwatch.stop()
+    assert math.isnan(first.trials)
+    for phase in (Phase.REST, Phase.SETTLE, Phase.PERTURB):
+        stopwatch.note(phase)
+    inside = stopwatch.stop()
+    assert inside.before == first.before
+    stopwatch.note(Phase.ABORTED)
+    whole = stopwatch.stop()
+    assert whole.before == first.before
+    assert whole.trials > inside.trials >= 0.0

@@ -1,0 +1,127 @@
+"""The node of the template with a device that fails."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.node import Node
+
+from armimp_common import contract, qos
+from armimp_common.channels import CommandPublisher, JointStateSubscription
+from armimp_common.diagnostics import Level
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.spin import Spinner
+from armimp_common.testing import PATIENCE, eventually
+from armimp_driver_template import node as template
+from armimp_driver_template.device import Frame
+from armimp_driver_template.node import ExoDriver
+from armimp_driver_template.parameters import DriverParameters
+
+PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
+
+
+class FailingDevice:
+    """Sends a frame each millisecond until something goes wrong with it."""
+
+    paced = True
+    names = DriverParameters().names_at_device()
+
+    def __init__(self) -> None:
+        self.silent = self.broken = self.closed = False
+        self.sent: list[tuple[float, tuple[float, ...]]] = []
+        self._counter = -1
+
+    def open(self) -> None:
+        self._counter = -1
+
+    def close(self) -> None:
+        self.closed = True
+
+    def receive(self, timeout: float) -> Frame | None:
+        if self.silent:
+            time.sleep(timeout)
+            return None
+        time.sleep(0.001)
+        self._counter += 1
+        return Frame(self._counter, (60000, 60000), (1250, -400))
+
+    def send(self, torque: Sequence[float]) -> None:
+        if self.broken:
+            raise OSError("no buffer space available")
+        self.sent.append((time.monotonic(), tuple(torque)))
+
+
+class World:
+    """A driver with such a device, and somebody who answers each of its samples."""
+
+    def __init__(self, node: Node, spinner: Spinner, device: FailingDevice) -> None:
+        self.spinner, self.device = spinner, device
+        self.torque = ZERO
+        self.faults: list[str] = []
+        self._commands = CommandPublisher(node, contract.COMMANDS, 2)
+        self._listeners = [
+            JointStateSubscription(
+                node, topic, ("shoulder", "elbow"), contract.VALUE_FIELD[topic], answer
+            )
+            for topic, answer in (
+                (contract.JOINT_STATES, lambda *_: None),
+                (contract.TORQUE_SENSORS, self._answer),
+            )
+        ]
+        self._listener = node.create_subscription(
+            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+
+    def _answer(self, stamp_ns: int, values: tuple[float, ...]) -> None:
+        self._commands.publish(self.torque)
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        self.faults += [s.message for s in array.status if s.level == bytes([Level.ERROR])]
+
+    def push(self) -> None:
+        self.torque = PUSH
+        self.until(lambda: bool(self.device.sent) and self.device.sent[-1][1] == PUSH, "torque")
+
+    def until(self, condition: Callable[[], bool], what: str) -> None:
+        eventually(self.spinner, condition, what)
+
+
+@pytest.fixture
+def world(context: Context, node: Node, monkeypatch: pytest.MonkeyPatch) -> Iterator[World]:
+    device = FailingDevice()
+    monkeypatch.setattr(template, "make_device", lambda parameters: device)
+    driver = ExoDriver(context=context)
+    with Spinner([node, driver]) as spinner:
+        world = World(node, spinner, device)
+        manager = LifecycleManager(
+            node, [contract.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+        )
+        manager.wait_for_nodes()
+        manager.configure(contract.SIM_NODE)
+        manager.activate(contract.SIM_NODE)
+        yield world
+    driver.destroy_node()
+    assert device.closed
+
+
+def test_when_the_bus_is_silent_expect_zero_torque_within_200_milliseconds(world: World) -> None:
+    world.push()
+    begin = time.monotonic()
+    world.device.silent = True
+    world.until(lambda: world.device.sent[-1][1] == ZERO, "zero torque")
+    gone = min(when for when, torque in world.device.sent if when > begin and torque == ZERO)
+    assert gone - begin < 0.2
+    world.until(lambda: any("nothing for 5 periods" in f for f in world.faults), "the fault told")
+
+
+def test_when_the_bus_takes_no_commands_expect_a_fault_and_a_node_that_lives(world: World) -> None:
+    world.push()
+    world.device.broken = True
+    world.until(lambda: any("no buffer space" in f for f in world.faults), "the fault told")
+    world.device.broken = False
+    # It is told zero as soon as it listens again, and nothing else before a reset.
+    count = len(world.device.sent)
+    world.until(lambda: len(world.device.sent) > count + 20, "commands")
+    assert {torque for _, torque in world.device.sent[count:]} == {ZERO}

@@ -1,0 +1,1 @@
+"""Bridge to a robot that ros2_control drives."""

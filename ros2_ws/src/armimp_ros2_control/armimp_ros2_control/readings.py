@@ -1,0 +1,109 @@
+"""What a joint state of ros2_control means here: which joints, which signs, and which time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from armimp_common.cdr import JointStateDecoder
+from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import MalformedMessageError
+from armimp_ros2_control.parameters import BridgeParameters
+
+_CROWD = 5.0
+_SLACK, _TOLERANCE = 5, 1e-3
+"""Periods, and share, by which stamps may differ from one period for each sample."""
+
+
+class Readings:
+    """Picks angles and torques of our joints from joint states that have both.
+
+    Parameters
+    ----------
+    parameters : BridgeParameters
+        With nothing left empty.
+    """
+
+    def __init__(self, parameters: BridgeParameters) -> None:
+        names = parameters.names
+        self._angles = JointStateDecoder(names, "position", others=True)
+        self._torques = JointStateDecoder(names, "effort", others=True)
+        self._directions = tuple(float(sign) for sign in parameters.directions)
+        self._signs = tuple(
+            float(a * b)
+            for a, b in zip(parameters.directions, parameters.torque_signs, strict=True)
+        )
+
+    def decode(self, data: bytes) -> tuple[int, tuple[float, ...], tuple[float, ...]]:
+        """Return stamp (ns), angles (n,) in rad, and torques (n,) in N·m; NaN stays NaN.
+
+        Raises
+        ------
+        MalformedMessageError
+            If a joint is missing or there twice, or there are not as many positions and efforts as
+            joints.
+        """
+        stamp_ns, angles = self._angles.decode(data)
+        _, torques = self._torques.decode(data)
+        return stamp_ns, _signed(angles, self._directions), _signed(torques, self._signs)
+
+    def commands(self, torque: Sequence[float]) -> tuple[float, ...]:
+        """Return the efforts (n,) to command there for torques (n,), N·m."""
+        return _signed(torque, self._directions)
+
+
+class Stamps:
+    """Sees to it that stamps are what the contract asks for, or says why they cannot be.
+
+    Samples keep the stamps that they have, and their jitter. Only a sample that comes less than
+    half a period after the last one is left out: rounded to whole periods, as everybody here does,
+    it would be the same sample again. The gap shows as a lost one.
+
+    Attributes
+    ----------
+    left_out : samples that were not passed on
+    lost : samples that never came
+    """
+
+    def __init__(self) -> None:
+        self._first = self._last = 0
+        self._ticks = -1
+        self._crowd = 0.0
+        self.left_out = self.lost = 0
+
+    def step(self, stamp_ns: int) -> int:
+        """Return the number of periods since the last sample; 0 if this one is to be left out.
+
+        Raises
+        ------
+        MalformedMessageError
+            If time stands still or goes back, or samples do not come once in a period.
+        """
+        if self._ticks < 0:
+            self._ticks, self._first, self._last = 0, stamp_ns, stamp_ns
+            return 1
+        ahead = stamp_ns - self._last
+        if ahead <= 0:
+            raise MalformedMessageError(
+                f"the stamp {stamp_ns} ns does not come after the last one, {self._last} ns"
+            )
+        # Rounded; a step of exactly half a period is none.
+        steps = (ahead - 1 + PERIOD_NS // 2) // PERIOD_NS
+        self._crowd = self._crowd + 1.0 if steps == 0 else max(self._crowd - 0.1, 0.0)
+        if steps:
+            self._last = stamp_ns
+            self._ticks += steps
+            self.lost += steps - 1
+        else:
+            self.left_out += 1
+        elapsed = (self._last - self._first) / PERIOD_NS
+        drift = abs(elapsed - self._ticks)
+        if self._crowd > _CROWD or drift > _SLACK + _TOLERANCE * self._ticks:
+            raise MalformedMessageError(
+                f"samples do not come once a millisecond (the last one after {ahead / 1e6:.3g} ms):"
+                " update_rate of the controller manager has to be 1000"
+            )
+        return steps
+
+
+def _signed(values: Sequence[float], signs: Sequence[float]) -> tuple[float, ...]:
+    return tuple(value * sign for value, sign in zip(values, signs, strict=True))

@@ -1,0 +1,280 @@
+"""The bridge through a real graph: a robot on one side, a controller on the other."""
+
+import math
+import time
+from collections.abc import Iterator
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import qos_profile_system_default
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+
+from armimp_common import contract, qos
+from armimp_common.channels import CommandPublisher, JointStateSubscription, wait_until_matched
+from armimp_common.contract import PERIOD_NS
+from armimp_common.diagnostics import Level
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.spin import Spinner
+from armimp_common.stamps import to_time
+from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
+from armimp_ros2_control import node as node_module
+from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
+from armimp_ros2_control.parameters import BridgeParameters
+
+JOINTS = ("shoulder", "elbow")
+ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
+Sample = tuple[int, tuple[float, ...]]
+
+
+class World:
+    """Both sides of a bridge: what a robot publishes and is told, what a controller hears and says.
+
+    Each sample that comes out of the bridge is answered by a command and followed by the next joint
+    state, so nothing depends on how quick the machine is.
+    """
+
+    manager: LifecycleManager
+
+    def __init__(self, node: Node, spinner: Spinner) -> None:
+        self.spinner = spinner
+        self.tick = 0
+        self.torque = ZERO
+        self.running, self.answering = False, True
+        self.next: dict[str, object] = {}
+        self.told: list[tuple[float, ...]] = []
+        self.angles: list[Sample] = []
+        self.torques: list[Sample] = []
+        self.faults: list[str] = []
+        self.states = node.create_publisher(JointState, STATES, qos_profile_system_default)
+        self.commands = CommandPublisher(node, contract.COMMANDS, 2)
+        # Kept, as they would end with the last reference.
+        self.listeners = [
+            node.create_subscription(
+                Float64MultiArray, EFFORTS, self._on_efforts, qos_profile_system_default
+            ),
+            JointStateSubscription(
+                node, contract.JOINT_STATES, JOINTS, "position", self._on_angles
+            ),
+            JointStateSubscription(
+                node, contract.TORQUE_SENSORS, JOINTS, "effort", self._on_torques
+            ),
+            node.create_subscription(
+                DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+            ),
+        ]
+        self.services = {
+            name: node.create_client(Trigger, name)
+            for name in (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE)
+        }
+
+    def _on_efforts(self, message: Float64MultiArray) -> None:
+        self.told.append(tuple(message.data))
+
+    def _on_angles(self, stamp_ns: int, values: tuple[float, ...]) -> None:
+        self.angles.append((stamp_ns, values))
+
+    def _on_torques(self, stamp_ns: int, values: tuple[float, ...]) -> None:
+        self.torques.append((stamp_ns, values))
+        if self.running:
+            if self.answering:
+                self.commands.publish(self.torque)
+            changes, self.next = self.next, {}
+            self.feed(**changes)  # type: ignore[arg-type]
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        self.faults += [s.message for s in array.status if s.level == bytes([Level.ERROR])]
+
+    def feed(self, stamp_ms: float | None = None, **changes: object) -> None:
+        """Publish one joint state of the robot, with a joint more than is asked for."""
+        fields: dict[str, object] = {
+            "name": ["elbow", "pan", "shoulder"],
+            "position": [1.3, 9.0, 1.1],
+            "velocity": [0.0, 0.0, 0.0],
+            "effort": [0.5, 9.0, -0.5],
+            **changes,
+        }
+        self.tick += 1
+        state = JointState(**fields)
+        stamp = self.tick if stamp_ms is None else stamp_ms
+        state.header.stamp = to_time(round(PERIOD_NS * stamp))
+        self.states.publish(state)
+
+    def push(self) -> None:
+        """Run, under torque."""
+        self.torque, self.running = PUSH, True
+        self.feed()
+        self.until_told(*PUSH)
+
+    def until_told(self, *torque: float) -> None:
+        eventually(
+            self.spinner, lambda: bool(self.told) and self.told[-1] == torque, f"efforts {torque}"
+        )
+
+    def until_fault(self, words: str) -> None:
+        eventually(self.spinner, lambda: any(words in f for f in self.faults), f"fault {words}")
+
+    def call(self, service: str) -> Trigger.Response:
+        future = self.services[service].call_async(Trigger.Request())
+        assert self.spinner.spin_until(future, PATIENCE)
+        return future.result()
+
+
+@pytest.fixture
+def bridge(context: Context) -> Iterator[Ros2ControlBridge]:
+    bridge = Ros2ControlBridge(
+        context=context, parameter_overrides=overrides(BridgeParameters(), {})
+    )
+    yield bridge
+    bridge.destroy_node()
+
+
+@pytest.fixture
+def waiting(node: Node, bridge: Ros2ControlBridge) -> Iterator[World]:
+    """A bridge that is not active yet."""
+    with Spinner([node, bridge]) as spinner:
+        world = World(node, spinner)
+        world.manager = LifecycleManager(
+            node, [contract.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+        )
+        world.manager.wait_for_nodes()
+        world.manager.configure(contract.SIM_NODE)
+        yield world
+
+
+@pytest.fixture
+def world(waiting: World, node: Node, bridge: Ros2ControlBridge) -> World:
+    waiting.manager.activate(contract.SIM_NODE)
+    eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
+    assert not wait_until_matched(node, publishers=[waiting.states], timeout_s=PATIENCE)
+    assert not wait_until_matched(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
+    return waiting
+
+
+def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_burst(
+    waiting: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wait(*args: object, **options: object) -> None:
+        # While this goes on, nothing is executed.
+        for _ in range(100):
+            waiting.feed()
+        time.sleep(0.1)
+
+    monkeypatch.setattr(node_module, "wait_for_partners", wait)
+    waiting.manager.activate(contract.SIM_NODE)
+    a_moment(waiting.spinner)
+    assert waiting.angles == []
+
+
+def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World) -> None:
+    for _ in range(3):
+        world.feed()
+    eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
+    stamps = [PERIOD_NS * k for k in (1, 2, 3)]
+    assert world.angles == [(stamp, (1.1, 1.3)) for stamp in stamps]
+    assert world.torques == [(stamp, (-0.5, 0.5)) for stamp in stamps]
+
+
+def test_commands_reach_the_robot_in_the_order_of_the_joints(world: World) -> None:
+    world.push()
+    assert set(world.told) <= {ZERO, PUSH}
+    assert not world.faults
+
+
+def test_a_sample_that_is_too_early_is_left_out_of_both_streams(world: World) -> None:
+    for stamp in (1.0, 2.7, 3.0, 4.0):
+        world.feed(stamp)
+    eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
+    assert [stamp for stamp, _ in world.angles] == [stamp for stamp, _ in world.torques]
+    assert [stamp / PERIOD_NS for stamp, _ in world.angles] == [1.0, 2.7, 4.0]
+
+
+def test_when_commands_stay_away_expect_torque_to_fall_to_zero_and_the_fault_told(
+    world: World,
+) -> None:
+    world.push()
+    world.answering = False
+    world.until_told(*ZERO)
+    world.until_fault("no command for 5 periods")
+    fall = [torque for torque, _ in world.told[world.told.index(PUSH) :]]
+    assert fall == sorted(fall, reverse=True)
+    assert len(set(fall)) > 5
+    # Commands are back, and are not obeyed.
+    world.answering = True
+    a_moment(world.spinner)
+    assert world.told[-1] == ZERO
+
+
+def test_when_joint_states_stop_expect_zero_torque(world: World) -> None:
+    world.push()
+    world.running = False
+    world.until_told(*ZERO)
+    world.until_fault("nothing for 10 ms")
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"name": ["elbow", "pan", "hip"]}, "lacks joint 'shoulder'; it has 'elbow', 'pan', 'hip'"),
+        ({"effort": []}, "has 0 effort values for 3 joints"),
+        ({"effort": [0.0, 0.0, math.nan]}, "the effort of 'shoulder' is not a number"),
+        ({"position": [math.nan, 0.0, 0.0]}, "position beyond"),
+        ({"stamp_ms": 0.5}, "does not come after the last one"),
+    ],
+    ids=["unknown joint", "no effort", "effort NaN", "position NaN", "back in time"],
+)
+def test_what_cannot_be_used_takes_the_torque_away_and_is_told(
+    world: World, changes: dict[str, object], words: str
+) -> None:
+    world.push()
+    world.next = changes
+    world.until_told(*ZERO)
+    world.until_fault(words)
+
+
+def test_readings_that_are_not_finite_reach_the_controller_that_has_to_see_them(
+    world: World,
+) -> None:
+    world.feed(position=[math.nan, 0.0, 0.0])
+    eventually(world.spinner, lambda: len(world.angles) == 1, "the sample")
+    assert math.isnan(world.angles[0][1][1])
+
+
+def test_a_command_that_is_not_finite_is_never_passed_on(world: World) -> None:
+    world.push()
+    world.torque = (math.nan, 0.0)
+    world.until_told(*ZERO)
+    world.until_fault("command cannot be obeyed")
+    assert all(math.isfinite(value) for torque in world.told for value in torque)
+
+
+def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under_torque(
+    world: World,
+) -> None:
+    world.push()
+    assert world.call(contract.SIM_STOP_SERVICE).success
+    world.until_told(*ZERO)
+    world.until_fault("emergency stop")
+    # Torque is commanded further.
+    a_moment(world.spinner)
+    assert world.told[-1] == ZERO
+    refused = world.call(contract.SIM_RESET_SERVICE)
+    assert not refused.success
+    assert "not zero torque" in refused.message
+    world.torque = ZERO
+    # Commands and services are not heard in the order in which they were sent.
+    a_moment(world.spinner)
+    assert world.call(contract.SIM_RESET_SERVICE).success
+    world.torque = PUSH
+    world.until_told(*PUSH)
+
+
+def test_the_fault_is_repeated_and_zero_torque_is_told_again_and_again(world: World) -> None:
+    assert world.call(contract.SIM_STOP_SERVICE).success
+    before = len(world.told)
+    eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
+    assert set(world.told[before:]) == {ZERO}
+    assert len(world.told) - before > 10

@@ -1,0 +1,21 @@
+#!/bin/sh
+# Run the tests: those without a graph side by side on all processors, then the others one by one.
+#
+# Usage: scripts/test.sh [ARGUMENT...], which pytest gets in both parts.
+set -eu
+CDPATH='' cd -- "$(dirname -- "$0")/.."
+
+none=5 # what pytest exits with where no test matches
+worst=$none
+
+run() {
+    status=0
+    .venv/bin/pytest "$@" || status=$?
+    if [ "$status" != "$none" ] && { [ "$worst" = "$none" ] || [ "$worst" = 0 ]; }; then
+        worst=$status
+    fi
+}
+
+run --numprocesses auto --dist loadfile -m "not faults and not graph" "$@"
+run -m "not faults and graph" "$@"
+exit "$worst"

@@ -1,0 +1,132 @@
+"""Each defect that is planted into a driver is named by the check that is meant for it."""
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import TypeAlias
+
+import pytest
+
+from armimp_bringup.driver_check.findings import Finding, failures, open_questions
+
+PACE = ("rate", "jitter", "sample to command")
+"""How regular samples are, and how quick answers, depends on what else the machine does."""
+STREAMS = ("joint_states", "torque_sensors")
+Host: TypeAlias = Callable[..., None]
+Start: TypeAlias = Host
+Check = Callable[..., dict[str, Finding]]
+
+
+def _defects() -> ModuleType:
+    path = Path(__file__).resolve().parent / "defective_driver.py"
+    spec = importlib.util.spec_from_file_location("defective_driver", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+DEFECTS = _defects()
+
+
+def names(findings: dict[str, Finding]) -> list[str]:
+    return failures(findings.values())
+
+
+@pytest.mark.parametrize(
+    ("defect", "expected"),
+    [
+        ("Degrees", ["joint_states: range"]),
+        ("Unpaired", ["pairs"]),
+        (
+            "Doubled",
+            [
+                *(f"joint_states: {what}" for what in ("doubled samples", "stamps increase")),
+                "joint_states: stamps 1 ms apart",
+                "joint_states: clock",
+                "joint_states: rate",
+            ],
+        ),
+        ("FastClock", [f"{topic}: clock" for topic in STREAMS]),
+        (
+            "BackInTime",
+            [
+                f"{topic}: {what}"
+                for topic in STREAMS
+                for what in ("doubled samples", "stamps increase", "stamps 1 ms apart", "clock")
+            ],
+        ),
+        ("NotFinite", ["torque_sensors: finite"]),
+        ("WrongName", ["torque_sensors: joint names"]),
+        ("WrongField", ["torque_sensors: field"]),
+        ("BestEffort", ["joint_states: quality of service"]),
+        ("TwoForOne", [f"{topic}: rate" for topic in STREAMS]),
+        ("Faulty", ["no fault at rest"]),
+        ("NoStop", ["service arm_sim/emergency_stop"]),
+        ("DeafStop", ["emergency stop: told"]),
+        ("Mute", ["emergency stop: told"]),
+        ("Stubborn", ["emergency stop: reset"]),
+    ],
+)
+def test_a_defect_that_shows_without_torque_is_named_and_nothing_else(
+    host: Host, check: Check, defect: str, expected: list[str]
+) -> None:
+    host(getattr(DEFECTS, defect), mode="lockstep")
+    assert names(check()) == expected
+
+
+@pytest.mark.parametrize(
+    ("defect", "expected"),
+    [
+        ("WrongSign", ["torque: joint and sign"]),
+        ("Swapped", ["torque: joint and sign"]),
+        ("SensorSign", ["torque_sensors: sign"]),
+        ("Late", ["torque: delay"]),
+        ("Wraps", ["joint_states: jumps", "torque: motion"]),
+        ("Strong", ["torque: motion"]),
+        ("Moody", ["torque: no stop"]),
+        ("DeafStop", ["emergency stop", "emergency stop: told"]),
+    ],
+)
+def test_a_defect_that_shows_under_torque_is_named_and_nothing_else(
+    host: Host, check: Check, defect: str, expected: list[str]
+) -> None:
+    host(getattr(DEFECTS, defect), mode="lockstep")
+    assert names(check(move=True)) == expected
+
+
+def test_when_a_rig_moves_too_far_expect_its_emergency_stop_to_be_called_and_not_reset(
+    host: Host, check: Check
+) -> None:
+    host(DEFECTS.Strong, mode="lockstep")
+    moved = check(move=True)["torque: motion"]
+    assert "torque taken away" in moved.figure
+    assert check()["no fault at rest"].figure == "arm_sim: rig: emergency stop"
+
+
+def test_transducers_that_are_too_coarse_are_named(host: Host, check: Check) -> None:
+    host(DEFECTS.ArmSimNode, mode="lockstep", sensors__torque_resolution=0.05)
+    assert names(check(move=True)) == ["torque_sensors: resolution"]
+
+
+@pytest.mark.parametrize(
+    ("defect", "expected"),
+    [
+        ("NoWatchdog", ["stale commands", "stale commands: told", "stale commands: latched"]),
+        pytest.param("Relapsing", ["stale commands: latched"], marks=pytest.mark.faults),
+        ("ArmSimNode", []),
+    ],
+)
+def test_what_a_driver_does_without_commands_is_seen_in_real_time(
+    start: Start, check: Check, defect: str, expected: list[str]
+) -> None:
+    # A process of its own, as the checker's would hold it up.
+    start([DEFECTS.__file__, defect], "-p", "mode:=realtime")
+    for _ in range(4):
+        findings = check(move=True)
+        # What the machine has spoiled is looked at once more.
+        if not [n for n in open_questions(findings.values()) if not n.endswith(PACE)]:
+            break
+    assert [name for name in names(findings) if not name.endswith(PACE)] == expected

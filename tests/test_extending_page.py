@@ -1,0 +1,140 @@
+"""The recipes of docs/extending.md, applied to a copy of the sources, do what they say there."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+NEW_FILES = re.findall(r"New file `([^`]+)`:\n\n```python\n(.*?)^```$", PAGE, re.M | re.S)
+PATCHES = re.findall(r"^```diff\n(.*?)^```$", PAGE, re.M | re.S)
+TESTS = [name for name, _ in NEW_FILES if "/test/" in name]
+COPIED = ("docs", "scripts", "ros2_ws/src")
+TESTS_OF_THE_WHOLE = ("tests/test_interface_page.py", "tests/test_default_configs.py")
+
+
+def hunks(patch: str) -> Iterator[tuple[str, str, str]]:
+    """File, text before and text after of each hunk."""
+    head, *parts = re.split(r"^@@ .*\n", patch, flags=re.M)
+    (name,) = re.findall(r"^\+\+\+ b/(.*)$", head, flags=re.M)
+    for part in parts:
+        # An editor may have taken the blank of an empty line of context away.
+        lines = [line or " " for line in part.splitlines()]
+        before = "\n".join(line[1:] for line in lines if line[0] in " -")
+        after = "\n".join(line[1:] for line in lines if line[0] in " +")
+        yield name, before, after
+
+
+def python(copy: Path, *arguments: str, jit: bool = True) -> subprocess.CompletedProcess[str]:
+    sources = (copy / "ros2_ws" / "src").glob("*/package.xml")
+    path = os.pathsep.join(str(manifest.parent) for manifest in sources)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": path,
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "NUMBA_DISABLE_JIT": "0" if jit else "1",
+    }
+    return subprocess.run(
+        [sys.executable, *arguments],
+        cwd=copy,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the sources with everything that the page adds."""
+    copy = tmp_path_factory.mktemp("extended")
+    leave = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "install", "log")
+    for folder in COPIED:
+        shutil.copytree(ROOT / folder, copy / folder, ignore=leave)
+    (copy / "tests").mkdir()
+    for name in ("pyproject.toml", "tests/conftest.py", *TESTS_OF_THE_WHOLE):
+        shutil.copy(ROOT / name, copy / name)
+    for name, text in NEW_FILES:
+        assert not (copy / name).exists(), name
+        (copy / name).write_text(text, encoding="utf-8")
+    for patch in PATCHES:
+        for name, before, after in hunks(patch):
+            text = (copy / name).read_text(encoding="utf-8")
+            assert text.count(before) == 1, f"{name} has changed, correct the page:\n{before}"
+            (copy / name).write_text(text.replace(before, after), encoding="utf-8")
+    done = python(copy, "scripts/write_default_configs.py")
+    assert done.returncode == 0, done.stderr
+    return copy
+
+
+def test_the_page_has_a_recipe_for_each_and_a_test_in_it() -> None:
+    packages = {Path(name).parts[2] for name in TESTS}
+    assert packages == {"armimp_estimation", "armimp_sim", "armimp_control"}
+    assert len(PATCHES) >= 8
+
+
+def test_the_tests_of_the_recipes_pass_beside_those_of_the_interfaces(extended: Path) -> None:
+    plant = [name for name in TESTS if "armimp_sim" in name]
+    others = [name for name in TESTS if name not in plant]
+    # The plant has no uncompiled form. The law has, and compiling it with its gate takes long; but
+    # then numpy warns where compiled code divides by zero in silence.
+    silent = "-Wignore::RuntimeWarning"
+    for names, jit in ((plant, True), ([*others, *TESTS_OF_THE_WHOLE, silent], False)):
+        done = python(extended, "-m", "pytest", "-q", *names, jit=jit)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+TRAJECTORY = """
+import numpy as np
+from armimp_sim import presets
+from armimp_sim.plant import Plant, PlantConfig
+
+config = PlantConfig(
+    arm=presets.human_arm(1),
+    robot=presets.robot(1),
+    friction=presets.friction(3, 1),
+    sensors=presets.sensors(0),
+)
+plant = Plant([config])
+found = []
+for k in range(300):
+    plant.tick(np.array([[3.0 * np.sin(0.05 * k)]]), np.zeros((1, 1)))
+    found.append(float(plant.position[0, 0]).hex())
+print(*found)
+"""
+
+
+def test_friction_is_what_it_was_to_the_last_bit_as_long_as_nothing_is_chosen(
+    extended: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = python(extended, "-c", TRAJECTORY)
+    exec(TRAJECTORY, {})
+    assert done.stdout == capsys.readouterr().out
+    assert len(set(done.stdout.split())) > 200
+
+
+def test_what_the_recipes_add_is_written_as_the_rest_is(extended: Path) -> None:
+    for arguments in (["check"], ["format", "--check"]):
+        done = python(extended, "-m", "ruff", *arguments, "--no-cache")
+        assert done.returncode == 0, done.stdout
+
+
+def test_the_examples_of_configurations_are_accepted(extended: Path) -> None:
+    blocks = re.findall(r"^```yaml\n(.*?)^```$", PAGE, re.M | re.S)
+    assert len(blocks) == 2
+    program = [
+        "from pathlib import Path",
+        "from armimp_bringup.config import load_config, node_parameters",
+    ]
+    for number, block in enumerate(blocks):
+        path = extended / f"own{number}.yaml"
+        path.write_text(block, encoding="utf-8")
+        program.append(f"node_parameters(load_config(Path({str(path)!r}), {{}}), None).rig()")
+    done = python(extended, "-c", "\n".join(program))
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,105 @@
+"""Every command of docs/tutorial.md runs, in its order, and prints what the page shows."""
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+BLOCK = re.compile(
+    r"^```sh\n(?P<commands>.*?)^```\n(?:\n```text\n(?P<shown>.*?)^```$)?", re.M | re.S
+)
+TOLERANCE = 0.01
+"""Relative, and absolute: other processors and versions round differently."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Step:
+    """A block of commands, and what the page shows of their output."""
+
+    commands: str
+    shown: tuple[str, ...]
+
+
+STEPS = [
+    Step(commands=one["commands"], shown=tuple((one["shown"] or "").splitlines()))
+    for one in BLOCK.finditer(PAGE)
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that looks like a clone after `make setup`, to the commands of the page."""
+    clone = tmp_path_factory.mktemp("clone")
+    (clone / "examples").symlink_to(ROOT / "examples")
+    commands = clone / ".venv" / "bin"
+    commands.mkdir(parents=True)
+    for name, module in (("armimp", " -m armimp_bringup.cli"), ("python", "")):
+        (commands / name).write_text(f'#!/bin/sh\nexec "{sys.executable}"{module} "$@"\n')
+        (commands / name).chmod(0o755)
+    return clone
+
+
+def words(line: str) -> list[str]:
+    # How fast a trial ran is the business of the machine; it is the last number before the bag.
+    return re.sub(r"\S+( +bags/)", r"*\1", line).split()
+
+
+def alike(shown: str, real: str) -> bool:
+    """Whether two lines are equal but for the last digits of numbers."""
+    pairs = list(zip(words(shown), words(real), strict=False))
+    return len(words(shown)) == len(words(real)) and all(_same(a, b) for a, b in pairs)
+
+
+def _same(shown: str, real: str) -> bool:
+    try:
+        a, b = float(shown.strip("%,")), float(real.strip("%,"))
+    except ValueError:
+        return shown == real
+    return abs(a - b) <= TOLERANCE * (1.0 + abs(a))
+
+
+def missing(shown: tuple[str, ...], real: list[str]) -> Iterator[str]:
+    """Lines of the page that the output does not have in this order; `…` stands for any."""
+    rest = iter(real)
+    for line in shown:
+        if line.strip() in ("", "…"):
+            continue
+        if not any(alike(line, one) for one in rest):
+            yield line
+
+
+def test_the_page_begins_with_the_installation_and_shows_what_comes() -> None:
+    assert STEPS[0].commands.splitlines()[-1] == "make setup"
+    assert len([step for step in STEPS if step.shown]) >= 5
+
+
+def test_every_command_runs_and_prints_what_the_page_shows(folder: Path) -> None:
+    for step in STEPS[1:]:
+        done = subprocess.run(
+            ["bash", "-e", "-c", step.commands],
+            cwd=folder,
+            env={**os.environ, "COLUMNS": "120"},
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, f"{step.commands}\n{done.stdout}"
+        lost = list(missing(step.shown, done.stdout.splitlines()))
+        assert not lost, f"{step.commands}\n{done.stdout}\nnot printed: {lost}"
+    assert (folder / "results" / "first" / "report.html").exists()
+
+
+def test_a_line_that_differs_is_noticed() -> None:
+    real = ["K11  7.9671  +0.01 %", "valid"]
+    assert not list(missing(("K11 7.9670 +0.00 %", "…", "valid"), real))
+    assert list(missing(("K11 8.3 +0.00 %",), real)) == ["K11 8.3 +0.00 %"]
+    assert list(missing(("valid", "K11 7.9671 +0.01 %"), real)) == ["K11 7.9671 +0.01 %"]
+    assert list(missing(("not valid",), real)) == ["not valid"]
