@@ -110,6 +110,33 @@ def test_the_shortest_delays_change_nothing() -> None:
         assert late == pytest.approx(prompt, abs=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("borne", "refused"),
+    [
+        ({"torque_delay": 0.0055}, {"torque_delay": 0.006}),
+        ({"actuator_lag": 0.001}, {"actuator_lag": 0.002}),
+        (
+            {"actuator_lag": 0.0005, "torque_delay": 0.0015},
+            {"actuator_lag": 0.0005, "torque_delay": 0.002},
+        ),
+    ],
+)
+def test_the_law_of_the_study_bears_the_delays_that_the_documents_say(
+    borne: dict[str, float], refused: dict[str, float]
+) -> None:
+    def check(known: dict[str, float]) -> None:
+        check_stability(
+            _config(),
+            robot_inertia=ROBOT,
+            arm_inertia=ARM,
+            dynamics=RigDynamics(**known),  # type: ignore[arg-type]
+        )
+
+    check(borne)
+    with pytest.raises(ConfigurationError, match="unstable when sampled"):
+        check(refused)
+
+
 def test_drives_that_are_too_slow_are_refused_with_what_is_known_of_the_rig() -> None:
     with pytest.raises(ConfigurationError, match=r"grows by .* drives that lag by 2 ms"):
         check_stability(
