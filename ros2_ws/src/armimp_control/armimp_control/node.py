@@ -7,6 +7,7 @@ import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
@@ -46,6 +47,8 @@ _DIAGNOSTICS_TICKS = 1000
 GATE_STATUS = f"{contract.CONTROLLER_NODE}: gate"
 """``name`` of the status on ``/diagnostics``."""
 _STOPPED = "emergency stop"
+_FAREWELL = Duration(seconds=0.5)
+"""How long the last command and status may take to arrive before this process ends."""
 _NO_SAMPLE = "no sensor sample arrived any more"
 _NO_JUDGEMENT = "the estimator does not say whether the trial is over"
 
@@ -176,6 +179,9 @@ class ImbicControllerNode(LifecycleNode):
         """Take torque away, should the node end while it is active."""
         if self._active and self.context.ok():
             self._stop("the controller was ended")
+            # What is lost on its way now is not sent again, once the publishers are gone.
+            for publisher in (self._commands.publisher, self._trial):
+                publisher.wait_for_all_acked(_FAREWELL)
         super().destroy_node()
 
     def _prepare(self) -> Experiment:

@@ -24,6 +24,12 @@ from armimp_estimation.record import TrialRecord
 
 FloatArray = NDArray[np.float64]
 
+HIGHEST = 2.0
+"""Frequency up to which the bins may reach, Hz: beyond it the arm's resonance is in the way.
+
+What the polynomials do not follow of that would be taken for drift in a short record. Within one a
+drift does little, too.
+"""
 SIGNIFICANT = 6.0
 """Standard errors beyond which a slope is taken for drift: in no record does chance get there."""
 
@@ -79,12 +85,13 @@ def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) ->
     Returns
     -------
     Drift or None
-        None if the record is too short, or its perturbation too poor, to tell.
+        None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to
+        tell.
     """
     config = local or LocalPolynomialConfig()
     places = np.arange(1, config.window + 1)
     samples, n = record.samples, record.joints
-    if (samples - 1) // 2 < config.window:
+    if (samples - 1) // 2 < config.window or places[-1] * record.rate / samples > HIGHEST:
         return None
     inputs = np.fft.rfft(record.perturbation[record.perturbed_joint])[places]
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2))

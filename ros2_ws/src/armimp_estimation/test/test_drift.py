@@ -111,3 +111,12 @@ def test_records_that_are_too_short_to_tell_are_left_alone() -> None:
     )
     assert drift_of(short) is None
     assert drift_of(replace(one, perturbation=np.zeros_like(one.perturbation))) is None
+
+
+def test_the_resonance_of_the_arm_in_a_short_record_is_not_taken_for_drift() -> None:
+    # Nothing but the arm: there is no noise in which its curves could hide.
+    for seconds in (8, 10, 20, 50):
+        config = SyntheticConfig(samples=1000 * seconds)
+        for joint in range(2):
+            found = drift_of(synthetic_trial(ARM, joint, config, seed=1))
+            assert found is None or not found.significant, (seconds, joint)
