@@ -25,10 +25,11 @@ def test_the_bridge_in_front_of_ros2_control_passes_every_check_with_torque(
     start(BRIDGE, *NAMES)
     for _ in range(4):
         findings = check(move=True)
-        assert but_for_pace(failures(findings.values())) == []
-        # What the machine has spoiled is looked at once more.
-        if not but_for_pace(open_questions(findings.values())):
+        wrong = but_for_pace(failures(findings.values()))
+        # What the machine has spoiled, which holds up three processes here, is looked at once more.
+        if not wrong and not but_for_pace(open_questions(findings.values())):
             break
+    assert {name: findings[name].figure for name in wrong} == {}
     for name in (
         "torque: joint and sign",
         "torque_sensors: sign",
