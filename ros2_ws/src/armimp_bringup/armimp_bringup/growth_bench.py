@@ -10,7 +10,7 @@ from statistics import median
 
 from armimp_bringup.benchmarks import Measured
 from armimp_bringup.command_run import COMMAND, run_command
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import load_config, node_parameters
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_control.experiment import Experiment
@@ -74,7 +74,7 @@ def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Meas
 
 def _compile(joints: int) -> None:
     """Have everything compiled that depends on the number of joints, so that no run has to."""
-    parameters = node_parameters(ExperimentConfig(joints=joints), None)
+    parameters = node_parameters(load_config(None, {"joints": joints}), None)
     Experiment(parameters.controller, lambda _: None)
     SimulatedRig(parameters.simulator)
 
