@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar, TypeAlias
@@ -225,6 +226,10 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
         process.wait()
     assert process.returncode == 130, said
     assert said.count("\n") == 1
+    # The last ones may still be on their way; nothing is sent any more.
+    deadline = time.monotonic() + PATIENCE
+    while Listening.commands[-5:] != [(0.0, 0.0)] * 5 and time.monotonic() < deadline:
+        time.sleep(0.01)
     assert Listening.commands[-5:] == [(0.0, 0.0)] * 5
 
 

@@ -41,6 +41,7 @@ WITH_ROS = {
     "armimp_sim.node",
     "armimp_bringup.display",
     "armimp_bringup.driver_check.conversation",
+    "armimp_bringup.driver_check.interruption",
     "armimp_bringup.driver_check.moves",
     "armimp_bringup.driver_check.probe",
     "armimp_bringup.external",

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from types import FrameType
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
@@ -24,7 +21,7 @@ from armimp_bringup.driver_check.findings import (
     report,
 )
 from armimp_common.contract import SIM_NODE
-from armimp_common.errors import ConfigurationError, InterruptionError
+from armimp_common.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from armimp_bringup.driver_check.probe import CheckOptions
@@ -90,8 +87,7 @@ def check_driver(  # noqa: PLR0913 (the options of a command)
     domain = external_domain(domain_id)
     if move and not yes:
         ask(options, domain)
-    with _terminated_is_interrupted():
-        record = probe(options, domain)
+    record = probe(options, domain)
     findings = judge(record)
     if as_json:
         print(json.dumps(report(findings) | about(options, domain, record), ensure_ascii=False))
@@ -143,20 +139,6 @@ def about(options: CheckOptions, domain: int, record: Record) -> dict[str, objec
             "driver": record.waited,
         },
     }
-
-
-@contextmanager
-def _terminated_is_interrupted() -> Iterator[None]:
-    """Leave in an orderly way when told to end: torque may be on."""
-
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        raise InterruptionError("terminated")
-
-    before = signal.signal(signal.SIGTERM, on_signal)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def expected_joints(joints: int | None, names: Sequence[str]) -> tuple[str, ...]:

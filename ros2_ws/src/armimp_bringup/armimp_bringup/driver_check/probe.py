@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armimp_bringup.driver_check.conversation import Conversation, Error
+from armimp_bringup.driver_check.interruption import InterruptibleSpinner
 from armimp_bringup.driver_check.moves import Mover, Moves, extract
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Message, Record
 from armimp_bringup.driver_check.stream_rules import values_in_order
@@ -21,7 +22,7 @@ from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.processes import waited_ns
-from armimp_common.spin import Spinner
+from armimp_common.spin import Spinner, stop_on_signals
 
 _PATIENCE, _LONG = 10.0, 60.0
 _LISTEN, _SILENCE = 0.5, 3.0
@@ -58,6 +59,8 @@ def probe(options: CheckOptions, domain_id: int | None) -> Record:
     ------
     GraphError
         If there is none, or it is in use, or fails a transition.
+    InterruptionError
+        After SIGINT or SIGTERM, with zero torque commanded.
     """
     with GraphContext(domain_id) as graph:
         node = Conversation(graph, options.joints, options.namespace)
@@ -66,7 +69,10 @@ def probe(options: CheckOptions, domain_id: int | None) -> Record:
         gc.disable()
         witness = Witness()
         try:
-            with Spinner([node], context=graph.context) as spinner:
+            with (
+                stop_on_signals() as stopped,
+                InterruptibleSpinner([node], context=graph.context, stopped=stopped) as spinner,
+            ):
                 return _Probe(options, node, spinner, witness).record()
         finally:
             witness.close()
