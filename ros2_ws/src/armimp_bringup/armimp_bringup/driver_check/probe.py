@@ -25,7 +25,7 @@ from armimp_common.processes import waited_ns
 from armimp_common.spin import Spinner, stop_on_signals
 
 _PATIENCE, _LONG = 10.0, 60.0
-_LISTEN, _SILENCE = 0.5, 3.0
+_LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -233,6 +233,8 @@ class _Probe:
         # The answer to the last command is still to come. Of a driver that was active before, the
         # first sample was missed.
         node.wait(self._spinner, lambda: node.samples > node.answered, 1.0)
+        # Those that no command has asked for may still be on their way.
+        node.wait(self._spinner, lambda: node.samples > node.answered + 1, _LATER)
         self._lead = node.samples - node.answered
         return 0
 
