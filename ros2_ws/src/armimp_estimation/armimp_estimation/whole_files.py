@@ -4,10 +4,16 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from armimp_common.errors import DataError
+from armimp_common.errors import ArmimpError, DataError
 
 
-def write_whole(path: Path, write: Callable[[Path], object], *, anew: bool = False) -> None:
+def write_whole(
+    path: Path,
+    write: Callable[[Path], object],
+    *,
+    anew: bool = False,
+    error: type[ArmimpError] = DataError,
+) -> None:
     """Write a file beside its place and move it there.
 
     Parameters
@@ -15,23 +21,26 @@ def write_whole(path: Path, write: Callable[[Path], object], *, anew: bool = Fal
     path : Path
         The file.
     write : callable
-        Writes the file at the path that it is given.
+        Writes the file at the path that it is given, which has the same suffix.
     anew : bool
         Whether to put it in the place of a file that is there, which stays if that fails.
 
+    error : type
+        What is raised.
+
     Raises
     ------
-    DataError
+    error
         If the file exists already or cannot be written.
     """
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    part = path.with_name(f".{os.getpid()}.{path.name}")
     try:
         if path.exists() and not anew:
-            raise DataError(f"{path}: exists already")
+            raise error(f"{path}: exists already")
         try:
             write(part)
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror}") from error
+    except OSError as cause:
+        raise error(f"{path}: cannot be written: {cause.strerror}") from cause

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import os
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -21,6 +20,7 @@ from armimp_bringup.study.entry import StudyEntry, differences, read_entry
 from armimp_bringup.study.errors import StudyError
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.results import ImpedanceCurve, read_frf, write_frf
+from armimp_estimation.whole_files import write_whole
 
 CONFIG_FILE = "config.json"
 RESULTS_DIRECTORY = "conditions"
@@ -194,15 +194,7 @@ def replace_file(path: Path, write: Callable[[Path], object]) -> None:
     StudyError
         If it can't be written.
     """
-    part = path.with_name(f".{os.getpid()}.{path.name}")
-    try:
-        try:
-            write(part)
-            part.replace(path)
-        finally:
-            part.unlink(missing_ok=True)
-    except OSError as error:
-        raise StudyError(f"{path}: cannot be written: {error.strerror}") from None
+    write_whole(path, write, anew=True, error=StudyError)
 
 
 def _description(base: ExperimentConfig, provenance: Provenance) -> dict[str, Any]:
