@@ -6,10 +6,11 @@ _GRAPH_FIXTURES = {"context", "domain_id", "environment"}
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark each test that starts a graph or whole programs, whose timing others would spoil."""
-    programs = config.rootpath / "tests"
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark each test that starts a graph, whose timing others would spoil.
+
+    Where that is not to be seen from its fixtures, as with programs of their own, the file says so.
+    """
     for item in items:
-        fixtures = set(getattr(item, "fixturenames", ()))
-        if fixtures & _GRAPH_FIXTURES or programs in item.path.parents:
+        if _GRAPH_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker("graph")

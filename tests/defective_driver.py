@@ -30,9 +30,9 @@ class WrongField(ArmSimNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_configure(state)
-        self.destroy_publisher(self._torque_sensors.publisher)
+        self.destroy_publisher(self.torque_sensors.publisher)
         names = self._settings.joints
-        self._torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "position")
+        self.torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "position")
         return result
 
 
@@ -47,26 +47,26 @@ class Altered(ArmSimNode):
     """Sends what it measures in some other way."""
 
     def _send(self) -> None:
-        rig = self._rig
+        rig = self.gate
         assert rig is not None
         self.tell(rig.tick, rig.stamp_ns, rig.position, rig.torque)
 
     def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
         """Send one sample; to be overridden."""
-        self._joint_states.publish(stamp_ns, angles)
-        self._torque_sensors.publish(stamp_ns, torques)
+        self.joint_states.publish(stamp_ns, angles)
+        self.torque_sensors.publish(stamp_ns, torques)
 
     def _renamed(self, topic: str, names: tuple[str, ...], profile: QoSProfile) -> None:
         """Make the publisher of the angles or of the torques anew."""
         angles = topic == contract.JOINT_STATES
-        old = self._joint_states if angles else self._torque_sensors
+        old = self.joint_states if angles else self.torque_sensors
         self.destroy_publisher(old.publisher)
         field = contract.VALUE_FIELD[topic]
         new = JointStatePublisher(self, topic, names, field, profile=profile)
         if angles:
-            self._joint_states = new
+            self.joint_states = new
         else:
-            self._torque_sensors = new
+            self.torque_sensors = new
 
 
 class Degrees(Altered):
@@ -80,8 +80,8 @@ class Unpaired(Altered):
     """Each message has the time of its sending."""
 
     def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        self._joint_states.publish(stamp_ns, angles)
-        self._torque_sensors.publish(stamp_ns + 20_000, torques)
+        self.joint_states.publish(stamp_ns, angles)
+        self.torque_sensors.publish(stamp_ns + 20_000, torques)
 
 
 class Doubled(Altered):
@@ -90,7 +90,7 @@ class Doubled(Altered):
     def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
         super().tell(tick, stamp_ns, angles, torques)
         if tick % 100 == 50:
-            self._joint_states.publish(stamp_ns, angles)
+            self.joint_states.publish(stamp_ns, angles)
 
 
 class FastClock(Altered):
@@ -192,15 +192,16 @@ class Moody(ArmSimNode):
     def _on_command(self, command: tuple[float, ...]) -> None:
         self._patience -= any(command)
         if self._patience == 0:
-            self._fault("the mood")
+            self.latch("the mood")
         super()._on_command(command)
 
 
 class Mute(ArmSimNode):
     """Tells nobody of its faults."""
 
-    def _report(self, rig: SimulatedRig) -> None:
-        self._faulty, self._told = bool(rig.fault), rig.tick
+    def report(self) -> None:
+        if self.gate is not None:
+            self.told, self._told_tick = self.gate.fault, self.gate.tick
 
 
 class Stubborn(ArmSimNode):
@@ -216,7 +217,7 @@ class Faulty(ArmSimNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_activate(state)
-        self._fault("a cable is missing")
+        self.latch("a cable is missing")
         return result
 
 
@@ -232,10 +233,10 @@ class Relapsing(ArmSimNode):
     """Lets go when commands stay away, and obeys again as soon as they come."""
 
     def _on_command(self, command: tuple[float, ...]) -> None:
-        rig, paced = self._rig, self._paced
+        rig, paced = self.gate, self._paced
         if rig is not None and paced is not None and rig.fault not in ("", "emergency stop"):
-            self._report(rig)
-            with self._alone:
+            self.report()
+            with self.alone:
                 rig.fault, rig._fading = "", 0
                 paced._unanswered.clear()
                 paced._in_step = False
@@ -255,9 +256,7 @@ class NoStop(ArmSimNode):
 class DeafStop(ArmSimNode):
     """Says that it stops, and goes on."""
 
-    def _on_emergency_stop(
-        self, request: Trigger.Request, response: Trigger.Response
-    ) -> Trigger.Response:
+    def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
         return response
 

@@ -17,6 +17,8 @@ from armimp_bringup.testing_command import call
 from armimp_estimation.bags import BagWriter
 from armimp_estimation.testing import recorded_arm
 
+pytestmark = pytest.mark.graph
+
 PATIENCE = 60.0
 
 

@@ -28,6 +28,8 @@ from armimp_common.testing import PATIENCE
 from armimp_estimation.bags import read_bag
 from armimp_sim.node import ArmSimNode
 
+pytestmark = pytest.mark.graph
+
 TESTS = Path(__file__).resolve().parent
 JOINTS = ("shoulder", "elbow")
 SIMULATOR = ["-m", "armimp_sim.node"]
@@ -198,11 +200,11 @@ def test_before_anything_moves_somebody_is_asked_and_only_yes_is_one(
 class Listening(ArmSimNode):
     """The simulator, which calls back when the first torque is commanded."""
 
-    commands: ClassVar[list[tuple[float, ...]]] = []
+    heard: ClassVar[list[tuple[float, ...]]] = []
     pushed: ClassVar[threading.Event]
 
     def _on_command(self, command: tuple[float, ...]) -> None:
-        self.commands.append(command)
+        self.heard.append(command)
         if any(command):
             self.pushed.set()
         super()._on_command(command)
@@ -212,7 +214,7 @@ class Listening(ArmSimNode):
 def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_last(
     host: Host, driver_domain: int, number: signal.Signals
 ) -> None:
-    Listening.commands, Listening.pushed = [], threading.Event()
+    Listening.heard, Listening.pushed = [], threading.Event()
     host(Listening, mode="realtime")
     command = [sys.executable, "-m", "armimp_bringup.cli", "check-driver", "--duration", "1"]
     command += ["--domain-id", str(driver_domain), "--move", "--yes"]
@@ -228,9 +230,9 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
     assert said.count("\n") == 1
     # The last ones may still be on their way; nothing is sent any more.
     deadline = time.monotonic() + PATIENCE
-    while Listening.commands[-5:] != [(0.0, 0.0)] * 5 and time.monotonic() < deadline:
+    while Listening.heard[-5:] != [(0.0, 0.0)] * 5 and time.monotonic() < deadline:
         time.sleep(0.01)
-    assert Listening.commands[-5:] == [(0.0, 0.0)] * 5
+    assert Listening.heard[-5:] == [(0.0, 0.0)] * 5
 
 
 def test_the_experiment_runs_on_the_template_with_the_samples_of_the_simulator(

@@ -10,6 +10,8 @@ import pytest
 
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
 
+pytestmark = pytest.mark.graph
+
 PACE = ("rate", "jitter", "sample to command")
 """How regular samples are, and how quick answers, depends on what else the machine does."""
 STREAMS = ("joint_states", "torque_sensors")

@@ -30,6 +30,7 @@ WITH_ROS = {
     "armimp_common.liveliness",
     "armimp_common.parameters",
     "armimp_common.qos",
+    "armimp_common.rig_node",
     "armimp_common.spin",
     "armimp_common.stamps",
     "armimp_common.testing",

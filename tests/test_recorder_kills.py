@@ -26,6 +26,8 @@ from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.recording import BAGS
 from armimp_estimation.testing import recorded_arm
 
+pytestmark = pytest.mark.graph
+
 SETTLE = 60
 SAMPLES = 6000
 MOST_LOST = 100

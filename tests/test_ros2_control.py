@@ -3,7 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
+
+pytestmark = pytest.mark.graph
 
 ROBOT = str(Path(__file__).resolve().parent / "fake_ros2_control.py")
 BRIDGE = ["-m", "armimp_ros2_control.node"]

@@ -12,6 +12,8 @@ import pytest
 
 from armimp_common.fault_figures import Figures
 
+pytestmark = pytest.mark.graph
+
 EXPERIMENTS = 36
 """Of two trials of 50 s each: an hour."""
 WARM_UP = 6

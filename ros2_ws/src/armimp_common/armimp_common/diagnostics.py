@@ -4,6 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, TypeAlias
 
+from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.judgement import JUDGEMENT_NAME, Judgement
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 
@@ -96,6 +97,11 @@ def values_of(status: "DiagnosticStatus") -> dict[str, str]:
 def judgement_message(judgement: Judgement) -> "DiagnosticStatus":
     """Return the message that carries a judgement."""
     return make_status(JUDGEMENT_NAME, Level.OK, judgement.sentence, judgement.to_values())
+
+
+def timing_status(figures: TimingFigures) -> "DiagnosticStatus":
+    """Return the message in which a rig tells its timing in real time."""
+    return make_status(TIMING_NAME, Level.OK, "timing since activation", figures.to_values())
 
 
 def trial_status_message(trial: TrialStatus) -> "DiagnosticStatus":

@@ -8,9 +8,9 @@ from typing import Any, Literal, TypeVar
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.protection import ProtectionLimits
 from armimp_common.schema import Schema
 from armimp_driver_template.conversion import Calibration, Drive
-from armimp_driver_template.protection import ProtectionLimits
 
 Kind = TypeVar("Kind")
 
@@ -51,18 +51,6 @@ class DriveParameters(Schema):
     def drives(self, joints: int) -> tuple[Drive, ...]:
         """The drive of each joint; raises as :meth:`SensorParameters.calibration`."""
         return _of_joints(Drive, "drive", joints, self)
-
-
-class LimitParameters(Schema):
-    """Limits of the driver itself, wider than those of the controller."""
-
-    position: float = Field(default=2.0 * math.pi, gt=0.0, description="largest angle (rad)")
-    velocity: float = Field(default=20.0, gt=0.0, description="largest velocity (rad/s)")
-    torque: float = Field(default=100.0, gt=0.0, description="largest command (N·m)")
-
-    def limits(self) -> ProtectionLimits:
-        """The limits as a value."""
-        return ProtectionLimits(position=self.position, velocity=self.velocity, torque=self.torque)
 
 
 class MockParameters(Schema):
@@ -107,7 +95,7 @@ class DriverParameters(Schema):
     encoder: SensorParameters = SensorParameters(resolution=(2.0 * math.pi / 51200,), zero=(60000,))
     transducer: SensorParameters = SensorParameters(resolution=(0.02,), zero=(1250, -400))
     drive: DriveParameters = DriveParameters()
-    limits: LimitParameters = LimitParameters()
+    limits: ProtectionLimits = ProtectionLimits()
     mock: MockParameters = MockParameters()
 
     def names_at_device(self) -> tuple[str, ...]:

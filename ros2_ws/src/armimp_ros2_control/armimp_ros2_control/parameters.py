@@ -7,9 +7,9 @@ from typing import Literal
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.protection import ProtectionLimits
 from armimp_common.schema import Schema
 from armimp_common.urgency import UrgencyParameters
-from armimp_driver_template.parameters import LimitParameters
 
 
 class BridgeParameters(Schema):
@@ -33,7 +33,7 @@ class BridgeParameters(Schema):
         default=(),
         description="1, or -1 where effort is the torque of the arm on the robot instead",
     )
-    limits: LimitParameters = LimitParameters()
+    limits: ProtectionLimits = ProtectionLimits()
     realtime: UrgencyParameters = UrgencyParameters()
 
     def checked(self) -> BridgeParameters:

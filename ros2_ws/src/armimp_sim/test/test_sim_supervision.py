@@ -75,8 +75,8 @@ class Surroundings:
 
     @property
     def applied(self) -> tuple[float, ...]:
-        assert self.simulator._rig is not None
-        return self.simulator._rig.applied
+        assert self.simulator.gate is not None
+        return self.simulator.gate.applied
 
     def call(self, service: str) -> Any:
         client = self.node.create_client(Trigger, service)
@@ -162,10 +162,10 @@ def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
 ) -> None:
     around.bring_up()
     around.command(5.0, -5.0)
-    around.heard(around.simulator._controller, alive=1, silent=0)
+    around.heard(around.simulator.controller, alive=1, silent=0)
     assert around.applied == (5.0, -5.0)
 
-    around.heard(around.simulator._controller, alive=alive, silent=silent)
+    around.heard(around.simulator.controller, alive=alive, silent=silent)
 
     assert around.applied == (0.0, 0.0)
     eventually(around.spinner, lambda: bool(around.faults), "the fault")
@@ -173,15 +173,15 @@ def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
     assert message.startswith("imbic_controller ")
     assert applied == "0.0 0.0"
     # It may come back, but not by itself under torque.
-    around.heard(around.simulator._controller, alive=1, silent=0)
+    around.heard(around.simulator.controller, alive=1, silent=0)
     around.command(5.0, -5.0)
     assert around.applied == (0.0, 0.0)
 
 
 def test_when_the_controller_is_silent_expect_activation_to_fail(around: Surroundings) -> None:
     assert around.simulator.trigger_configure() is SUCCESS
-    around.heard(around.simulator._controller, alive=1, silent=0)
-    around.heard(around.simulator._controller, alive=0, silent=1)
+    around.heard(around.simulator.controller, alive=1, silent=0)
+    around.heard(around.simulator.controller, alive=0, silent=1)
 
     assert around.simulator.trigger_activate() is TransitionCallbackReturn.FAILURE
 

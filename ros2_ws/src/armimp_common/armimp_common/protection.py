@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+from pydantic import Field
 
 from armimp_common.errors import GraphError
+from armimp_common.schema import Schema
 
 WATCHDOG_PERIODS = 5
 """Periods without a command after which the torque is taken away."""
@@ -15,20 +18,14 @@ RAMP_PERIODS = 10
 _SPAN = 5
 
 
-@dataclass(frozen=True, kw_only=True)
-class ProtectionLimits:
-    """Limits of the driver itself, wider than those of the controller.
+class ProtectionLimits(Schema):
+    """Limits of the driver itself, wider than those of the controller."""
 
-    Attributes
-    ----------
-    position : largest angle, rad
-    velocity : largest velocity over 5 periods, rad/s
-    torque : largest command, N·m
-    """
-
-    position: float
-    velocity: float
-    torque: float
+    position: float = Field(default=2.0 * math.pi, gt=0.0, description="largest angle (rad)")
+    velocity: float = Field(
+        default=20.0, gt=0.0, description="largest velocity over 5 periods (rad/s)"
+    )
+    torque: float = Field(default=100.0, gt=0.0, description="largest command (N·m)")
 
 
 class Protection:
@@ -42,12 +39,12 @@ class Protection:
     Attributes
     ----------
     fault : why there is no torque any more; empty while all is well
-    torque : what the drives are to apply now (n,), N·m
+    applied : what the drives are to apply now (n,), N·m
     """
 
     def __init__(self, joints: int, limits: ProtectionLimits) -> None:
         self._limits = limits
-        self._zero = self.torque = (0.0,) * joints
+        self._zero = self.applied = (0.0,) * joints
         self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
         self._silent = self._fading = 0
         self._begun = self._resting = False
@@ -63,7 +60,7 @@ class Protection:
         ):
             self.latch(f"command cannot be obeyed: {list(torque)}")
         if not self.fault:
-            self.torque = tuple(torque)
+            self.applied = tuple(torque)
 
     def sample(self, angles: Sequence[float]) -> None:
         """Look at angles (n,), rad."""
@@ -82,18 +79,18 @@ class Protection:
             self.fault, self._fading = f"no command for {WATCHDOG_PERIODS} periods", RAMP_PERIODS
         if self._fading:
             share = (self._fading - 1) / self._fading
-            self.torque = tuple(share * value for value in self.torque)
+            self.applied = tuple(share * value for value in self.applied)
             self._fading -= 1
         return self._silent > 1
 
     def latch(self, reason: str) -> None:
         """Take torque away at once and until :meth:`reset`; the first reason stays."""
         self.fault = self.fault or reason
-        self.torque, self._fading = self._zero, 0
+        self.applied, self._fading = self._zero, 0
 
     def rest(self) -> None:
         """Forget the last command, as whoever gave it is not obeyed any more."""
-        self.torque, self._fading = self._zero, 0
+        self.applied, self._fading = self._zero, 0
         self._begun, self._resting, self._silent = False, True, 0
         self._history.clear()
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from armimp_common.errors import GraphError
-from armimp_driver_template.protection import (
+from armimp_common.protection import (
     RAMP_PERIODS,
     WATCHDOG_PERIODS,
     Protection,
@@ -20,7 +20,7 @@ def protection() -> Protection:
 
 def test_commands_within_the_limits_are_obeyed(protection: Protection) -> None:
     protection.command((3.0, -4.0))
-    assert (protection.torque, protection.fault) == ((3.0, -4.0), "")
+    assert (protection.applied, protection.fault) == ((3.0, -4.0), "")
 
 
 @pytest.mark.parametrize("bad", [(math.nan, 0.0), (math.inf, 0.0), (101.0, 0.0), (1.0,)])
@@ -29,9 +29,9 @@ def test_a_command_that_cannot_be_obeyed_takes_all_torque_away(
 ) -> None:
     protection.command((3.0, -4.0))
     protection.command(bad)
-    assert protection.torque == (0.0, 0.0)
+    assert protection.applied == (0.0, 0.0)
     protection.command((3.0, -4.0))
-    assert protection.torque == (0.0, 0.0)
+    assert protection.applied == (0.0, 0.0)
     assert "cannot be obeyed" in protection.fault
 
 
@@ -42,12 +42,12 @@ def test_without_commands_torque_falls_to_zero_within_the_ramp_and_stays_there(
     torques = []
     for _ in range(1 + WATCHDOG_PERIODS + RAMP_PERIODS):
         protection.period()
-        torques.append(protection.torque[0])
+        torques.append(protection.applied[0])
     assert torques[:WATCHDOG_PERIODS] == [10.0] * WATCHDOG_PERIODS
     assert torques[WATCHDOG_PERIODS:] == sorted(torques[WATCHDOG_PERIODS:], reverse=True)
     assert torques[-1] == 0.0
     protection.command((10.0, 0.0))
-    assert protection.torque == (0.0, 0.0)
+    assert protection.applied == (0.0, 0.0)
 
 
 def test_before_the_first_command_nothing_is_missed(protection: Protection) -> None:
@@ -83,4 +83,4 @@ def test_the_reset_is_refused_under_torque_and_granted_without(protection: Prote
     protection.command((0.0, 0.0))
     protection.reset()
     protection.command((1.0, 0.0))
-    assert (protection.torque, protection.fault) == ((1.0, 0.0), "")
+    assert (protection.applied, protection.fault) == ((1.0, 0.0), "")

@@ -1,0 +1,255 @@
+"""What all nodes in the place of the rig share: who may have torque, and how a node loses it.
+
+The simulator, a driver and the bridge to ros2_control differ in where samples come from and where
+commands go. Emergency stop, reset, latched faults, the watch over the controller and the way back
+through the lifecycle are the same for all of them.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, Generic, Protocol, TypeVar
+
+from diagnostic_msgs.msg import DiagnosticArray
+from pydantic import BaseModel
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from std_srvs.srv import Trigger
+
+from armimp_common import contract, qos
+from armimp_common.channels import CommandSubscription, JointStatePublisher
+from armimp_common.diagnostics import Level, make_array, make_status, timing_status
+from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.jitter import TimingFigures
+from armimp_common.lifecycle import reported
+from armimp_common.liveliness import SignOfLife, Watch
+from armimp_common.parameters import declare, guard
+
+_STOPPED = "emergency stop"
+
+
+class Gate(Protocol):
+    """What gives torque to the drives, or denies it.
+
+    Attributes
+    ----------
+    fault : why there is no torque any more; empty while all is well
+    """
+
+    fault: str
+
+    @property
+    def applied(self) -> tuple[float, ...]:
+        """Torque that the drives apply now (n,), N·m."""
+        ...
+
+    def latch(self, reason: str) -> None:
+        """Take torque away at once and until :meth:`reset`; the first reason stays."""
+        ...
+
+    def reset(self) -> None:
+        """Obey again after a fault.
+
+        Raises
+        ------
+        GraphError
+            If torque would come back with a jerk.
+        """
+        ...
+
+
+GateT = TypeVar("GateT", bound=Gate)
+
+
+class RigNode(LifecycleNode, ABC, Generic[GateT]):
+    """A lifecycle node in the place of the rig; subclasses say where torque goes.
+
+    `on_configure` calls :meth:`open_gate`, `on_activate` sets `active` once commands are obeyed,
+    and :meth:`rest` undoes that. What is made in between is given to :meth:`own`.
+
+    Parameters
+    ----------
+    parameters : declared, with these values as defaults
+    busy : why they cannot be changed while the node is active
+
+    Attributes
+    ----------
+    active : whether commands are obeyed
+    gate : None while the node is not configured
+    controller : watch over the one who commands
+    joint_states, torque_sensors, commands, diagnostics : topics that every rig has, once configured
+    told : the fault that was reported last
+    transition_error : why the last transition failed
+    """
+
+    def __init__(self, parameters: BaseModel, busy: str, **kwargs: Any) -> None:
+        super().__init__(contract.SIM_NODE, **kwargs)
+        self.transition_error = self.told = ""
+        self.active = self._stopped = False
+        self.gate: GateT | None = None
+        self._owned: list[Publisher | Subscription | Timer] = []
+        self._sign = SignOfLife(self, contract.SIM_NODE)
+        self.controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
+        self.create_service(Trigger, contract.SIM_STOP_SERVICE, self._on_stop)
+        self.create_service(Trigger, contract.SIM_RESET_SERVICE, self._on_reset)
+        declare(self, type(parameters), parameters)
+        guard(self, lambda: busy if self.active else None)
+
+    def open_gate(
+        self,
+        gate: GateT,
+        joints: Sequence[str],
+        on_command: Callable[[tuple[float, ...]], None],
+        on_malformed: Callable[[ArmimpError], None],
+    ) -> None:
+        """Make the topics that every rig has; an emergency stop of before still holds."""
+        if self._stopped:
+            gate.latch(_STOPPED)
+        self.gate = gate
+        self.joint_states = JointStatePublisher(self, contract.JOINT_STATES, joints, "position")
+        self.torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, joints, "effort")
+        self.diagnostics = self.create_publisher(
+            DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
+        )
+        self.commands = CommandSubscription(
+            self, contract.COMMANDS, len(joints), on_command, on_malformed=on_malformed
+        )
+        self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
+        self.own(self.commands.subscription)
+
+    def own(self, *things: Publisher | Subscription | Timer) -> None:
+        """Have these destroyed when the node is cleaned up."""
+        self._owned += things
+
+    # What a subclass defines; all but the first have a meaning already.
+
+    @abstractmethod
+    def rest(self) -> None:
+        """Leave no torque behind, and obey no commands any more; harmless if repeated."""
+
+    def torque_was_taken(self) -> None:
+        """Tell the drives: called when a fault is latched while the node is active."""
+
+    def obey_again(self) -> None:
+        """Undo a fault.
+
+        Raises
+        ------
+        GraphError
+            If torque would come back with a jerk.
+        """
+        if self.gate is not None:
+            self.gate.reset()
+
+    @property
+    def alone(self) -> AbstractContextManager[object]:
+        """Keeps other threads away from the gate."""
+        return nullcontext()
+
+    def stamp_ns(self) -> int:
+        """Stamp of reports, ns."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def values(self) -> Mapping[str, Any]:
+        """Further values for reports."""
+        return {}
+
+    def timing(self) -> TimingFigures | None:
+        """Timing for reports, in real time."""
+        return None
+
+    # Faults: one latch for all of them.
+
+    def latch(self, reason: str) -> None:
+        """Take torque away; a node that is not active gives none, and needs no fault."""
+        gate = self.gate
+        if gate is None or not (self.active or self._stopped):
+            return
+        with self.alone:
+            gate.latch(reason)
+            if self.active:
+                self.torque_was_taken()
+
+    def report(self) -> None:
+        """Publish on ``/diagnostics`` how things are."""
+        gate = self.gate
+        if gate is None or not self.context.ok():
+            return
+        with self.alone:
+            stamp_ns, fault, figures = self.stamp_ns(), gate.fault, self.timing()
+            values = {**self.values(), "applied": gate.applied}
+        self.told = fault
+        words = fault or ("running" if self.active else "stopped")
+        level = Level.ERROR if fault else Level.OK
+        statuses = [make_status(f"{contract.SIM_NODE}: rig", level, words, values)]
+        if figures is not None:
+            statuses.append(timing_status(figures))
+        self.diagnostics.publish(make_array(stamp_ns, statuses))
+
+    def report_news(self) -> None:
+        """Report a fault that has not been reported yet, or its end."""
+        if self.gate is not None and self.gate.fault != self.told:
+            self.report()
+
+    def _on_controller(self, controller: Watch) -> None:
+        # The torque of one that died must not outlast it.
+        if controller.presence.lost:
+            self.latch(controller.sentence)
+            self.report_news()
+
+    def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._stopped = True
+        self.latch(_STOPPED)
+        self.report()
+        response.success = True
+        response.message = f"no torque until {contract.SIM_RESET_SERVICE} is called"
+        return response
+
+    def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        try:
+            with self.alone:
+                self.obey_again()
+        except GraphError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self._stopped = False
+        self.report()
+        response.success, response.message = True, "commands are obeyed"
+        return response
+
+    # The way back: no transition leaves torque behind.
+
+    @reported
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop: no torque acts, and further commands are ignored."""
+        self.rest()
+        return super().on_deactivate(state)
+
+    @reported
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the rig, so that new parameters can be used; only an emergency stop remains."""
+        for thing in self._owned:
+            if isinstance(thing, Timer):
+                self.destroy_timer(thing)
+            elif isinstance(thing, Publisher):
+                self.destroy_publisher(thing)
+            else:
+                self.destroy_subscription(thing)
+        self._owned.clear()
+        self.gate = None
+        return TransitionCallbackReturn.SUCCESS
+
+    @reported
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop for good."""
+        self.rest()
+        return TransitionCallbackReturn.SUCCESS
+
+    def destroy_node(self) -> None:
+        """Leave no torque behind, should the node end while it is active."""
+        self.rest()
+        super().destroy_node()
