@@ -22,6 +22,5 @@ def test_reading_and_estimating_are_timed_against_the_limit(
     figures = json.loads(capsys.readouterr().out)["benchmarks"]["estimate"]
     assert list(figures) == ["read", "welch_siso", "lpm_full", "trial"]
     assert all(one["value"] > 0.0 for one in figures.values())
-    assert figures["trial"]["value"] > figures["read"]["value"]
     assert (figures["trial"]["limit"], figures["trial"]["met"]) == (1e-9, False)
     assert figures["read"]["limit"] is None
