@@ -10,15 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.testing_loop import assert_accurate, identified
 from armimp_common.contract import PERIOD_NS
 from armimp_common.jitter import TimingLimits
 from armimp_common.pacing import Pacer
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.trial_status import TrialStatus
 from armimp_control.experiment import Experiment
-from armimp_estimation.identify import Identification, identify
-from armimp_estimation.mbk import MBK
-from armimp_estimation.record import TrialRecord
-from armimp_estimation.trial import TrialData
+from armimp_estimation.identify import Identification
 from armimp_sim.paced import PacedRig
 from armimp_sim.rig import SimulatedRig
 
@@ -67,27 +65,14 @@ def run(missed_share: float) -> tuple[Identification, float]:
         paced.advance(tick + 1)
     assert experiment.fault == ""
     assert rig.fault == ""
-    position, torque = (np.array([one[i] for one in samples]).T for i in (0, 1))
-    trials = []
-    for status in (one for one in statuses if one.phase is Phase.PERTURB):
-        assert status.start_ns is not None
-        first = status.start_ns // PERIOD_NS
-        span = slice(first, first + status.ticks)
-        record = TrialRecord(
-            trial=status.trial,
-            perturbed_joint=status.joint,
-            rate=1000.0,
-            joint_names=parameters.simulator.joints,
-            perturbation=np.array(perturbation[span]).T,
-            position=position[:, span],
-            torque=torque[:, span],
-            start_ns=status.start_ns,
-            seed=status.seed,
-        )
-        trials.append(TrialData.from_record(record))
-    arm = parameters.simulator.human_arm()
-    truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
-    return identify(trials, ("lpm_full",), truth), paced.figures().missed_share
+    found = identified(
+        parameters,
+        statuses,
+        perturbation=perturbation,
+        position=[theta for theta, _ in samples],
+        torque=[tau_h for _, tau_h in samples],
+    )
+    return found, paced.figures().missed_share
 
 
 def test_with_as_many_missed_commands_as_are_allowed_the_accuracy_is_still_there() -> None:
@@ -96,11 +81,4 @@ def test_with_as_many_missed_commands_as_are_allowed_the_accuracy_is_still_there
     found, missed_share = run(limit)
 
     assert 0.8 * limit < missed_share < 1.2 * limit
-    assert found.problems == ()
-    result, truth = found.estimators["lpm_full"], found.truth
-    assert truth is not None
-    assert result.vaf is not None
-    assert result.vaf.min() >= 99.7
-    for name in ("M", "B", "K"):
-        error = getattr(result.fit.mbk, name) / getattr(truth, name) - 1.0
-        assert np.abs(error).max() <= 0.02, name
+    assert_accurate(found)

@@ -75,6 +75,12 @@ class KnownParameters(Schema):
 
     robot_inertia: Vector = Field(description="M_r(θ_0), n×n row by row (kg·m²)")
     arm_inertia: Vector = Field(description="expected M_h, n×n row by row (kg·m²)")
+    command_delay: int = Field(
+        default=0,
+        ge=0,
+        le=20,
+        description="periods by which commands act later than right after the sample they answer",
+    )
     actuator_lag: float = Field(
         default=0.0, ge=0.0, le=0.1, description="time constant of the drives (s)"
     )

@@ -1,4 +1,4 @@
-"""What is known of the rig between command and reading: lag of drives; low-pass, delay of τ_h."""
+"""What is known of the rig between command and reading: late commands, slow drives, late τ_h."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ class RigDynamics:
 
     Parameters
     ----------
+    command_delay : periods by which a command acts later than the one after the sample it answers
     actuator_lag : time constant with which the torque of the drives follows commands, s; 0: at once
     torque_delay : of the readings of torque, s
     torque_cutoff : of the Butterworth low-pass before they are sampled, Hz; 0: there is none
@@ -29,6 +30,7 @@ class RigDynamics:
         If a value is out of range.
     """
 
+    command_delay: int = 0
     actuator_lag: float = 0.0
     torque_delay: float = 0.0
     torque_cutoff: float = 0.0
@@ -40,13 +42,17 @@ class RigDynamics:
                 raise ConfigurationError(
                     f"known: {name} must be finite and not negative, got {getattr(self, name)}"
                 )
+        if self.command_delay < 0:
+            raise ConfigurationError(
+                f"known: command_delay must not be negative, got {self.command_delay}"
+            )
         if self.torque_order < 1:
             raise ConfigurationError(f"known: torque_order must be 1, got {self.torque_order}")
 
     @property
     def none(self) -> bool:
-        """Whether drives and readings are prompt."""
-        return not (self.actuator_lag or self.torque_delay or self.torque_cutoff)
+        """Whether commands, drives and readings are prompt."""
+        return self == RigDynamics(torque_order=self.torque_order)
 
     def sampled(self, period: float) -> SampledDynamics:
         """The same from tick to tick, for a command that is held over the period (s)."""

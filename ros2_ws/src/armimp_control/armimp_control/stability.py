@@ -79,9 +79,10 @@ def check_stability(
     ]
     known = dynamics or RigDynamics()
     later = replace(known, torque_delay=known.torque_delay + config.period)
+    later_command = replace(known, command_delay=known.command_delay + 1)
     radii = []
     for k in range(config.joints):
-        radius, stronger, too_late = (
+        radius, stronger, too_late, obeyed_late = (
             spectral_radius(
                 config,
                 perturbed=k,
@@ -90,7 +91,12 @@ def check_stability(
                 gain=gain,
                 dynamics=assumed,
             )
-            for gain, assumed in ((1.0, known), (1.0 / WARNING_SHARE, known), (1.0, later))
+            for gain, assumed in (
+                (1.0, known),
+                (1.0 / WARNING_SHARE, known),
+                (1.0, later),
+                (1.0, later_command),
+            )
         )
         if not radius < 1.0 + _GROWTH:
             raise ConfigurationError(
@@ -107,6 +113,11 @@ def check_stability(
             warnings.append(
                 f"with torques read {1e3 * config.period:g} ms later the loop would be unstable "
                 f"while joint {k + 1} is perturbed"
+            )
+        if known.command_delay and not obeyed_late < 1.0 + _GROWTH:
+            warnings.append(
+                f"with commands that act {1e3 * config.period:g} ms later the loop would be "
+                f"unstable while joint {k + 1} is perturbed"
             )
         radii.append(radius)
     return StabilityMargins(
@@ -169,13 +180,14 @@ def spectral_radius(
     rig = (dynamics or RigDynamics()).sampled(period)
     # A prompt reading is that of the last command, which is part of the state anyway.
     late = rig.delay + 1 if dynamics is not None and not dynamics.none else 0
-    count = 6 + rig.states + late
+    delay = 0 if dynamics is None else dynamics.command_delay
+    count = 6 + rig.states + late + delay
     role = config.role(perturbed)
     per_inertia = np.linalg.inv(robot_inertia + arm_inertia)
     # Everything is linear in the state: each of these (n, count·n) gives one vector of it.
     vectors = np.eye(count * n).reshape(count, n, count * n)
     theta, velocity, theta_1, theta_2, ideal, torque = vectors[:6]
-    states, readings = vectors[6 : 6 + rig.states], vectors[6 + rig.states :]
+    states, readings, under_way = np.split(vectors[6:], [rig.states, rig.states + late])
     sensed_torque = readings[-1] if late else torque
     measured = (theta - theta_1) / period
     if isinstance(config, ImbicConfig):
@@ -193,20 +205,22 @@ def spectral_radius(
         damping, stiffness = np.diag(role[DAMPING]), np.diag(role[STIFFNESS])
         torque = -gain * (damping @ measured + stiffness @ theta)
         ideal = np.zeros_like(ideal)
+    acting = under_way[-1] if delay else torque
     drive = states[0] if rig.drive_lags else np.zeros_like(torque)
-    newest = np.tensordot(rig.reading_from_state, states, 1) + rig.reading_from_command * torque
+    newest = np.tensordot(rig.reading_from_state, states, 1) + rig.reading_from_command * acting
     following = (
-        theta + period * velocity + per_inertia @ (rig.way[0] * drive + rig.way[1] * torque),
-        velocity + per_inertia @ (rig.speed[0] * drive + rig.speed[1] * torque),
+        theta + period * velocity + per_inertia @ (rig.way[0] * drive + rig.way[1] * acting),
+        velocity + per_inertia @ (rig.speed[0] * drive + rig.speed[1] * acting),
         theta,
         theta_1,
         ideal,
         torque,
         *(
-            np.tensordot(row, states, 1) + share * torque
+            np.tensordot(row, states, 1) + share * acting
             for row, share in zip(rig.transition, rig.from_command, strict=True)
         ),
         *([newest, *readings[:-1]] if late else []),
+        *([torque, *under_way[:-1]] if delay else []),
     )
     return float(np.max(np.abs(np.linalg.eigvals(np.concatenate(following)))))
 
@@ -216,7 +230,8 @@ def _with(dynamics: RigDynamics) -> str:
     if dynamics.none:
         return ""
     return (
-        f", with torques read {1e3 * dynamics.torque_delay:g} ms late, a low-pass at "
+        f", with commands that act {dynamics.command_delay} periods late, torques read "
+        f"{1e3 * dynamics.torque_delay:g} ms late, a low-pass at "
         f"{dynamics.torque_cutoff:g} Hz (0: none) and drives that lag by "
         f"{1e3 * dynamics.actuator_lag:g} ms"
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -37,7 +38,7 @@ def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
 def _late(
     config: ImbicConfig, perturbed: int, dynamics: RigDynamics, *, ticks: int, steps: int = 20
 ) -> Array:
-    """As `_sizes`, of a rig with lag, low-pass and delay, in small steps."""
+    """As `_sizes`, of a rig with late commands, lag, low-pass and delay, in small steps."""
     controller = Controller(config, safety=torque_only(1e300))
     controller.perturb_joint(perturbed)
     inverse, h = np.linalg.inv(ROBOT + ARM), config.period / steps
@@ -47,9 +48,11 @@ def _late(
     drive, passed = np.zeros(2), np.zeros(2)
     readings = [np.zeros(2)] * (1 + round(dynamics.torque_delay / h))
     push, sizes = np.array([1.0, 1.0]), np.zeros(ticks)
+    under_way = deque([np.zeros(2)] * dynamics.command_delay)
     for tick in range(ticks):
         controller.tick(theta, readings[-1 - round(dynamics.torque_delay / h)], np.zeros(2))
-        command = controller.command + push
+        under_way.append(controller.command.copy())
+        command = under_way.popleft() + push
         push = np.zeros(2)
         for _ in range(steps):
             before, drive = drive, command + (drive - command) * lag
@@ -70,6 +73,8 @@ def _late(
         RigDynamics(torque_delay=0.0175, torque_cutoff=300.0),
         RigDynamics(actuator_lag=0.002),
         RigDynamics(actuator_lag=0.003, torque_delay=0.0015),
+        RigDynamics(command_delay=2),
+        RigDynamics(command_delay=1, actuator_lag=0.001, torque_delay=0.0005),
     ],
 )
 def test_a_loop_that_delays_make_unstable_grows_as_the_check_says(dynamics: RigDynamics) -> None:
@@ -115,6 +120,7 @@ def test_the_shortest_delays_change_nothing() -> None:
     [
         ({"torque_delay": 0.0055}, {"torque_delay": 0.006}),
         ({"actuator_lag": 0.001}, {"actuator_lag": 0.002}),
+        ({"command_delay": 1}, {"command_delay": 2}),
         (
             {"actuator_lag": 0.0005, "torque_delay": 0.0015},
             {"actuator_lag": 0.0005, "torque_delay": 0.002},
@@ -162,10 +168,25 @@ def test_when_a_little_more_delay_would_make_the_loop_unstable_expect_a_warning(
     assert warnings(edge)[0].endswith("while joint 1 is perturbed")
 
 
+def test_when_commands_one_period_later_would_make_the_loop_unstable_expect_a_warning() -> None:
+    margins = check_stability(
+        _config(),
+        robot_inertia=ROBOT,
+        arm_inertia=ARM,
+        dynamics=RigDynamics(command_delay=1),
+    )
+    assert [one for one in margins.warnings if "commands that act 1 ms later" in one]
+
+
 @pytest.mark.parametrize("name", ["torque_delay", "torque_cutoff", "actuator_lag"])
 def test_impossible_dynamics_are_refused_and_named(name: str) -> None:
     with pytest.raises(ConfigurationError, match=f"known: {name} must be finite .* got -1"):
         RigDynamics(**{name: -1.0})  # type: ignore[arg-type]
+
+
+def test_commands_that_act_before_they_are_given_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"known: command_delay must not be .* got -1"):
+        RigDynamics(command_delay=-1)
 
 
 def _sizes(config: ImbicConfig, perturbed: int, ticks: int) -> Array:

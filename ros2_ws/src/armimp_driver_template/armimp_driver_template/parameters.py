@@ -57,7 +57,7 @@ class MockParameters(Schema):
     """The mock in the place of a device."""
 
     friction: int = Field(default=3, ge=0, le=3, description="friction level of the rig")
-    latency: int = Field(default=0, ge=0, le=100, description="periods until a command acts")
+    latency: int = Field(default=0, ge=0, le=100, description="periods by which commands act late")
     dropout: float = Field(default=0.0, ge=0.0, lt=1.0, description="share of frames that are lost")
     offset: tuple[float, ...] = Field(
         default=(0.0,), description="offset of the transducers (N·m), one for all joints or each"
