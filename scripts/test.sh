@@ -1,5 +1,5 @@
 #!/bin/sh
-# Run the tests: those without a graph side by side on all processors, then the others one by one.
+# Run the tests: side by side on all processors, then those one by one that nothing may disturb.
 #
 # Usage: scripts/test.sh [ARGUMENT...], which pytest gets in both parts.
 set -eu
@@ -16,6 +16,6 @@ run() {
     fi
 }
 
-run --numprocesses auto --dist loadfile -m "not faults and not graph" "$@"
-run -m "not faults and graph" "$@"
+run --numprocesses auto --dist loadfile -m "not faults and not alone" "$@"
+run -m "not faults and alone" "$@"
 exit "$worst"

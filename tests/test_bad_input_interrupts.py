@@ -17,7 +17,7 @@ from armimp_bringup.testing_command import call
 from armimp_estimation.bags import BagWriter
 from armimp_estimation.testing import recorded_arm
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.alone
 
 PATIENCE = 60.0
 

@@ -17,8 +17,6 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
 from armimp_common.testing import PATIENCE
 
-pytestmark = pytest.mark.graph
-
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 EXECUTABLES = {

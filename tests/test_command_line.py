@@ -17,8 +17,6 @@ from armimp_bringup.cli import main
 from armimp_common import contract
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 
-pytestmark = pytest.mark.graph
-
 SHORT = ["run", "--duration", "10", "--seed", "5"]
 
 

@@ -28,8 +28,6 @@ from armimp_common.testing import PATIENCE
 from armimp_estimation.bags import read_bag
 from armimp_sim.node import ArmSimNode
 
-pytestmark = pytest.mark.graph
-
 TESTS = Path(__file__).resolve().parent
 JOINTS = ("shoulder", "elbow")
 SIMULATOR = ["-m", "armimp_sim.node"]
@@ -70,6 +68,7 @@ def test_simulator_and_template_pass_every_check_that_lockstep_allows(
     assert names(check()) == []
 
 
+@pytest.mark.alone
 def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=realtime")
 
@@ -104,6 +103,7 @@ def test_when_topics_have_wrong_types_or_are_missing_expect_them_named(
     assert {"joint_states: type", "torque_sensors: type", f"{COMMANDS}: type"} <= set(failed)
 
 
+@pytest.mark.alone
 def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: Check) -> None:
     start([DEFECTIVE, "Slow"])
 
@@ -210,6 +210,7 @@ class Listening(ArmSimNode):
         super()._on_command(command)
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_last(
     host: Host, driver_domain: int, number: signal.Signals

@@ -10,8 +10,6 @@ import pytest
 
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
 
-pytestmark = pytest.mark.graph
-
 PACE = ("rate", "jitter", "sample to command")
 """How regular samples are, and how quick answers, depends on what else the machine does."""
 STREAMS = ("joint_states", "torque_sensors")
@@ -113,6 +111,7 @@ def test_transducers_that_are_too_coarse_are_named(host: Host, check: Check) -> 
     assert names(check(move=True)) == ["torque_sensors: resolution"]
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(
     ("defect", "expected"),
     [

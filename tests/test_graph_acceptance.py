@@ -16,8 +16,6 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 
-pytestmark = pytest.mark.graph
-
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:

@@ -35,7 +35,7 @@ from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags import read_bag
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.alone
 
 LIMIT = 0.2
 """Seconds after a death in which the others reach a safe state (safety requirement)."""

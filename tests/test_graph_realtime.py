@@ -34,7 +34,7 @@ from armimp_estimation.timing import TimingRecord
 SECONDS = 3.0
 NO_SAMPLE, NO_COMMAND = "no sensor sample arrived any more", "no command for 5 ticks"
 MODULES = {SIM_NODE: "armimp_sim.node", CONTROLLER_NODE: "armimp_control.node"}
-pytestmark = pytest.mark.usefixtures("environment")
+pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("environment")]
 
 
 def config() -> ExperimentConfig:

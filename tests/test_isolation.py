@@ -17,8 +17,6 @@ from armimp_common.domain import DomainClaim
 from armimp_common.sockets import Endpoint, endpoints
 from armimp_estimation.results import read_summary
 
-pytestmark = pytest.mark.graph
-
 COMMAND = [sys.executable, "-m", "armimp_bringup.cli", "run", "--duration", "10", "--json"]
 CHOICES = (
     "ROS_DOMAIN_ID",

@@ -24,8 +24,6 @@ from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.recording import BAGS, Recording
 from armimp_estimation.results import read_summary
 
-pytestmark = pytest.mark.graph
-
 NAMES = ("shoulder", "elbow")
 MESSAGES = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10).messages
 BAG_1 = "trial_1_joint_1"

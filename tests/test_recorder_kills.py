@@ -26,7 +26,7 @@ from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.recording import BAGS
 from armimp_estimation.testing import recorded_arm
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.alone
 
 SETTLE = 60
 SAMPLES = 6000

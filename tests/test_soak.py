@@ -12,7 +12,7 @@ import pytest
 
 from armimp_common.fault_figures import Figures
 
-pytestmark = pytest.mark.graph
+pytestmark = pytest.mark.alone
 
 EXPERIMENTS = 36
 """Of two trials of 50 s each: an hour."""

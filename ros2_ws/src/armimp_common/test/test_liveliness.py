@@ -20,6 +20,8 @@ from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.spin import Spinner
 from armimp_common.testing import PATIENCE, a_moment, eventually
 
+pytestmark = pytest.mark.alone
+
 OTHER = """
 import ctypes, sys
 from armimp_common.liveliness import SignOfLife

@@ -20,6 +20,8 @@ from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
 
+pytestmark = pytest.mark.alone
+
 NAMES = ("shoulder", "elbow")
 POSTURE = (1.09446, 1.34844)
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])

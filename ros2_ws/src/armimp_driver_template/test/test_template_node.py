@@ -19,6 +19,8 @@ from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver
 from armimp_driver_template.parameters import DriverParameters
 
+pytestmark = pytest.mark.alone
+
 PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
 
 

@@ -24,6 +24,8 @@ from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import read_summary
 
+pytestmark = pytest.mark.alone
+
 SUCCESS = TransitionCallbackReturn.SUCCESS
 
 

@@ -25,6 +25,8 @@ from armimp_ros2_control import node as node_module
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
 
+pytestmark = pytest.mark.alone
+
 JOINTS = ("shoulder", "elbow")
 ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 Sample = tuple[int, tuple[float, ...]]

@@ -26,6 +26,8 @@ from armimp_sim.paced import WATCHDOG_TICKS, PacedRig
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError
 
+pytestmark = pytest.mark.alone
+
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
 PARAMETERS = SimulatorParameters.preset()

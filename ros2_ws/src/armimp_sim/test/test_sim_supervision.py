@@ -21,6 +21,8 @@ from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 
+pytestmark = pytest.mark.alone
+
 SUCCESS = TransitionCallbackReturn.SUCCESS
 PARAMETERS = SimulatorParameters.preset()
 
