@@ -5,9 +5,10 @@ its publisher alive from a thread of its own as long as the process runs, so nei
 nor a held interpreter lock looks like a death. Data topics are left as they are, since a reader
 that asks for a lease refuses every publisher which does not offer one, and few drivers do.
 
-A process of the same machine is looked up besides, every 20 ms. So its death is known soon even if
-the middleware of the others is held up, as by what a killed process left locked in shared memory,
-and one that is only silent, on a busy machine, does not count as dead.
+A process of the same machine is looked up besides, every 20 ms. So it is soon known that it is dead
+or stopped, even if the middleware of the others is held up, as by what a killed process left locked
+in shared memory; and one that is only silent, on a busy machine, does not count as dead. The lease
+is for processes elsewhere, and long: see :data:`armimp_common.qos.OFFERED_LEASE_MS`.
 
 A process does not watch itself: the middleware lets the lease between two nodes of one process run
 out without a cause, and never renews it then.
@@ -21,7 +22,7 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from armimp_common import contract, qos
-from armimp_common.processes import identity, lives
+from armimp_common.processes import identity, lives, stopped
 
 _LOOK_PERIOD = 0.02
 
@@ -31,8 +32,8 @@ class Presence(Enum):
 
     UNKNOWN = "has never been heard of"
     ALIVE = "is alive"
-    STALLED = f"gave no sign of life for {qos.WATCHED_LEASE_MS} ms, but its process is there"
-    SILENT = f"gave no sign of life for {qos.WATCHED_LEASE_MS} ms: it is dead or stopped"
+    STALLED = "gives no sign of life, but its process is there"
+    SILENT = f"gave no sign of life for {qos.WATCHED_LEASE_MS / 1e3:g} s: it is dead or stopped"
     GONE = "is dead"
     LEFT = "has left"
 
@@ -143,6 +144,8 @@ class Watch:
             alive, silent = alive + silent, 0
         elif alive or silent:
             process_lives = lives(self._process)
+            if process_lives and stopped(self._process):
+                alive, silent = 0, alive + silent
         presence = self.presence.after(alive, silent, process_lives)
         if not process_lives:
             self._timer.cancel()

@@ -24,6 +24,17 @@ def lives(process: str) -> bool | None:
 
     A stopped process lives. One that has ended and was not yet waited for does not.
     """
+    state = _state_of(process)
+    return None if state is None else state not in ("", "Z", "X")
+
+
+def stopped(process: str) -> bool:
+    """Tell whether the process with this `identity` is there but stopped, as by SIGSTOP."""
+    return _state_of(process) in ("T", "t")
+
+
+def _state_of(process: str) -> str | None:
+    """One letter; empty if it is gone, None if it can't be told from here."""
     place, _, rest = process.rpartition("] ")
     number, _, start = rest.partition(" ")
     try:
@@ -34,8 +45,8 @@ def lives(process: str) -> bool | None:
     try:
         state, started = _state(number)
     except OSError:
-        return False
-    return started == start and state not in ("Z", "X")
+        return ""
+    return state if started == start else ""
 
 
 def age() -> float:

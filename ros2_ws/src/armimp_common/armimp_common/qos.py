@@ -38,15 +38,17 @@ CLOCK: Final = _profile(1, reliable=False)
 DIAGNOSTICS: Final = _profile(10)
 """Diagnostics: what diagnostic aggregators expect."""
 
-OFFERED_LEASE_MS: Final = 30
-"""Lease that a sign of life offers: the middleware renews it after two thirds of that time (ms)."""
+OFFERED_LEASE_MS: Final = 3000
+"""Lease that a sign of life offers: the middleware renews it after two thirds of that time (ms).
 
-WATCHED_LEASE_MS: Final = 120
-"""Silence after which a process counts as dead, or is looked up if it is on this machine (ms).
-
-Long against the renewal every 20 ms, as a busy machine holds everything up; short enough for the
-others to be safe 200 ms after a death.
+Not shorter. The thread that renews it takes a lock which another thread holds while it forgets a
+publisher that has left, and which then waits for the first: if both coincide, the middleware is
+locked up for good (as in Fast DDS issue 6502). With a renewal every 20 ms, and a busy machine, this
+came once in some forty times that a program joined and left.
 """
+
+WATCHED_LEASE_MS: Final = 6000
+"""Silence after which a process counts as dead that cannot be looked up, being elsewhere (ms)."""
 
 
 def _alive(lease_ms: int) -> QoSProfile:

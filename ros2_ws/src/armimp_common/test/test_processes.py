@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from armimp_common.processes import identity, lives, waited_ns
+from armimp_common.processes import identity, lives, stopped, waited_ns
 
 TELL = "import time; from armimp_common.processes import identity; print(identity(), flush=True)"
 
@@ -24,13 +24,17 @@ def test_a_process_lives_until_it_ends_even_if_it_is_stopped_or_not_waited_for()
     told = process.stdout.readline().strip()
     assert told != identity()
     assert lives(told)
+    assert not stopped(told)
     process.send_signal(signal.SIGSTOP)
+    os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
     assert lives(told)
+    assert stopped(told)
 
     process.kill()
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # It ended, and is still listed.
 
     assert lives(told) is False
+    assert not stopped(told)
     process.wait()
     assert lives(told) is False
     process.stdout.close()
