@@ -22,7 +22,7 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
-from armimp_common.urgency import require_precedence
+from armimp_common.urgency import require_precedence, seldom_collecting
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.conclusion import SUMMARY_FILE, conclude
@@ -282,7 +282,8 @@ def _watch(
             return True
         return bool(problems) or supervisor.over
 
-    spinner.spin(over, period=_PERIOD)
+    with seldom_collecting():
+        spinner.spin(over, period=_PERIOD)
     return problems
 
 

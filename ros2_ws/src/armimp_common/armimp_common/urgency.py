@@ -7,7 +7,8 @@ import gc
 import os
 import sys
 import threading
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pydantic import Field
@@ -18,6 +19,8 @@ from armimp_common.schema import Schema
 _SWITCH_INTERVAL = 2e-4
 """How long a thread may keep another one of Python waiting (s); the default is five periods."""
 _REFUSAL = "the system does not permit SCHED_FIFO to this user, see docs/realtime.md"
+_NEW_OBJECTS = 50_000
+"""How many there may be before the collector looks at them; the default is 700."""
 _PR_SET_TIMERSLACK = 29
 _SLACK_NS = 1000
 
@@ -124,6 +127,22 @@ def require_precedence(priority: int) -> None:
     thread.join()
     if refused:
         raise ConfigurationError(f"priority = {priority}: {_REFUSAL}")
+
+
+@contextmanager
+def seldom_collecting() -> Iterator[None]:
+    """Have Python's garbage collector look at what is new only, and that seldom.
+
+    Of what is there already it would find nothing, but look at all of it again and again.
+    """
+    threshold = gc.get_threshold()
+    gc.freeze()
+    gc.set_threshold(_NEW_OBJECTS, *threshold[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*threshold)
+        gc.unfreeze()
 
 
 def wake_up_exactly() -> None:

@@ -13,7 +13,12 @@ import pytest
 
 from armimp_common import urgency
 from armimp_common.errors import ConfigurationError, GraphError
-from armimp_common.urgency import Urgency, UrgencyParameters, require_precedence
+from armimp_common.urgency import (
+    Urgency,
+    UrgencyParameters,
+    require_precedence,
+    seldom_collecting,
+)
 
 State = tuple[bool, float, int, set[int]]
 
@@ -54,6 +59,16 @@ def test_garbage_is_not_collected_until_precedence_is_given_back() -> None:
     assert sys.getswitchinterval() < before[1]
     taken.give_back()
     assert state() == before
+    assert gc.get_freeze_count() == 0
+
+
+def test_what_is_old_is_left_alone_by_the_collector_until_the_end() -> None:
+    before = gc.get_threshold()
+    with seldom_collecting():
+        assert gc.isenabled()
+        assert gc.get_freeze_count() > 0
+        assert gc.get_threshold() > before
+    assert gc.get_threshold() == before
     assert gc.get_freeze_count() == 0
 
 
