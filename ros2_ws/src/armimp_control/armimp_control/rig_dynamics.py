@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from armimp_common.errors import ConfigurationError
 
 FloatArray = NDArray[np.float64]
+_RANGES = {"actuator_lag": (1e-9, 1.0, "s"), "torque_cutoff": (1e-3, 1e9, "Hz")}
+"""Beyond these nothing can be computed any more, and no rig is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +43,12 @@ class RigDynamics:
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ConfigurationError(
                     f"known: {name} must be finite and not negative, got {getattr(self, name)}"
+                )
+        for name, (least, most, unit) in _RANGES.items():
+            if getattr(self, name) and not least <= getattr(self, name) <= most:
+                raise ConfigurationError(
+                    f"known: {name} must be 0, or between {least:g} and {most:g} {unit}, "
+                    f"got {getattr(self, name)}"
                 )
         if self.command_delay < 0:
             raise ConfigurationError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from dataclasses import replace
 
@@ -182,6 +183,17 @@ def test_when_commands_one_period_later_would_make_the_loop_unstable_expect_a_wa
 def test_impossible_dynamics_are_refused_and_named(name: str) -> None:
     with pytest.raises(ConfigurationError, match=f"known: {name} must be finite .* got -1"):
         RigDynamics(**{name: -1.0})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("actuator_lag", 1e-320), ("torque_cutoff", 1e-320), ("torque_cutoff", 1e300)],
+)
+def test_dynamics_of_no_rig_are_refused_and_named(name: str, value: float) -> None:
+    with pytest.raises(
+        ConfigurationError, match=f"known: {name} must be 0, or .* got {re.escape(str(value))}"
+    ):
+        RigDynamics(**{name: value})  # type: ignore[arg-type]
 
 
 def test_commands_that_act_before_they_are_given_are_refused() -> None:
