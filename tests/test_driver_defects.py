@@ -125,7 +125,7 @@ def test_what_a_driver_does_without_commands_is_seen_in_real_time(
 ) -> None:
     # A process of its own, as the checker's would hold it up.
     start([DEFECTS.__file__, defect], "-p", "mode:=realtime")
-    for _ in range(3):
+    for _ in range(8):
         findings = check(move=True)
         # What the machine has spoiled is looked at once more.
         if not [n for n in open_questions(findings.values()) if not n.endswith(PACE)]:
