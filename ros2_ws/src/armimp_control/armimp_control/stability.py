@@ -80,41 +80,37 @@ def check_stability(
     known = dynamics or RigDynamics()
     later = replace(known, torque_delay=known.torque_delay + config.period)
     later_command = replace(known, command_delay=known.command_delay + 1)
+
+    def radius_of(k: int, assumed: RigDynamics, gain: float = 1.0) -> float:
+        return spectral_radius(
+            config,
+            perturbed=k,
+            robot_inertia=robot_inertia,
+            arm_inertia=arm_inertia,
+            gain=gain,
+            dynamics=assumed,
+        )
+
     radii = []
     for k in range(config.joints):
-        radius, stronger, too_late, obeyed_late = (
-            spectral_radius(
-                config,
-                perturbed=k,
-                robot_inertia=robot_inertia,
-                arm_inertia=arm_inertia,
-                gain=gain,
-                dynamics=assumed,
-            )
-            for gain, assumed in (
-                (1.0, known),
-                (1.0 / WARNING_SHARE, known),
-                (1.0, later),
-                (1.0, later_command),
-            )
-        )
+        radius = radius_of(k, known)
         if not radius < 1.0 + _GROWTH:
             raise ConfigurationError(
                 "controller: unstable when sampled: while joint "
                 f"{k + 1} is perturbed, motion grows by a factor of {radius:.4g} per tick"
                 + _with(known)
             )
-        if not stronger < 1.0 + _GROWTH:
+        if not radius_of(k, known, 1.0 / WARNING_SHARE) < 1.0 + _GROWTH:
             warnings.append(
                 f"with {gains} larger by {1.0 / WARNING_SHARE - 1.0:.0%} the loop would be "
                 f"unstable while joint {k + 1} is perturbed"
             )
-        if not known.none and not too_late < 1.0 + _GROWTH:
+        if not known.none and not radius_of(k, later) < 1.0 + _GROWTH:
             warnings.append(
                 f"with torques read {1e3 * config.period:g} ms later the loop would be unstable "
                 f"while joint {k + 1} is perturbed"
             )
-        if known.command_delay and not obeyed_late < 1.0 + _GROWTH:
+        if known.command_delay and not radius_of(k, later_command) < 1.0 + _GROWTH:
             warnings.append(
                 f"with commands that act {1e3 * config.period:g} ms later the loop would be "
                 f"unstable while joint {k + 1} is perturbed"
