@@ -116,6 +116,32 @@ def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host
     assert variable == "variable SYSTEM_DEFAULT"
 
 
+IN_A_GRAPH = """
+import os, pathlib, rclpy
+from armimp_bringup.graph import GraphContext
+with GraphContext() as graph:
+    node = rclpy.create_node("inside", context=graph.context)
+    print(pathlib.Path("/proc/self/maps").read_text())
+    node.destroy_node()
+"""
+
+
+@pytest.mark.parametrize("reach", ["LOCALHOST", "SUBNET"])
+def test_nothing_is_shared_in_memory_which_a_killed_process_could_leave_locked(
+    monkeypatch: pytest.MonkeyPatch, reach: str
+) -> None:
+    for name in VARIABLES:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", reach)
+
+    maps = subprocess.run(
+        [sys.executable, "-c", IN_A_GRAPH], capture_output=True, text=True, check=True
+    ).stdout
+
+    assert "libfastrtps" in maps
+    assert "/dev/shm/fastrtps" not in maps
+
+
 def test_both_profiles_are_the_same_but_for_how_far_they_reach() -> None:
     def read(name: str) -> ElementTree.Element:
         # Without the name space, for shorter paths.
@@ -124,8 +150,10 @@ def test_both_profiles_are_the_same_but_for_how_far_they_reach() -> None:
 
     loopback, plain = read("fastdds_loopback.xml"), read("fastdds.xml")
     for place, names in {
-        "profiles": ["transport_descriptors"],
-        "profiles/participant/rtps": ["userTransports", "useBuiltinTransports"],
+        "profiles/transport_descriptors/transport_descriptor": [
+            "interfaceWhiteList",
+            "maxInitialPeersRange",
+        ],
         "profiles/participant/rtps/builtin": ["metatrafficUnicastLocatorList", "initialPeersList"],
     }.items():
         parent = loopback.find(place)
@@ -135,6 +163,8 @@ def test_both_profiles_are_the_same_but_for_how_far_they_reach() -> None:
             assert child is not None
             parent.remove(child)
     for tree in (loopback, plain):
+        for transport in tree.iter("transport_id"):
+            transport.text = "the same"
         ElementTree.indent(tree)
     assert ElementTree.tostring(loopback) == ElementTree.tostring(plain)
 

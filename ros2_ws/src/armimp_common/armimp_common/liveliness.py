@@ -6,9 +6,9 @@ nor a held interpreter lock looks like a death. Data topics are left as they are
 that asks for a lease refuses every publisher which does not offer one, and few drivers do.
 
 A process of the same machine is looked up besides, every 20 ms. So it is soon known that it is dead
-or stopped, even if the middleware of the others is held up, as by what a killed process left locked
-in shared memory; and one that is only silent, on a busy machine, does not count as dead. The lease
-is for processes elsewhere, and long: see :data:`armimp_common.qos.OFFERED_LEASE_MS`.
+or stopped, even if the middleware of the others is held up; and one that is only silent, on a busy
+machine, does not count as dead. The lease is for processes elsewhere, and long: see
+:data:`armimp_common.qos.OFFERED_LEASE_MS`.
 
 A process does not watch itself: the middleware lets the lease between two nodes of one process run
 out without a cause, and never renews it then.

@@ -28,6 +28,7 @@ from rclpy.utilities import remove_ros_args
 
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.lifeline import follow_lifeline
+from armimp_common.transports import avoid_shared_memory
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -236,6 +237,7 @@ def run_node(
         another `ArmimpError`, each with one line on standard error.
     """
     arguments = list(sys.argv if args is None else args)
+    avoid_shared_memory()
     try:
         with stop_on_signals() as stopped, _initialised(arguments) as context:
             follow_lifeline()
