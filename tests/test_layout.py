@@ -26,6 +26,7 @@ ROS = {"rclpy", *MESSAGE_PACKAGES}
 WITH_ROS = {
     "armimp_common.channels",
     "armimp_common.discovery",
+    "armimp_common.lean_subscription",
     "armimp_common.lifecycle",
     "armimp_common.liveliness",
     "armimp_common.parameters",

@@ -18,7 +18,6 @@ from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import contract, qos
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.channels import RawSubscription
 from armimp_common.spin import run_node
 
 PING, PONG, TAP = NAMES = ("ping", "pong", "tap")
@@ -52,6 +51,10 @@ class _Bare(Node):
         encoder = JointStateEncoder(names, contract.VALUE_FIELD[topic])
         return publisher, encoder.encode(0, values)
 
+    def listen(self, topic: str, callback: Callable[[bytes], None]) -> None:
+        """Subscribe to a topic."""
+        self.create_subscription(_TYPES[topic], topic, callback, qos.SAMPLE, raw=True)
+
 
 class PingNode(_Bare):
     """Has the place of the simulator: two messages out, one command back, then the next two."""
@@ -65,7 +68,7 @@ class PingNode(_Bare):
             self.stream(topic) for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
         ]
         self._result = self.create_publisher(UInt64, TOOK, qos.LATCHED)
-        RawSubscription(self, contract.COMMANDS, Float64MultiArray, self._on_command)
+        self.listen(contract.COMMANDS, self._on_command)
         self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
         self._start = self.create_timer(0.02, self._begin)
 
@@ -106,7 +109,7 @@ class PongNode(_Bare):
         self._heard = 0
         self._streams = [self.stream(topic) for topic in (contract.COMMANDS, contract.PERTURBATION)]
         for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS):
-            RawSubscription(self, topic, JointState, self._on_message)
+            self.listen(topic, self._on_message)
 
     def _on_message(self, _: bytes) -> None:
         self._heard += 1
@@ -122,8 +125,8 @@ class TapNode(_Bare):
         super().__init__(TAP, **kwargs)
         self._heard = 0
         self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
-        for topic, kind in _TYPES.items():
-            RawSubscription(self, topic, kind, self._on_message)
+        for topic in _TYPES:
+            self.listen(topic, self._on_message)
         self._start = self.create_timer(0.02, self._begin)
 
     def _begin(self) -> None:

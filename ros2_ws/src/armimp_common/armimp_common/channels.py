@@ -26,6 +26,7 @@ from armimp_common.cdr import (
 )
 from armimp_common.contract import ValueField
 from armimp_common.errors import MalformedMessageError
+from armimp_common.lean_subscription import make_lean
 
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
@@ -152,6 +153,7 @@ class RawSubscription:
         self.subscription: Subscription = node.create_subscription(
             message_type, topic, callback, profile, raw=True
         )
+        make_lean(self.subscription)
 
 
 class JointStateSubscription(RawSubscription):
