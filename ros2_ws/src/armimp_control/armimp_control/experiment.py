@@ -201,7 +201,8 @@ class Experiment:
             return
         self.lost += max(round((stamp_ns - last) / PERIOD_NS) - 1, 0)
         if self.lost:
-            self._reason = f"{self.lost} samples did not arrive"
+            what = "sample" if self.lost == 1 else "samples"
+            self._reason = f"{self.lost} {what} did not arrive"
 
     def _advance(self, stamp_ns: int) -> None:
         """Enter the next phase, whose first tick has come."""

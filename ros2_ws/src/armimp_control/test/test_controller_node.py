@@ -189,7 +189,7 @@ class TestAnswers:
         )
 
         rest = driver.statuses[-1]
-        assert (rest.valid, rest.reason) == (False, "1 samples did not arrive")
+        assert (rest.valid, rest.reason) == (False, "1 sample did not arrive")
         assert len(driver.commands) == driver.tick - 1
 
     def test_all_trials_are_led_through_to_the_end(
