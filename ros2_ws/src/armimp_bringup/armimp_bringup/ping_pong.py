@@ -23,6 +23,8 @@ from armimp_common.spin import run_node
 PING, PONG, TAP = NAMES = ("ping", "pong", "tap")
 TOOK: Final = "ping/took"
 """Topic of the wall time that all exchanges took, ns."""
+READY: Final = "pong/ready"
+"""Topic on which the answering node tells that its answers will reach everybody."""
 BACKLOG: Final = 45
 """Exchanges that may be ahead of what the listener has acknowledged, as in the graph."""
 
@@ -63,23 +65,27 @@ class PingNode(_Bare):
         super().__init__(PING, **kwargs)
         self._exchanges = int(self.declare_parameter("exchanges", 1000).value)
         self._done = self._acknowledged = 0
-        self._held = False
+        self._held = self._awaited = False
         self._streams = [
             self.stream(topic) for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
         ]
         self._result = self.create_publisher(UInt64, TOOK, qos.LATCHED)
         self.listen(contract.COMMANDS, self._on_command)
         self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
+        self.create_subscription(UInt64, READY, self._on_ready, qos.LATCHED)
         self._start = self.create_timer(0.02, self._begin)
 
     def _begin(self) -> None:
         publishers = [publisher for publisher, _ in self._streams]
         ready = all(publisher.get_subscription_count() == 2 for publisher in publishers)
-        if not ready or self.count_publishers(contract.COMMANDS) == 0 or not self._acknowledged:
+        if not (ready and self._awaited and self._acknowledged):
             return
         self.destroy_timer(self._start)
         self._began = time.monotonic_ns()
         self._ping()
+
+    def _on_ready(self, _: UInt64) -> None:
+        self._awaited = True
 
     def _ping(self) -> None:
         for publisher, message in self._streams:
@@ -110,6 +116,15 @@ class PongNode(_Bare):
         self._streams = [self.stream(topic) for topic in (contract.COMMANDS, contract.PERTURBATION)]
         for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS):
             self.listen(topic, self._on_message)
+        self._ready = self.create_publisher(UInt64, READY, qos.LATCHED)
+        self._start = self.create_timer(0.02, self._begin)
+
+    def _begin(self) -> None:
+        # Both the first node and the recorder listen to commands, the latter to perturbations too.
+        # What is published before they are known is lost, and nobody asks for it again.
+        if [publisher.get_subscription_count() for publisher, _ in self._streams] == [2, 1]:
+            self.destroy_timer(self._start)
+            self._ready.publish(UInt64(data=1))
 
     def _on_message(self, _: bytes) -> None:
         self._heard += 1
