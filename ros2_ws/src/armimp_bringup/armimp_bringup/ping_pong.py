@@ -116,6 +116,8 @@ class PongNode(_Bare):
         self._streams = [self.stream(topic) for topic in (contract.COMMANDS, contract.PERTURBATION)]
         for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS):
             self.listen(topic, self._on_message)
+        # As the controller, which wants to know whether anything is still recorded.
+        self.create_subscription(UInt64, contract.RECEIVED, lambda _: None, qos.LATCHED)
         self._ready = self.create_publisher(UInt64, READY, qos.LATCHED)
         self._start = self.create_timer(0.02, self._begin)
 
