@@ -47,10 +47,13 @@ JOINTS = ("shoulder", "elbow")
 MOMENTS = int(os.environ.get("ARMIMP_KILL_MOMENTS", "3"))
 """Random moments in each phase for the long version."""
 REACH = {
-    "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-    "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_file("fastdds.xml")),
+    "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_file("fastdds_loopback.xml")),
 }
-"""Of the witness."""
+"""Of the witness: that of the graph."""
+ATTEMPTS = 3
+"""Experiments until one in which the witness knew the controller before the kill: what discovery
+misses at first, it asks for again after three seconds only."""
 PROGRAM = Path(__file__).parent / "killed_run.py"
 CLOCK = """
 import time
@@ -259,6 +262,25 @@ def kill(
         )
 
 
+def kill_in_trial(
+    directory: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    phase: str,
+    victim: str,
+    *,
+    delay: float,
+    blind: float = 0.0,
+) -> Kill:
+    """As `kill`, in the midst of a trial, with a witness that saw it begin."""
+    for attempt in range(ATTEMPTS):
+        place = directory / str(attempt)
+        place.mkdir()
+        done = kill(place, monkeypatch, phase, victim, delay=delay, blind=blind)
+        if done.seen.torques:
+            return done
+    raise AssertionError("the witness came too late each time")
+
+
 def assert_named(done: Kill) -> None:
     """The orchestrator says who died, as the first problem of the result, and exits 1."""
     assert done.status == 1
@@ -271,7 +293,6 @@ def assert_named(done: Kill) -> None:
 
 def assert_safe(done: Kill) -> float:
     """No command other than zero acted for longer than the limit: until when one did (s)."""
-    assert done.seen.torques, "the witness came too late"
     last = done.after(done.seen.torques[-1])
     assert last < done.limit
     return last
@@ -322,7 +343,7 @@ def assert_recorded(done: Kill) -> None:
 def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_orchestrator(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Figures, victim: str
 ) -> None:
-    done = kill(tmp_path, monkeypatch, "perturb 1", victim, delay=1.0, blind=1.0)
+    done = kill_in_trial(tmp_path, monkeypatch, "perturb 1", victim, delay=1.0, blind=1.0)
 
     assert_safe_and_told(done, figures)
     reason = done.seen.faults[0][1] if victim == CONTROLLER_NODE else done.aborted[1]
@@ -334,7 +355,7 @@ def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_or
 def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Figures
 ) -> None:
-    done = kill(tmp_path, monkeypatch, "perturb 1", SUPERVISOR_NODE, delay=1.0)
+    done = kill_in_trial(tmp_path, monkeypatch, "perturb 1", SUPERVISOR_NODE, delay=1.0)
 
     assert_safe_and_told(done, figures)
     assert done.status == -signal.SIGKILL
@@ -380,13 +401,15 @@ def test_when_any_process_is_killed_at_any_moment_expect_the_others_safe(
         0.0, LENGTH.get(phase, LENGTH_OF_OTHERS)
     )
 
-    done = kill(tmp_path, monkeypatch, phase, victim, delay=delay)
+    in_trial = phase in TRIAL_PHASES
+    run = kill_in_trial if in_trial else kill
+    done = run(tmp_path, monkeypatch, phase, victim, delay=delay)
 
     if victim == SUPERVISOR_NODE:
         assert done.status == -signal.SIGKILL
     else:
         assert_named(done)
-    if phase in TRIAL_PHASES:
+    if in_trial:
         assert_safe_and_told(done, figures)
     else:
         if done.seen.torques:
