@@ -89,7 +89,8 @@ class ArmSimNode(RigNode[SimulatedRig]):
     def _pace(self, rig: SimulatedRig) -> None:
         realtime = self._settings.realtime
         pacer = Pacer(contract.PERIOD_NS, spin_ns=round(realtime.spin * contract.NS_PER_S))
-        self._paced = PacedRig(rig, self._send, pacer)
+        patience = self._settings.watchdog_ticks
+        self._paced = PacedRig(rig, self._send, pacer, watchdog_ticks=patience)
         try:
             self._urgency = Urgency(realtime)
         except GraphError:

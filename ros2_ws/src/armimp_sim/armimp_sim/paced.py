@@ -12,8 +12,7 @@ from armimp_common.urgency import wake_up_exactly
 from armimp_sim.rig import SimulatedRig
 
 WATCHDOG_TICKS = 5
-"""Periods after which the rig takes the torque away: without any command, or by which commands that
-come are behind. A controller that works through old samples is none any more."""
+"""Periods after which the rig takes the torque away by default."""
 RAMP_TICKS = 10
 """Periods in which it then falls to zero: short, as the last command may be a peak of chatter."""
 _PATIENCE = 2.0
@@ -34,6 +33,9 @@ class PacedRig:
     send : callable
         Sends the present sample; called in the thread.
     pacer : Pacer
+    watchdog_ticks : int
+        Periods after which the rig takes the torque away: without any command, or by which commands
+        that come are behind. A controller that works through old samples is none any more.
 
     Attributes
     ----------
@@ -41,8 +43,16 @@ class PacedRig:
     error : what ended the thread, if it was not :meth:`stop`
     """
 
-    def __init__(self, rig: SimulatedRig, send: Callable[[], None], pacer: Pacer) -> None:
+    def __init__(
+        self,
+        rig: SimulatedRig,
+        send: Callable[[], None],
+        pacer: Pacer,
+        *,
+        watchdog_ticks: int = WATCHDOG_TICKS,
+    ) -> None:
         self._rig, self._send, self._pacer = rig, send, pacer
+        self._patience = watchdog_ticks
         self._command: tuple[float, ...] = (0.0,) * rig.position.size
         self._ledger = TimingLedger()
         self._unanswered: deque[int] = deque(maxlen=10_000)
@@ -115,11 +125,10 @@ class PacedRig:
             self._sample(tick)
 
     def _look_after_itself(self) -> None:
-        if self._silent >= WATCHDOG_TICKS:
-            self._rig.fade(f"no command for {WATCHDOG_TICKS} ticks", RAMP_TICKS)
-        elif self._in_step and len(self._unanswered) > WATCHDOG_TICKS:
-            reason = f"commands are more than {WATCHDOG_TICKS} ticks behind"
-            self._rig.fade(reason, RAMP_TICKS)
+        if self._silent >= self._patience:
+            self._rig.fade(f"no command for {self._patience} ticks", RAMP_TICKS)
+        elif self._in_step and len(self._unanswered) > self._patience:
+            self._rig.fade(f"commands are more than {self._patience} ticks behind", RAMP_TICKS)
 
     def _sample(self, tick: int) -> None:
         sent_ns = self._pacer.now()

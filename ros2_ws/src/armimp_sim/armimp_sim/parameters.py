@@ -125,6 +125,13 @@ class SimulatorParameters(Schema):
         description="lockstep: one step for each command received; realtime: one each millisecond",
     )
     realtime: RealtimeParameters = RealtimeParameters()
+    watchdog_ticks: int = Field(
+        default=5,
+        ge=1,
+        le=100,
+        description="in realtime, periods without a command, or by which commands are behind, "
+        "until the drives take the torque away",
+    )
     substeps: int = Field(default=100, ge=1, description="RK4 steps in one control period of 1 ms")
     arm: ArmParameters
     robot: RobotParameters

@@ -24,13 +24,13 @@ SILENCE = f"no command for {WATCHDOG_TICKS} ticks"
 class Bench:
     """A paced rig without its thread, on a clock that is moved by hand."""
 
-    def __init__(self) -> None:
+    def __init__(self, watchdog_ticks: int = WATCHDOG_TICKS) -> None:
         self.ns = 10**12
         self.tick = 0
         self.rig = SimulatedRig(PARAMETERS)
         self.sent: list[tuple[int, Command, Command]] = []
         pacer = Pacer(PERIOD_NS, now=lambda: self.ns, sleep=lambda _: None)
-        self.paced = PacedRig(self.rig, self.send, pacer)
+        self.paced = PacedRig(self.rig, self.send, pacer, watchdog_ticks=watchdog_ticks)
         self.start_ns = self.ns
         self.paced.begin()
 
@@ -162,6 +162,15 @@ class TestWatchdog:
         bench.next(100)
         assert not bench.rig.fault
         assert bench.missed == 100
+
+    @pytest.mark.parametrize("ticks", [1, 20, 100])
+    def test_it_waits_for_as_long_as_it_was_told(self, ticks: int) -> None:
+        bench = Bench(ticks)
+        bench.command(10.0, -20.0)
+        bench.next(ticks)
+        assert not bench.rig.fault
+        bench.next()
+        assert bench.rig.fault == f"no command for {ticks} ticks"
 
     def test_when_commands_stay_away_expect_a_straight_ramp_to_zero_within_fifty_milliseconds(
         self, bench: Bench
