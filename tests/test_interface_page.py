@@ -54,8 +54,8 @@ from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import TrialWindow
 from armimp_estimation.welch import WelchSiso
 from armimp_sim.backlog import LIMIT
-from armimp_sim.paced import RAMP_TICKS, WATCHDOG_TICKS
-from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.paced import RAMP_TICKS
+from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 
 Row = dict[str, str]
 Table = list[Row]

@@ -117,7 +117,7 @@ def test_when_the_process_was_in_a_graph_before_expect_it_to_find_the_local_host
 
 
 IN_A_GRAPH = """
-import os, pathlib, rclpy
+import pathlib, rclpy
 from armimp_bringup.graph import GraphContext
 with GraphContext() as graph:
     node = rclpy.create_node("inside", context=graph.context)

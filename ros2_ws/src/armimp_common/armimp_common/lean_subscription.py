@@ -12,8 +12,7 @@ class LeanSubscription(Subscription):
     """A subscription with attributes where rclpy has properties.
 
     For each message the events executor asks for the handle, the callback and its kind. In rclpy
-    those are properties and members of an enumeration, whose getters are Python functions: a
-    microsecond for each message, where all else takes five.
+    those are properties and members of an enumeration, whose getters are Python functions.
 
     A data descriptor, as a property is, comes before the attributes of an instance; what stands
     here does not.

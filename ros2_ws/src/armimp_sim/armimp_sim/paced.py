@@ -9,10 +9,9 @@ from collections.abc import Callable, Sequence
 from armimp_common.jitter import TimingFigures, TimingLedger
 from armimp_common.pacing import Pacer
 from armimp_common.urgency import wake_up_exactly
+from armimp_sim.parameters import WATCHDOG_TICKS
 from armimp_sim.rig import SimulatedRig
 
-WATCHDOG_TICKS = 5
-"""Periods after which the rig takes the torque away by default."""
 RAMP_TICKS = 10
 """Periods in which it then falls to zero: short, as the last command may be a peak of chatter."""
 _PATIENCE = 2.0

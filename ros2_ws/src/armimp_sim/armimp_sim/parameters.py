@@ -22,6 +22,9 @@ from armimp_sim.sensors import Sampling, Sensors
 from armimp_sim.transmission import ORDERS
 from armimp_sim.voluntary import VoluntaryConfig
 
+WATCHDOG_TICKS = 5
+"""Periods after which the simulated rig takes the torque away by default."""
+
 Vector = tuple[float, ...]
 
 
@@ -126,7 +129,7 @@ class SimulatorParameters(Schema):
     )
     realtime: RealtimeParameters = RealtimeParameters()
     watchdog_ticks: int = Field(
-        default=5,
+        default=WATCHDOG_TICKS,
         ge=1,
         le=100,
         description="in realtime, periods without a command, or by which commands are behind, "

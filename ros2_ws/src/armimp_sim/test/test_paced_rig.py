@@ -12,8 +12,8 @@ import pytest
 from armimp_common.contract import PERIOD_NS
 from armimp_common.jitter import LATE_NS
 from armimp_common.pacing import Pacer
-from armimp_sim.paced import RAMP_TICKS, WATCHDOG_TICKS, PacedRig
-from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.paced import RAMP_TICKS, PacedRig
+from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
 PARAMETERS = SimulatorParameters.preset()

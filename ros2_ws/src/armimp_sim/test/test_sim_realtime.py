@@ -22,8 +22,8 @@ from armimp_common.schema import Value
 from armimp_common.spin import Spinner
 from armimp_common.testing import PATIENCE, eventually, overrides
 from armimp_sim.node import ArmSimNode
-from armimp_sim.paced import WATCHDOG_TICKS, PacedRig
-from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.paced import PacedRig
+from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.plant import IntegrationError
 
 pytestmark = pytest.mark.alone
