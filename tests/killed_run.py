@@ -1,11 +1,11 @@
 """Program for test_graph_kills.py: ``armimp``, but a process of the graph is killed once.
 
-Arguments: file for events; phase; victim; delay (s) after the beginning of the phase; time (s) for
-which the orchestrator does not see that its child is dead, as on a rig where it has none; and then
-the arguments of ``armimp``. The phases are ``start``; the transitions ``configure``, ``activate``
-and ``shutdown``; and those of the trial status with the number of the trial, like ``perturb 1``.
-Events are lines: ``domain ID``, and ``killed T`` with the monotonic time of this machine, which all
-processes share.
+Arguments: file for events; file that exists as soon as the witness listens; phase; victim; delay
+(s) after the beginning of the phase; time (s) for which the orchestrator does not see that its
+child is dead, as on a rig where it has none; and then the arguments of ``armimp``. The phases are
+``start``; the transitions ``configure``, ``activate`` and ``shutdown``; and those of the trial
+status with the number of the trial, like ``perturb 1``. Events are lines: ``domain ID``, and
+``killed T`` with the monotonic time of this machine, which all processes share.
 """
 
 import math
@@ -28,12 +28,17 @@ from armimp_common.contract import SUPERVISOR_NODE
 from armimp_common.diagnostics import values_of
 from armimp_common.lifecycle import LifecycleManager, TransitionName
 
+PATIENCE = 60.0
+
 
 class Killer:
     """Kills one process of the graph, once."""
 
-    def __init__(self, events: Path, phase: str, victim: str, delay: float, blind: float) -> None:
-        self._events, self._phase, self._victim, self._delay = events, phase, victim, delay
+    def __init__(
+        self, events: Path, seen: Path, phase: str, victim: str, delay: float, blind: float
+    ) -> None:
+        self._events, self._seen = events, seen
+        self._phase, self._victim, self._delay = phase, victim, delay
         self._armed = True
         self._blind = blind
         self.blind_until = -math.inf
@@ -42,6 +47,13 @@ class Killer:
     def note(self, line: str) -> None:
         with self._events.open("a") as events:
             events.write(line + "\n")
+
+    def await_witness(self) -> None:
+        """Return when the witness listens."""
+        deadline = time.monotonic() + PATIENCE
+        while not self._seen.exists():
+            assert time.monotonic() < deadline, "no witness"
+            time.sleep(0.01)
 
     def reach(self, phase: str, *, node: str | None = None) -> None:
         """A phase has come; a phase of nodes counts only for the victim, if it is a node."""
@@ -68,6 +80,7 @@ def install(killer: Killer) -> None:
         def __init__(self, domain_id: int | None = None) -> None:
             super().__init__(domain_id)
             killer.note(f"domain {self.claim.domain_id}")
+            killer.await_witness()
 
     class Kept(SeparateNodes):
         def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -99,6 +112,6 @@ def install(killer: Killer) -> None:
 
 
 if __name__ == "__main__":
-    file, phase, victim, delay, blind = sys.argv[1:6]
-    install(Killer(Path(file), phase, victim, float(delay), float(blind)))
-    sys.exit(main(sys.argv[6:]))
+    events, seen, phase, victim, delay, blind = sys.argv[1:7]
+    install(Killer(Path(events), Path(seen), phase, victim, float(delay), float(blind)))
+    sys.exit(main(sys.argv[7:]))

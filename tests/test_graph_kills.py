@@ -15,23 +15,14 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.context import Context
-from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.resources import config_file
-from armimp_common import contract, qos
-from armimp_common.channels import CommandSubscription, JointStateSubscription
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
-from armimp_common.diagnostics import values_of
 from armimp_common.fault_figures import Figures
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags import read_bag
 
@@ -43,7 +34,6 @@ LOST = 100
 """Samples before a death that the bag may lack (safety requirement: 100 ms)."""
 PATIENCE = 200.0
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
-JOINTS = ("shoulder", "elbow")
 MOMENTS = int(os.environ.get("ARMIMP_KILL_MOMENTS", "3"))
 """Random moments in each phase for the long version."""
 REACH = {
@@ -52,9 +42,10 @@ REACH = {
 }
 """Of the witness: that of the graph."""
 ATTEMPTS = 3
-"""Experiments until one in which the witness knew the controller before the kill: what discovery
-misses at first, it asks for again after three seconds only."""
+"""Experiments until one in which the witness had heard all before the kill: what discovery misses
+at first, it asks for again after three seconds only."""
 PROGRAM = Path(__file__).parent / "killed_run.py"
+WITNESS = Path(__file__).parent / "kill_witness.py"
 CLOCK = """
 import time
 last = time.monotonic()
@@ -67,53 +58,38 @@ while True:
 """
 
 
-@dataclass(kw_only=True)
+@dataclass(frozen=True, kw_only=True)
 class Seen:
     """What the witness saw, each with the monotonic time at which it did."""
 
-    torques: list[float] = field(default_factory=list)
+    torques: list[float]
     """Commands other than zero."""
-    stamps: list[tuple[float, int]] = field(default_factory=list)
+    stamps: list[tuple[float, int]]
     """Perturbation messages, by their stamp (ns)."""
-    statuses: list[tuple[float, TrialStatus]] = field(default_factory=list)
-    faults: list[tuple[float, str, str]] = field(default_factory=list)
-    """The simulator in fault or stopped: message, and the torque that it applies."""
+    statuses: list[tuple[float, TrialStatus]]
+    reports: list[tuple[float, str, str]]
+    """Of the simulator: message, and the torque that it applies."""
 
-
-class Witness(Node):
-    """Listens to a graph from outside."""
-
-    def __init__(self, context: Context) -> None:
-        super().__init__("witness", context=context)
-        self.seen = Seen()
-        self._channels = [
-            CommandSubscription(self, contract.COMMANDS, len(JOINTS), self._on_command),
-            JointStateSubscription(
-                self,
-                contract.PERTURBATION,
-                JOINTS,
-                "effort",
-                lambda stamp_ns, _: self.seen.stamps.append((time.monotonic(), stamp_ns)),
-            ),
-        ]
-        self.create_subscription(DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED)
-        self.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+    @classmethod
+    def read(cls, file: Path) -> "Seen":
+        seen = json.loads(file.read_text())
+        return cls(
+            torques=seen["torques"],
+            stamps=[(moment, stamp_ns) for moment, stamp_ns in seen["stamps"]],
+            statuses=[
+                (moment, TrialStatus.from_values(values)) for moment, values in seen["statuses"]
+            ],
+            reports=[(moment, message, applied) for moment, message, applied in seen["reports"]],
         )
 
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        if any(command):
-            self.seen.torques.append(time.monotonic())
-
-    def _on_trial(self, message: DiagnosticStatus) -> None:
-        status = TrialStatus.from_values(values_of(message))
-        self.seen.statuses.append((time.monotonic(), status))
-
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            if status.name.startswith(SIM_NODE) and status.message != "running":
-                applied = values_of(status)["applied"]
-                self.seen.faults.append((time.monotonic(), status.message, applied))
+    def knew_all(self, moment: float) -> bool:
+        """Whether each of those who speak in a trial had been heard by then."""
+        heard = (
+            self.torques,
+            [time for time, _ in self.statuses],
+            [time for time, _, _ in self.reports],
+        )
+        return all(times and times[0] < moment for times in heard)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,23 +129,30 @@ class Kill:
             if status.phase is Phase.ABORTED
         )
 
+    @property
+    def fault(self) -> tuple[float, str, str]:
+        """The first report after the kill of a simulator that does not run."""
+        return next(
+            report
+            for report in self.seen.reports
+            if report[0] > self.time and report[1] != "running"
+        )
+
 
 @contextmanager
-def witness(domain_id: int) -> Iterator[tuple[Witness, Spinner]]:
-    context = Context()
-    rclpy.init(
-        args=[],
-        context=context,
-        domain_id=domain_id,
-        signal_handler_options=SignalHandlerOptions.NO,
+def witness(domain: str, file: Path) -> Iterator[None]:
+    """A process that listens to this domain, and leaves what it saw in a file at its end."""
+    process = subprocess.Popen(
+        [sys.executable, str(WITNESS), str(file)],
+        env={**os.environ, **REACH, "ROS_DOMAIN_ID": domain},
     )
-    node = Witness(context)
     try:
-        with Spinner([node]) as spinner:
-            yield node, spinner
+        yield
+        process.terminate()
+        assert process.wait(PATIENCE) == 0
     finally:
-        node.destroy_node()
-        context.try_shutdown()
+        process.kill()
+        process.wait()
 
 
 def event(file: Path, name: str) -> str | None:
@@ -197,7 +180,6 @@ def end(process: "subprocess.Popen[str]") -> None:
 
 def kill(
     directory: Path,
-    monkeypatch: pytest.MonkeyPatch,
     phase: str,
     victim: str,
     *,
@@ -208,18 +190,16 @@ def kill(
 
     For the time `blind` (s) the orchestrator does not see it: nodes must manage without.
     """
-    for name, value in REACH.items():
-        monkeypatch.setenv(name, value)
     # The graph itself does as it does by default.
     environment = {name: value for name, value in os.environ.items() if name not in REACH}
-    events, out = directory / "events", directory / "out"
-    program = [sys.executable, str(PROGRAM), str(events), phase, victim, str(delay), str(blind)]
+    events, out, seen = directory / "events", directory / "out", directory / "seen"
+    program = [sys.executable, str(PROGRAM), str(events), str(seen), phase, victim]
     options = ["--processes", "separate", "--duration", "10", "--estimator", "welch_siso"]
     deadline = time.monotonic() + PATIENCE
     with (directory / "clock").open("w+") as stalls, (directory / "errors").open("w+") as errors:
         clock = subprocess.Popen([sys.executable, "-c", CLOCK], stdout=stalls, text=True)
         experiment = subprocess.Popen(
-            [*program, "run", *options, "--out", str(out)],
+            [*program, str(delay), str(blind), "run", *options, "--out", str(out)],
             stdout=subprocess.DEVNULL,
             stderr=errors,
             text=True,
@@ -239,8 +219,9 @@ def kill(
                 # Nodes that lost their orchestrator end by themselves.
                 return time.monotonic() > deadline or (bool(ended) and not processes_of(out))
 
-            with witness(int(domain)) as (node, spinner):
-                spinner.spin(over, period=0.05)
+            with witness(domain, seen):
+                while not over():
+                    time.sleep(0.05)
             assert not processes_of(out), "processes are left over"
         finally:
             for process in (experiment, clock):
@@ -257,26 +238,25 @@ def kill(
             ended=ended,
             status=experiment.returncode,
             errors=(directory / "errors").read_text(),
-            seen=node.seen,
+            seen=Seen.read(seen),
             stalls=[(float(line.split()[0]), float(line.split()[1])) for line in lines],
         )
 
 
 def kill_in_trial(
     directory: Path,
-    monkeypatch: pytest.MonkeyPatch,
     phase: str,
     victim: str,
     *,
     delay: float,
     blind: float = 0.0,
 ) -> Kill:
-    """As `kill`, in the midst of a trial, with a witness that saw it begin."""
+    """As `kill`, in the midst of a trial, with a witness that knew the graph before."""
     for attempt in range(ATTEMPTS):
         place = directory / str(attempt)
         place.mkdir()
-        done = kill(place, monkeypatch, phase, victim, delay=delay, blind=blind)
-        if done.seen.torques:
+        done = kill(place, phase, victim, delay=delay, blind=blind)
+        if done.seen.knew_all(done.time):
             return done
     raise AssertionError("the witness came too late each time")
 
@@ -301,7 +281,7 @@ def assert_safe(done: Kill) -> float:
 def assert_told(done: Kill) -> float:
     """Who remains says within the limit what happened, in the midst of a trial: when (s)."""
     if done.victim == CONTROLLER_NODE:
-        moment, message, applied = next(fault for fault in done.seen.faults if fault[0] > done.time)
+        moment, message, applied = done.fault
         told = done.after(moment)
         assert message.startswith(f"{CONTROLLER_NODE} ") or message == "stopped"
         assert applied == "0.0 0.0"
@@ -333,6 +313,7 @@ def assert_recorded(done: Kill) -> None:
     samples = sum(
         stamp_ns >= start_ns for moment, stamp_ns in done.seen.stamps if moment < done.time
     )
+    assert samples
     (bag,) = (done.directory / "bags").iterdir()
     (trial,) = read_bag(bag).trials
     assert trial.record is not None
@@ -341,21 +322,21 @@ def assert_recorded(done: Kill) -> None:
 
 @pytest.mark.parametrize("victim", NODES)
 def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_orchestrator(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Figures, victim: str
+    tmp_path: Path, figures: Figures, victim: str
 ) -> None:
-    done = kill_in_trial(tmp_path, monkeypatch, "perturb 1", victim, delay=1.0, blind=1.0)
+    done = kill_in_trial(tmp_path, "perturb 1", victim, delay=1.0, blind=1.0)
 
     assert_safe_and_told(done, figures)
-    reason = done.seen.faults[0][1] if victim == CONTROLLER_NODE else done.aborted[1]
+    reason = done.fault[1] if victim == CONTROLLER_NODE else done.aborted[1]
     assert reason.startswith(f"{victim} ")
     assert_named(done)
     assert_recorded(done)
 
 
 def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, figures: Figures
+    tmp_path: Path, figures: Figures
 ) -> None:
-    done = kill_in_trial(tmp_path, monkeypatch, "perturb 1", SUPERVISOR_NODE, delay=1.0)
+    done = kill_in_trial(tmp_path, "perturb 1", SUPERVISOR_NODE, delay=1.0)
 
     assert_safe_and_told(done, figures)
     assert done.status == -signal.SIGKILL
@@ -367,9 +348,9 @@ def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(
     [("start", SIM_NODE), ("configure", CONTROLLER_NODE), ("activate", ESTIMATOR_NODE)],
 )
 def test_when_a_node_is_killed_before_a_trial_expect_its_name_at_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, phase: str, victim: str
+    tmp_path: Path, phase: str, victim: str
 ) -> None:
-    done = kill(tmp_path, monkeypatch, phase, victim)
+    done = kill(tmp_path, phase, victim)
 
     assert_named(done)
     # Far below the minute in which a node that lives may answer.
@@ -391,7 +372,6 @@ LENGTH_OF_OTHERS = 0.1
 )
 def test_when_any_process_is_killed_at_any_moment_expect_the_others_safe(
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     figures: Figures,
     phase: str,
     victim: str,
@@ -403,7 +383,7 @@ def test_when_any_process_is_killed_at_any_moment_expect_the_others_safe(
 
     in_trial = phase in TRIAL_PHASES
     run = kill_in_trial if in_trial else kill
-    done = run(tmp_path, monkeypatch, phase, victim, delay=delay)
+    done = run(tmp_path, phase, victim, delay=delay)
 
     if victim == SUPERVISOR_NODE:
         assert done.status == -signal.SIGKILL

@@ -1,0 +1,80 @@
+"""Program for test_graph_kills.py: listens to a graph from outside, ``kill_witness.py FILE``.
+
+It is a process of its own, since the middleware reads its profile once in each process, and the
+tests' has done so long before. When its node is up the file exists, empty; when it is told to end
+(SIGTERM), it writes into it, as JSON, what it saw, each with the monotonic time of this machine,
+which all processes share.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.context import Context
+from rclpy.node import Node
+
+from armimp_common import contract, qos
+from armimp_common.channels import CommandSubscription, JointStateSubscription
+from armimp_common.contract import SIM_NODE
+from armimp_common.diagnostics import values_of
+from armimp_common.spin import run_node
+
+JOINTS = ("shoulder", "elbow")
+
+
+class Witness(Node):
+    """Hears commands, perturbations, trial states and the simulator's reports."""
+
+    def __init__(self, file: Path, *, context: Context) -> None:
+        super().__init__("witness", context=context)
+        self._file = file
+        self._torques: list[float] = []
+        self._stamps: list[tuple[float, int]] = []
+        self._statuses: list[tuple[float, dict[str, str]]] = []
+        self._reports: list[tuple[float, str, str]] = []
+        self._channels = [
+            CommandSubscription(self, contract.COMMANDS, len(JOINTS), self._on_command),
+            JointStateSubscription(
+                self,
+                contract.PERTURBATION,
+                JOINTS,
+                "effort",
+                lambda stamp_ns, _: self._stamps.append((time.monotonic(), stamp_ns)),
+            ),
+        ]
+        self.create_subscription(DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED)
+        self.create_subscription(
+            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+        file.touch()
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        if any(command):
+            self._torques.append(time.monotonic())
+
+    def _on_trial(self, message: DiagnosticStatus) -> None:
+        self._statuses.append((time.monotonic(), values_of(message)))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name.startswith(SIM_NODE):
+                applied = values_of(status).get("applied", "")
+                self._reports.append((time.monotonic(), status.message, applied))
+
+    def destroy_node(self) -> None:
+        """Leave what was seen behind."""
+        seen = {
+            "torques": self._torques,
+            "stamps": self._stamps,
+            "statuses": self._statuses,
+            "reports": self._reports,
+        }
+        self._file.write_text(json.dumps(seen))
+        super().destroy_node()
+
+
+if __name__ == "__main__":
+    place = Path(sys.argv[1])
+    sys.exit(run_node(lambda *, context: Witness(place, context=context), sys.argv[:1]))
