@@ -74,10 +74,14 @@ def test_a_wrong_value_of_run_ends_in_one_line_with_the_value(
 
 @pytest.mark.parametrize("command", ["run", "replay"])
 @pytest.mark.parametrize("domain", ["-1", "500", "9" * 30, "x"])
-def test_a_wrong_domain_ends_in_one_line_with_the_value(command: str, domain: str) -> None:
+def test_a_wrong_domain_ends_in_one_line_with_the_value_and_leaves_no_directory(
+    directory: Path, command: str, domain: str
+) -> None:
     arguments = ["nowhere"] if command == "replay" else ["--out", "new"]
     told = refused(command, *arguments, "--domain-id", domain)
     assert "nowhere" in told.err or domain[:20] in told.err or "--domain-id" in told.err
+    # So that the same command can be given again with another domain.
+    assert not list(directory.iterdir())
 
 
 @pytest.mark.parametrize(

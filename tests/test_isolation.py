@@ -70,6 +70,7 @@ def test_when_the_domain_is_taken_expect_the_second_experiment_refused(tmp_path:
     assert output == ""
     taken = f"armimp: domain id {claim.domain_id} is taken by another experiment"
     assert errors.splitlines() == [taken]
+    assert not (tmp_path / "out").exists()
 
 
 def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set[Endpoint]]:

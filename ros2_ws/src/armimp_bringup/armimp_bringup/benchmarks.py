@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
 
 BENCH_FILE = "bench.json"
@@ -128,8 +128,27 @@ def check_names(names: Sequence[str]) -> None:
             )
 
 
-def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> dict[str, list[Measured]]:
-    """Run benchmarks by name; none means all.
+@dataclass(frozen=True, kw_only=True)
+class BenchResults:
+    """What came of benchmarks.
+
+    Attributes
+    ----------
+    measured : figures by benchmark
+    failed : why there are none of others, likewise
+    """
+
+    measured: dict[str, list[Measured]]
+    failed: dict[str, str]
+
+    @property
+    def missed(self) -> list[Measured]:
+        """Figures whose target is not met."""
+        return [one for group in self.measured.values() for one in group if one.met is False]
+
+
+def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> BenchResults:
+    """Run benchmarks by name; none means all. One that fails does not keep others from running.
 
     Raises
     ------
@@ -137,10 +156,16 @@ def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> dict[st
         If there is no such benchmark.
     """
     check_names(names)
-    return {name: _BENCHMARKS[name](tell) for name in dict.fromkeys(names or _BENCHMARKS)}
+    results = BenchResults(measured={}, failed={})
+    for name in dict.fromkeys(names or _BENCHMARKS):
+        try:
+            results.measured[name] = _BENCHMARKS[name](tell)
+        except ArmimpError as error:
+            results.failed[name] = str(error)
+    return results
 
 
-def bench_record(results: dict[str, list[Measured]]) -> dict[str, Any]:
+def bench_record(results: BenchResults) -> dict[str, Any]:
     """Content of ``bench.json``: the machine, and each figure by benchmark and key."""
     return {
         "schema": 1,
@@ -156,8 +181,9 @@ def bench_record(results: dict[str, list[Measured]]) -> dict[str, Any]:
                 one.key: {"value": one.value, "unit": one.unit, "limit": one.limit, "met": one.met}
                 for one in measured
             }
-            for name, measured in results.items()
+            for name, measured in results.measured.items()
         },
+        "failed": results.failed,
     }
 
 
@@ -182,7 +208,7 @@ def write_bench(directory: Path, record: dict[str, Any]) -> Path:
 
 
 def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
-    """Run benchmarks, show and store the figures; 0 if all targets are met, else 1.
+    """Run benchmarks, show and store the figures; 0 if all ran and met their targets, else 1.
 
     Raises
     ------
@@ -204,14 +230,15 @@ def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
     if as_json:
         print(json.dumps(record))
     else:
-        _print(results, path, took)
-    missed = [one for measured in results.values() for one in measured if one.met is False]
-    for one in missed:
+        _print(results.measured, path, took)
+    for one in results.missed:
         errors.print(
             f"armimp: {one.label} is {one.value:.3g} {one.unit}, target {one.limit:g}",
             highlight=False,
         )
-    return 1 if missed else 0
+    for name, reason in results.failed.items():
+        errors.print(f"armimp: {name}: {reason}", highlight=False)
+    return 1 if results.missed or results.failed else 0
 
 
 def _require_place(directory: Path) -> None:

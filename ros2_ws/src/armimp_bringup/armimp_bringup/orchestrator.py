@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 from armimp_bringup.supervisor import Progress, Supervisor
@@ -90,15 +90,11 @@ def run_experiment(
     directory = directory.absolute()
     parameters = node_parameters(config, directory)
     require_precedence(config.priority)
-    prepare_directory(directory)
-    ticks = round(parameters.controller.sequence.duration * contract.NS_PER_S / contract.PERIOD_NS)
-    n = len(parameters.simulator.joints)
-    require_free_space(directory, n * expected_bytes(ticks, n))
-    parameter_file = directory / PARAMETERS_FILE
-    parameter_file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
     problems: list[str] = []
     external = config.processes == "external"
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
+        # Not before the domain is ours, so that nothing is left behind where it is not.
+        parameter_file = _prepare(directory, parameters)
         supervisor = Supervisor(graph, on_progress, on_phase=on_phase, on_over=on_over)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
@@ -132,6 +128,17 @@ def run_experiment(
         limits = parameters.estimator.realtime.limits()
         timing = TimingRecord(figures=supervisor.timing, limits=limits)
     return settle(directory, parameters.estimator, problems, timing)
+
+
+def _prepare(directory: Path, parameters: NodeParameters) -> Path:
+    """Make the output directory and the file with the parameters in it."""
+    prepare_directory(directory)
+    ticks = round(parameters.controller.sequence.duration * contract.NS_PER_S / contract.PERIOD_NS)
+    n = len(parameters.simulator.joints)
+    require_free_space(directory, n * expected_bytes(ticks, n))
+    parameter_file = directory / PARAMETERS_FILE
+    parameter_file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
+    return parameter_file
 
 
 def prepare_directory(directory: Path) -> None:

@@ -176,10 +176,7 @@ def replay_bags(
         for trial in content.trials:
             trial.intact(allow_gaps=allow_gaps)
     with tempfile.TemporaryDirectory() as temporary:
-        if directory is None:
-            directory = Path(temporary)
-        else:
-            prepare_directory(directory)
+        wanted, directory = directory, directory or Path(temporary)
         parameters = EstimatorParameters(
             joints=contents[0].joint_names,
             estimators=estimators or EstimatorParameters().estimators,
@@ -189,11 +186,14 @@ def replay_bags(
             metadata=json.dumps(latest_metadata([content.metadata for content in contents])),
         )
         parameters.bag_metadata()
-        parameter_file = directory / PARAMETERS_FILE
-        parameter_file.write_text(
-            to_params_yaml({contract.ESTIMATOR_NODE: parameters}), encoding="utf-8"
-        )
         with GraphContext(domain_id) as graph:
+            # Not before the domain is ours, so that nothing is left behind where it is not.
+            if wanted is not None:
+                prepare_directory(wanted)
+            parameter_file = directory / PARAMETERS_FILE
+            parameter_file.write_text(
+                to_params_yaml({contract.ESTIMATOR_NODE: parameters}), encoding="utf-8"
+            )
             supervisor = Supervisor(graph, on_progress)
             with Spinner([supervisor], context=graph.context) as spinner:
                 player = BagPlayer(graph, spinner)

@@ -21,6 +21,7 @@ class Stopwatch:
     def __init__(self) -> None:
         self._began = time.monotonic() - age()
         self._first = self._last = math.nan
+        self._perturbing = False
 
     def note(self, phase: Phase) -> None:
         """Take note that a phase of a trial begins."""
@@ -28,8 +29,9 @@ class Stopwatch:
         if phase is Phase.PERTURB:
             if math.isnan(self._first):
                 self._first = now
-        elif phase is not Phase.SETTLE:
-            self._last = now
+            self._perturbing = True
+        elif self._perturbing:
+            self._last, self._perturbing = now, False
 
     def stop(self) -> WallSummary:
         """Wall times until now; NaN without any sample."""

@@ -123,7 +123,8 @@ class Supervisor(Node):
         if self.realtime and self._done:
             return
         for status in message.status:
-            if status.name == TIMING_NAME:
+            # Up to an abort, but what comes after it is better than nothing.
+            if status.name == TIMING_NAME and not (self.finished and self.timing is not None):
                 with suppress(MalformedMessageError):  # the estimator complains
                     self.timing = TimingFigures.from_values(values_of(status))
             if status.level == bytes([Level.ERROR]):

@@ -1,11 +1,15 @@
 """The benchmark of the node graph: what is measured is told apart, and adds up."""
 
+from types import SimpleNamespace
+
 import pytest
 
+from armimp_bringup import graph_bench
 from armimp_bringup.benchmarks import Measured
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.graph_bench import RATIO_LIMIT, Processes, graph_figures
+from armimp_bringup.graph_bench import RATIO_LIMIT, Processes, graph_figures, graph_tick
 from armimp_bringup.tick_parts import TickParts, tick_parts
+from armimp_common.errors import GraphError
 
 PARTS = TickParts(plant=25e-6, law=3e-6, codecs=4e-6, recording=5e-6)
 
@@ -50,6 +54,21 @@ def test_a_lost_sample_and_a_slow_trial_miss_the_target() -> None:
     assert figures("composed", 85e-6)["lost"].met is True
     assert figures("composed", 199e-6)["slowest"].met is True
     assert figures("composed", 201e-6)["slowest"].met is False
+
+
+def test_lost_samples_are_a_figure_and_whatever_else_spoils_a_run_is_an_error(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=5.0)]
+    summary = SimpleNamespace(valid=False, problems=["something"], trials=trials)
+    monkeypatch.setattr(graph_bench, "run_experiment", lambda *_: summary)
+    ticks, lost = graph_tick("composed")
+    assert ticks == pytest.approx([1e-4, 2e-4])
+    assert lost == 3
+
+    trials[1].lost = 0
+    with pytest.raises(GraphError, match="not valid: something"):
+        graph_tick("composed")
 
 
 def test_each_part_of_a_tick_takes_time_and_the_recording_is_complete() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -92,6 +93,21 @@ def test_wall_times_become_part_of_the_summary_and_change_nothing_else(
     assert after.wall.after > 0.0
     assert after.model_copy(update={"wall": None}) == before
     assert "until the first sample" in capsys.readouterr().out
+
+
+def test_rests_between_trials_are_part_of_them_and_the_last_rest_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(time, "monotonic", lambda: now)
+    stopwatch = Stopwatch()
+    phases = (Phase.SETTLE, Phase.PERTURB, Phase.REST)
+    for phase in (*phases, *phases, Phase.DONE):
+        stopwatch.note(phase)
+        now += 1.0
+    wall = stopwatch.stop()
+    assert wall.trials == pytest.approx(4.0)
+    assert wall.after == pytest.approx(2.0)
 
 
 def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -> None:

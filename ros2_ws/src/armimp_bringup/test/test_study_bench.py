@@ -13,6 +13,7 @@ from armimp_bringup import benchmarks
 from armimp_bringup.benchmarks import Measured, available_cores, benchmark_names
 from armimp_bringup.cli import main
 from armimp_bringup.study import bench
+from armimp_common.errors import GraphError
 
 
 @pytest.fixture
@@ -93,6 +94,21 @@ def test_only_the_named_benchmarks_run(monkeypatch: pytest.MonkeyPatch, tmp_path
     assert main(["bench", "second", "second", "--out", str(tmp_path)]) == 0
     record = json.loads((tmp_path / "bench.json").read_text())
     assert list(record["benchmarks"]) == ["second"]
+
+
+def test_when_one_fails_expect_it_named_and_the_figures_of_the_others(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(tell: object) -> list[Measured]:
+        raise GraphError("no graph today")
+
+    _instead(monkeypatch, first=[], last=[_figure(2.0)])
+    monkeypatch.setitem(benchmarks._BENCHMARKS, "first", fails)
+    assert main(["bench", "--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == "armimp: first: no graph today\n"
+    record = json.loads((tmp_path / "bench.json").read_text())
+    assert list(record["benchmarks"]) == ["last"]
+    assert record["failed"] == {"first": "no graph today"}
 
 
 def test_unknown_benchmark_is_wrong_usage(

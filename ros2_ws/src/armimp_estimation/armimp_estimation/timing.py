@@ -42,6 +42,19 @@ class TimingRecord:
         """The same for ``summary.json``."""
         return TimingSummary.model_validate({**asdict(self.figures), **asdict(self.limits)})
 
+    def begins(self, other: TimingRecord) -> bool:
+        """Whether this can be the beginning of the same run, which the other knows more of."""
+        mine, later = self.figures, other.figures
+        return (
+            self.limits == other.limits
+            and mine.ticks < later.ticks
+            and mine.late <= later.late
+            and mine.missed <= later.missed
+            # Written so that what was not measured yet contradicts nothing.
+            and not mine.period_max > later.period_max
+            and not mine.latency_max > later.latency_max
+        )
+
     def to_json(self) -> str:
         """Return the record as JSON; what is not a number is null."""
         return self.summary.model_dump_json()
@@ -85,15 +98,19 @@ class TimingRecord:
 
 
 def latest_metadata(metadata: Sequence[Mapping[str, str]]) -> dict[str, str]:
-    """Metadata of the first of some bags, with the timing of the one that knows most of the run.
+    """Metadata of the first of some bags, with the timing that counts for all of them.
+
+    Of one run it is that of the bag which knows most of it. Of several runs, as where a trial was
+    made again, it is that of the run with most problems.
 
     Raises
     ------
     DataError
         If the timing of one makes no sense.
     """
-    told = [one[RECORD_KEY] for one in metadata if RECORD_KEY in one]
+    told = [TimingRecord.from_json(one[RECORD_KEY]) for one in metadata if RECORD_KEY in one]
     if not told:
         return dict(metadata[0])
-    latest = max(told, key=lambda text: TimingRecord.from_json(text).figures.ticks)
-    return {**metadata[0], RECORD_KEY: latest}
+    whole = [one for one in told if not any(one.begins(other) for other in told)]
+    worst = max(whole, key=lambda one: (len(one.problems), one.figures.ticks))
+    return {**metadata[0], RECORD_KEY: worst.to_json()}

@@ -68,6 +68,31 @@ def test_of_several_bags_the_one_that_knows_most_of_the_run_tells_its_timing() -
     assert latest_metadata([{"seed": "1"}, {}]) == {"seed": "1"}
 
 
+@pytest.mark.parametrize(
+    "bad",
+    [
+        replace(BAD, missed=900),
+        replace(BAD, late=900),
+        replace(BAD, missed=100, period_max=0.2),
+        replace(BAD, missed=100, latency_max=0.2),
+    ],
+)
+def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(bad: TimingFigures) -> None:
+    longer = record(replace(GOOD, ticks=20_000, late=150, missed=120))
+    told = [{RECORD_KEY: record(bad).to_json()}, {RECORD_KEY: longer.to_json()}]
+    assert record(bad).problems
+    assert not longer.problems
+
+    for order in (told, told[::-1]):
+        assert latest_metadata(order) == {RECORD_KEY: record(bad).to_json()}
+
+
+def test_what_was_not_measured_yet_at_first_is_of_the_same_run() -> None:
+    first = record(TimingFigures(ticks=10, late=0, missed=0))
+    told = [{RECORD_KEY: one.to_json()} for one in (first, record())]
+    assert latest_metadata(told) == {RECORD_KEY: record().to_json()}
+
+
 @pytest.mark.parametrize("figures", [GOOD, BAD])
 def test_the_verdict_is_not_valid_if_and_only_if_a_limit_is_exceeded(
     tmp_path: Path, figures: TimingFigures

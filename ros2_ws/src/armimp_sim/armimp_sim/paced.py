@@ -14,6 +14,8 @@ from armimp_sim.rig import SimulatedRig
 
 RAMP_TICKS = 10
 """Periods in which it then falls to zero: short, as the last command may be a peak of chatter."""
+UNHEARD_TICKS = 100
+"""If the first command comes later than that, in periods, what was sent before was not heard."""
 _PATIENCE = 2.0
 
 
@@ -57,6 +59,7 @@ class PacedRig:
         self._unanswered: deque[int] = deque(maxlen=10_000)
         self._began = self._arrived = self._stepped = self._in_step = False
         self._silent = 0
+        self._unheard = UNHEARD_TICKS
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
         self.lock = threading.RLock()
@@ -100,6 +103,8 @@ class PacedRig:
             self._unanswered.clear()
             self._began = self._arrived = self._in_step = False
             self._silent = 0
+            # Whoever commanded before the fault has to begin anew, too.
+            self._unheard = self._patience
 
     def figures(self) -> TimingFigures:
         """Timing since the start."""
@@ -137,12 +142,24 @@ class PacedRig:
         self._stepped = False
 
     def _arrive(self, now_ns: int) -> None:
+        if not self._began:
+            self._forget_unheard()
         self._began = self._arrived = True
         if self._unanswered:
             self._ledger.answered(now_ns - self._unanswered.popleft())
         if not self._unanswered and not self._stepped:
             self._stepped = self._in_step = True
             self._rig.step(self._command)
+
+    def _forget_unheard(self) -> None:
+        """Do not wait for answers of somebody who was not there; they will never come.
+
+        Who is only slow to start, or always late, answers what he has heard: that is counted.
+        """
+        if len(self._unanswered) > self._unheard:
+            newest = self._unanswered.pop()
+            self._unanswered.clear()
+            self._unanswered.append(newest)
 
     def _run(self) -> None:
         wake_up_exactly()

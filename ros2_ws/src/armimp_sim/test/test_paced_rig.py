@@ -12,7 +12,7 @@ import pytest
 from armimp_common.contract import PERIOD_NS
 from armimp_common.jitter import LATE_NS
 from armimp_common.pacing import Pacer
-from armimp_sim.paced import RAMP_TICKS, PacedRig
+from armimp_sim.paced import RAMP_TICKS, UNHEARD_TICKS, PacedRig
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.rig import SimulatedRig
 
@@ -260,6 +260,36 @@ class TestWatchdog:
             bench.command(0.0, 0.0)
         bench.next()
         assert not bench.rig.fault
+
+    @pytest.mark.parametrize(
+        ("again", "unheard"),
+        [(False, UNHEARD_TICKS), (False, 1000), (True, WATCHDOG_TICKS), (True, 200)],
+    )
+    def test_samples_that_nobody_was_there_to_answer_are_owed_by_nobody(
+        self, bench: Bench, again: bool, unheard: int
+    ) -> None:
+        if again:
+            bench.command(1.0, 1.0)
+            bench.next(40)
+            bench.command(0.0, 0.0)
+            bench.next()
+            bench.paced.reset()
+        bench.next(unheard + again)
+        missed = bench.missed
+        for _ in range(1000):
+            bench.command(7.0, 7.0)
+            bench.next()
+
+        assert bench.missed == missed
+        assert not bench.rig.fault
+        assert bench.rig.applied == (7.0, 7.0)
+        assert bench.paced.figures().latency_p99 == pytest.approx(300e-6, rel=0.021)
+        # And it is noticed, as always, when such a controller falls behind.
+        for _ in range(2):
+            bench.next(WATCHDOG_TICKS - 1)
+            bench.command(7.0, 7.0)
+        bench.next()
+        assert bench.rig.fault == f"commands are more than {WATCHDOG_TICKS} ticks behind"
 
     def test_another_fault_in_the_ramp_takes_the_torque_away_at_once(self, bench: Bench) -> None:
         bench.command(10.0, 10.0)
