@@ -120,7 +120,13 @@ def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
             manager.shutdown(name)
 
         patch.setattr(ExternalNodes, "retire", finalize)
-        run_experiment(config(), tmp_path / "first", interrupted=lambda: True)
+        told: list[Progress] = []
+        run_experiment(
+            config(),
+            tmp_path / "first",
+            on_progress=told.append,
+            interrupted=lambda: bool(told),
+        )
     again = run_experiment(config(), tmp_path / "again")
 
     assert again.problems[0].startswith(f"node {ESTIMATOR_NODE} is finalized, not unconfigured")

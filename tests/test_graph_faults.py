@@ -11,9 +11,11 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
 from armimp_bringup.testing import FinishedRun
-from armimp_common.contract import CONTROLLER_NODE
+from armimp_common.contract import CONTROLLER_NODE, SIM_NODE
 from armimp_common.errors import ConfigurationError
+from armimp_common.lifecycle import LifecycleManager, TransitionName
 from armimp_common.schema import to_params_yaml
+from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.results import Summary, read_summary
 
@@ -65,11 +67,44 @@ def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
     assert [whole_samples(bag) for bag in finished.bags[:-1]] == [10_000] * (trial - 1)
 
 
-def test_when_interrupted_at_once_expect_an_invalid_result_without_a_trial(tmp_path: Path) -> None:
-    summary = run_experiment(config(), tmp_path / "out", interrupted=lambda: True)
+@pytest.mark.parametrize("asked", [0, 3, 30])
+def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: int
+) -> None:
+    active: list[str] = []
+    questions: list[None] = []
+    phases: list[Phase] = []
+    change = LifecycleManager.change
+
+    def noted(manager: LifecycleManager, name: str, transition: TransitionName) -> None:
+        active.extend([name] if transition == "activate" else [])
+        change(manager, name, transition)
+
+    def interrupted() -> bool:
+        questions.append(None)
+        # At the latest when all but the rig, which is the last one, are active.
+        return len(questions) > asked or CONTROLLER_NODE in active
+
+    monkeypatch.setattr(LifecycleManager, "change", noted)
+    summary = run_experiment(
+        config(), tmp_path / "out", interrupted=interrupted, on_phase=phases.append
+    )
 
     assert_ended_in_order(tmp_path / "out", summary, "interrupted by the user")
     assert summary.estimators == {}
+    assert SIM_NODE not in active
+    assert Phase.SETTLE not in phases
+
+
+def test_when_a_phase_without_recording_takes_long_expect_the_run_to_go_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(orchestrator, "_STALL", 0.5)
+    sequence = {"sequence.settle": 20.0}
+
+    summary = run_experiment(config(imbic_controller=sequence), tmp_path / "out")
+
+    assert summary.problems == []
 
 
 def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(

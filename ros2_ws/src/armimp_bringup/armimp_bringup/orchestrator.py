@@ -36,6 +36,7 @@ GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_N
 LOGS = "logs"
 _STALL = 30.0
 _PERIOD = 0.05
+_INTERRUPTED = "interrupted by the user"
 _NICE = {False: 5, True: -10}
 """Niceness of the recorder in real time, by whether the others have precedence over everything.
 
@@ -90,6 +91,7 @@ def run_experiment(
     directory = directory.absolute()
     parameters = node_parameters(config, directory)
     require_precedence(config.priority)
+    require_unused(directory)
     problems: list[str] = []
     external = config.processes == "external"
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
@@ -151,10 +153,25 @@ def prepare_directory(directory: Path) -> None:
     """
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        if any(directory.iterdir()):
-            raise ConfigurationError(f"{directory}: is not empty, nothing is overwritten")
     except OSError as error:
         raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
+    require_unused(directory)
+
+
+def require_unused(directory: Path) -> None:
+    """Refuse an output directory with anything in it; there need not be one yet.
+
+    Raises
+    ------
+    ConfigurationError
+        If it exists and is not an empty directory.
+    """
+    try:
+        used = directory.exists() and any(directory.iterdir())
+    except OSError as error:
+        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
+    if used:
+        raise ConfigurationError(f"{directory}: is not empty, nothing is overwritten")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,7 +214,7 @@ def lead(
     list of str
         What went wrong.
     """
-    roll = _Roll(nodes)
+    roll = _Roll(nodes, interrupted)
     care = care or Care()
     manager = LifecycleManager(
         supervisor, names, spin_until=spinner.spin_until, timeout=60.0, check=roll.check
@@ -208,9 +225,11 @@ def lead(
         manager.wait_for_nodes()
         care.prepare(manager)
         for name in names:
+            roll.check()
             begun.append(name)
             manager.configure(name)
         for name in names:
+            roll.check()
             manager.activate(name)
         supervisor.last_news = time.monotonic()
         drive()
@@ -228,15 +247,18 @@ class _Roll:
     Parameters
     ----------
     nodes : the nodes
+    interrupted : as for :func:`lead`
 
     Attributes
     ----------
-    awaited : the only node whose death matters to :meth:`check`; None if each does
+    awaited : the only node whose death matters to :meth:`check`, where the end can no longer be
+        interrupted; None if each does
     told : sentences about those that died, by name
     """
 
-    def __init__(self, nodes: NodeGroup) -> None:
+    def __init__(self, nodes: NodeGroup, interrupted: Callable[[], bool]) -> None:
         self._nodes = nodes
+        self._interrupted = interrupted
         self.awaited: str | None = None
         self.told: dict[str, str] = {}
 
@@ -247,7 +269,9 @@ class _Roll:
         return list(new.values())
 
     def check(self) -> None:
-        """Raise a GraphError if it is vain to wait any longer."""
+        """Raise a GraphError if it is vain to wait any longer, or nobody wants to."""
+        if self.awaited is None and self._interrupted():
+            raise GraphError(_INTERRUPTED)
         dead = self._nodes.dead()
         if dead if self.awaited is None else self.awaited in dead:
             raise GraphError("a node died")
@@ -280,7 +304,7 @@ def _watch(
 
     def over() -> bool:
         if interrupted():
-            problems.append("interrupted by the user")
+            problems.append(_INTERRUPTED)
         elif deaths := roll.deaths():
             problems.extend(deaths)
         elif time.monotonic() - supervisor.last_news > _STALL:

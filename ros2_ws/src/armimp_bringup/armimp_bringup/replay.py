@@ -21,6 +21,7 @@ from armimp_bringup.orchestrator import (
     PARAMETERS_FILE,
     lead,
     prepare_directory,
+    require_unused,
     settle,
 )
 from armimp_bringup.supervisor import Progress, Supervisor
@@ -171,6 +172,8 @@ def replay_bags(
     GraphError
         If the graph fails.
     """
+    if directory is not None:
+        require_unused(directory)
     contents = read_bags(bags)
     for content in contents:
         for trial in content.trials:

@@ -63,6 +63,7 @@ class Supervisor(Node):
         self.timing: TimingFigures | None = None
         """Last figures of a rig in real time."""
         self._done = self._told = False
+        self._ticks: dict[str, str] = {}
         self.last_news = time.monotonic()
         self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
@@ -123,6 +124,7 @@ class Supervisor(Node):
         if self.realtime and self._done:
             return
         for status in message.status:
+            self._note_tick(status)
             # Up to an abort, but what comes after it is better than nothing.
             if status.name == TIMING_NAME and not (self.finished and self.timing is not None):
                 with suppress(MalformedMessageError):  # the estimator complains
@@ -131,6 +133,13 @@ class Supervisor(Node):
                 problem = f"{status.name}: {status.message}"
                 if problem not in self.problems:
                     self.problems.append(problem)
+
+    def _note_tick(self, status: DiagnosticStatus) -> None:
+        """Samples that are answered are news, also where a phase without recording is long."""
+        tick = values_of(status).get("tick")
+        if tick is not None and tick != self._ticks.get(status.name):
+            self._ticks[status.name] = tick
+            self.last_news = time.monotonic()
 
 
 def _column(

@@ -183,7 +183,8 @@ class TimingLedger:
         return TimingFigures(
             ticks=self._ticks,
             late=self._late,
-            missed=self._missed,
+            # A gap may leave out more periods than samples were sent so far.
+            missed=min(self._missed, self._ticks),
             period_p50=self._period.quantile(0.5),
             period_p99=self._period.quantile(0.99),
             period_max=self._period.longest,

@@ -12,7 +12,10 @@ from armimp_common.errors import GraphError
 from armimp_common.schema import Schema
 
 WATCHDOG_PERIODS = 5
-"""Periods without a command after which the torque is taken away."""
+"""Periods without a command, or by which commands are behind, after which the torque is taken away.
+
+A controller that works through old samples is none any more.
+"""
 RAMP_PERIODS = 10
 """Periods in which it then falls to zero."""
 _SPAN = 5
@@ -46,13 +49,14 @@ class Protection:
         self._limits = limits
         self._zero = self.applied = (0.0,) * joints
         self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
-        self._silent = self._fading = 0
+        self._silent = self._owed = self._fading = 0
         self._begun = self._resting = False
         self.fault = ""
 
     def command(self, torque: Sequence[float]) -> None:
         """Take a command (n,), N·m; one that cannot be obeyed is a fault."""
         self._begun, self._silent = True, 0
+        self._owed = max(self._owed - 1, 0)
         self._resting = not any(torque)
         # Written so that NaN fails.
         if len(torque) != len(self._zero) or not all(
@@ -63,7 +67,8 @@ class Protection:
             self.applied = tuple(torque)
 
     def sample(self, angles: Sequence[float]) -> None:
-        """Look at angles (n,), rad."""
+        """Look at angles (n,), rad, of a sample that the next command is to answer."""
+        self._owed += self._begun
         self._history.append(tuple(angles))
         if not all(abs(angle) <= self._limits.position for angle in angles):
             self.latch(f"position beyond {self._limits.position:g} rad: {list(angles)}")
@@ -75,13 +80,19 @@ class Protection:
     def period(self) -> bool:
         """One period is over; tell whether no command came in it. Only in real time."""
         self._silent += self._begun
-        if self._silent > WATCHDOG_PERIODS and not self.fault:
-            self.fault, self._fading = f"no command for {WATCHDOG_PERIODS} periods", RAMP_PERIODS
+        if self._silent > WATCHDOG_PERIODS:
+            self._fade(f"no command for {WATCHDOG_PERIODS} periods")
+        elif self._owed > WATCHDOG_PERIODS:
+            self._fade(f"commands are more than {WATCHDOG_PERIODS} periods behind")
         if self._fading:
             share = (self._fading - 1) / self._fading
             self.applied = tuple(share * value for value in self.applied)
             self._fading -= 1
         return self._silent > 1
+
+    def _fade(self, reason: str) -> None:
+        if not self.fault:
+            self.fault, self._fading = reason, RAMP_PERIODS
 
     def latch(self, reason: str) -> None:
         """Take torque away at once and until :meth:`reset`; the first reason stays."""
@@ -91,7 +102,8 @@ class Protection:
     def rest(self) -> None:
         """Forget the last command, as whoever gave it is not obeyed any more."""
         self.applied, self._fading = self._zero, 0
-        self._begun, self._resting, self._silent = False, True, 0
+        self._begun, self._resting = False, True
+        self._silent = self._owed = 0
         self._history.clear()
 
     def reset(self) -> None:
@@ -104,5 +116,6 @@ class Protection:
         """
         if self._begun and not self._resting:
             raise GraphError("the last command is not zero torque: stop the controller first")
-        self.fault, self._silent, self._begun = "", 0, False
+        self.fault, self._begun = "", False
+        self._silent = self._owed = 0
         self._history.clear()

@@ -50,6 +50,37 @@ def test_without_commands_torque_falls_to_zero_within_the_ramp_and_stays_there(
     assert protection.applied == (0.0, 0.0)
 
 
+def test_commands_that_answer_ever_older_samples_are_as_good_as_none(
+    protection: Protection,
+) -> None:
+    for _ in range(100):  # of samples that nobody was there to answer
+        protection.sample((0.0, 0.0))
+        protection.period()
+    for sample in range(100):
+        protection.sample((0.0, 0.0))
+        protection.period()
+        if sample % 2 == 0:  # each takes two periods
+            protection.command((10.0, 0.0))
+        if protection.fault:
+            break
+    assert protection.fault == f"commands are more than {WATCHDOG_PERIODS} periods behind"
+    assert sample == 2 * WATCHDOG_PERIODS
+    for _ in range(RAMP_PERIODS):
+        protection.period()
+    assert protection.applied == (0.0, 0.0)
+
+
+def test_a_controller_may_be_behind_for_a_moment_and_catch_up(protection: Protection) -> None:
+    for _ in range(50):
+        protection.command((10.0, 0.0))
+        for _ in range(WATCHDOG_PERIODS):
+            protection.sample((0.0, 0.0))
+            protection.period()
+        for _ in range(WATCHDOG_PERIODS + 1):  # one more than needed is no advance
+            protection.command((10.0, 0.0))
+    assert not protection.fault
+
+
 def test_before_the_first_command_nothing_is_missed(protection: Protection) -> None:
     for _ in range(100):
         assert not protection.period()

@@ -89,8 +89,9 @@ def noise_gain(trial: TrialSpectra) -> FloatArray:
             "at least 2 are needed"
         )
     power = trial.input_power
+    # Written so that NaN is none either.
     if not (power > 0.0).all():
-        raise DataError(f"{where}: no perturbation at {trial.f[power <= 0.0][0]:.4g} Hz")
+        raise DataError(f"{where}: no perturbation at {trial.f[~(power > 0.0)][0]:.4g} Hz")
     return 1.0 / ((averages - 1.0) * power)
 
 

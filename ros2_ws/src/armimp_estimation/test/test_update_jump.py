@@ -163,6 +163,15 @@ def test_when_commands_are_of_other_joints_or_samples_expect_none(
     assert update_jump(swapped) is None
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_when_positions_are_too_large_to_be_squared_expect_data_error(
+    smooth: list[TrialRecord],
+) -> None:
+    absurd = [dataclasses.replace(one, position=1e300 * one.position) for one in smooth]
+    with pytest.raises(DataError, match="too large"):
+        update_jump(absurd)
+
+
 def test_when_nothing_moves_expect_none(smooth: list[TrialRecord]) -> None:
     still = np.zeros((2, SAMPLES))
     dead = [

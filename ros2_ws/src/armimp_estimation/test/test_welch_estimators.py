@@ -226,6 +226,17 @@ def test_when_there_is_no_perturbation_expect_data_error() -> None:
         frf_column(TrialData.from_record(record, WELCH).spectra)
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("value", [1e160, 1e300])
+def test_when_the_perturbation_is_too_large_to_be_squared_expect_data_error(value: float) -> None:
+    record = static_record()
+    perturbation = record.perturbation.copy()
+    perturbation[0, 100] = value
+    record = dataclasses.replace(record, perturbation=perturbation)
+    with pytest.raises(DataError, match="joint 1: no perturbation at"):
+        frf_column(TrialData.from_record(record, WELCH).spectra)
+
+
 def test_when_the_perturbed_joint_does_not_move_expect_data_error() -> None:
     record = dataclasses.replace(static_record(), position=np.zeros((2, 6144)))
     with pytest.raises(DataError, match="joint 1 does not follow its perturbation"):

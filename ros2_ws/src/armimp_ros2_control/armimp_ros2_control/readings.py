@@ -9,7 +9,10 @@ from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import MalformedMessageError
 from armimp_ros2_control.parameters import BridgeParameters
 
-_CROWD = 5.0
+_CROWD, _THIN = 5.0, 50.0
+"""Samples that may be too many, and too few, in a row of which each normal one makes up a tenth."""
+_LONGEST = 10
+"""Periods from one sample to the next; a clock that was set may make it any number."""
 _SLACK, _TOLERANCE = 5, 1e-3
 """Periods, and share, by which stamps may differ from one period for each sample."""
 
@@ -67,7 +70,7 @@ class Stamps:
     def __init__(self) -> None:
         self._first = self._last = 0
         self._ticks = -1
-        self._crowd = 0.0
+        self._crowd = self._thin = 0.0
         self.left_out = self.lost = 0
 
     def step(self, stamp_ns: int) -> int:
@@ -89,6 +92,7 @@ class Stamps:
         # Rounded; a step of exactly half a period is none.
         steps = (ahead - 1 + PERIOD_NS // 2) // PERIOD_NS
         self._crowd = self._crowd + 1.0 if steps == 0 else max(self._crowd - 0.1, 0.0)
+        self._thin = max(self._thin + steps - 1 if steps > 1 else self._thin - 0.1, 0.0)
         if steps:
             self._last = stamp_ns
             self._ticks += steps
@@ -97,7 +101,8 @@ class Stamps:
             self.left_out += 1
         elapsed = (self._last - self._first) / PERIOD_NS
         drift = abs(elapsed - self._ticks)
-        if self._crowd > _CROWD or drift > _SLACK + _TOLERANCE * self._ticks:
+        thin = steps > _LONGEST or self._thin > _THIN
+        if thin or self._crowd > _CROWD or drift > _SLACK + _TOLERANCE * self._ticks:
             raise MalformedMessageError(
                 f"samples do not come once a millisecond (the last one after {ahead / 1e6:.3g} ms):"
                 " update_rate of the controller manager has to be 1000"

@@ -225,8 +225,9 @@ def test_when_joint_states_stop_expect_zero_torque(world: World) -> None:
         ({"effort": [0.0, 0.0, math.nan]}, "the effort of 'shoulder' is not a number"),
         ({"position": [math.nan, 0.0, 0.0]}, "position beyond"),
         ({"stamp_ms": 0.5}, "does not come after the last one"),
+        ({"stamp_ms": 1e9}, "samples do not come once a millisecond"),
     ],
-    ids=["unknown joint", "no effort", "effort NaN", "position NaN", "back in time"],
+    ids=["unknown joint", "no effort", "effort NaN", "position NaN", "back in time", "clock set"],
 )
 def test_what_cannot_be_used_takes_the_torque_away_and_is_told(
     world: World, changes: dict[str, object], words: str

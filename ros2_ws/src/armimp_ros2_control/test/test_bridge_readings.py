@@ -109,10 +109,22 @@ def test_when_time_stands_still_or_goes_back_expect_a_refusal(last: float) -> No
         steps([1.0, 2.0, 3.0, last])
 
 
-@pytest.mark.parametrize("period", [0.1, 0.4, 0.5, 0.9, 1.1, 1.4])
+@pytest.mark.parametrize("period", [0.1, 0.4, 0.5, 0.9, 1.1, 1.4, 2.0, 3.0, 4.0, 5.0, 10.0, 20.0])
 def test_when_the_rate_is_another_one_expect_a_refusal_within_a_second(period: float) -> None:
     with pytest.raises(MalformedMessageError, match="update_rate"):
         steps([period * i for i in range(round(1000 / period))])
+
+
+@pytest.mark.parametrize("jump", [0.011, 3600.0, 1.7e9])
+def test_when_the_clock_is_set_forward_expect_a_refusal_at_once(jump: float) -> None:
+    with pytest.raises(MalformedMessageError, match="once a millisecond"):
+        steps([0.0, 1.0, 2.0, 2.0 + 1e3 * jump])
+
+
+def test_now_and_then_a_lost_sample_is_borne_for_long() -> None:
+    found, rule = steps([float(i) for i in range(100_000) if i % 20])
+    assert rule.lost == 100_000 // 20 - 1
+    assert set(found) == {1, 2}
 
 
 def test_a_clock_that_runs_fast_by_as_much_as_is_allowed_is_followed_for_minutes() -> None:
