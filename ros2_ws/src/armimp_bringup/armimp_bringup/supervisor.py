@@ -12,7 +12,7 @@ from rclpy.node import Node
 
 from armimp_bringup.graph import GraphContext
 from armimp_common import contract, qos
-from armimp_common.diagnostics import Level, values_of
+from armimp_common.diagnostics import GATE_STATUS, Level, values_of
 from armimp_common.errors import MalformedMessageError
 from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.liveliness import SignOfLife
@@ -63,7 +63,7 @@ class Supervisor(Node):
         self.timing: TimingFigures | None = None
         """Last figures of a rig in real time."""
         self._done = self._told = False
-        self._ticks: dict[str, str] = {}
+        self._answered: str | None = None
         self.last_news = time.monotonic()
         self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
@@ -124,7 +124,7 @@ class Supervisor(Node):
         if self.realtime and self._done:
             return
         for status in message.status:
-            self._note_tick(status)
+            self._note_answers(status)
             # Up to an abort, but what comes after it is better than nothing.
             if status.name == TIMING_NAME and not (self.finished and self.timing is not None):
                 with suppress(MalformedMessageError):  # the estimator complains
@@ -134,12 +134,13 @@ class Supervisor(Node):
                 if problem not in self.problems:
                     self.problems.append(problem)
 
-    def _note_tick(self, status: DiagnosticStatus) -> None:
+    def _note_answers(self, status: DiagnosticStatus) -> None:
         """Samples that are answered are news, also where a phase without recording is long."""
-        tick = values_of(status).get("tick")
-        if tick is not None and tick != self._ticks.get(status.name):
-            self._ticks[status.name] = tick
-            self.last_news = time.monotonic()
+        if status.name == GATE_STATUS:
+            answered = values_of(status).get("tick")
+            if answered != self._answered:
+                self._answered = answered
+                self.last_news = time.monotonic()
 
 
 def _column(

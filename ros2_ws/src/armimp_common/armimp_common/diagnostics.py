@@ -4,12 +4,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from enum import IntEnum
 from typing import TYPE_CHECKING, TypeAlias
 
+from armimp_common.contract import CONTROLLER_NODE
 from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.judgement import JUDGEMENT_NAME, Judgement
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 
 if TYPE_CHECKING:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+GATE_STATUS = f"{CONTROLLER_NODE}: gate"
+"""``name`` of the controller's status on ``/diagnostics``."""
 
 Value: TypeAlias = bool | int | float | str | Sequence[float]
 """What `format_value` turns into text."""

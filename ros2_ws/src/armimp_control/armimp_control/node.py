@@ -20,6 +20,7 @@ from armimp_common.channels import (
     JointStateSubscription,
 )
 from armimp_common.diagnostics import (
+    GATE_STATUS,
     Level,
     make_array,
     make_status,
@@ -44,8 +45,6 @@ from armimp_control.watchdog import Watchdog
 _WATCHDOG_PERIODS = {"lockstep": 0.005, "realtime": PERIOD}
 """How often the watchdog looks (s)."""
 _DIAGNOSTICS_TICKS = 1000
-GATE_STATUS = f"{contract.CONTROLLER_NODE}: gate"
-"""``name`` of the status on ``/diagnostics``."""
 _STOPPED = "emergency stop"
 _FAREWELL = Duration(seconds=0.5)
 """How long the last command and status may take to arrive before this process ends."""
