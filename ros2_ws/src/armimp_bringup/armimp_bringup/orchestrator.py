@@ -233,7 +233,7 @@ def lead(
             manager.activate(name)
         supervisor.last_news = time.monotonic()
         drive()
-        problems += _watch(supervisor, spinner, roll, interrupted)
+        problems += _watch(supervisor, spinner, roll)
     except ArmimpError as error:
         # From the graph itself or, where nodes live in this process, from one of their callbacks.
         problems += roll.deaths() or [str(error)]
@@ -258,7 +258,7 @@ class _Roll:
 
     def __init__(self, nodes: NodeGroup, interrupted: Callable[[], bool]) -> None:
         self._nodes = nodes
-        self._interrupted = interrupted
+        self.interrupted = interrupted
         self.awaited: str | None = None
         self.told: dict[str, str] = {}
 
@@ -270,7 +270,7 @@ class _Roll:
 
     def check(self) -> None:
         """Raise a GraphError if it is vain to wait any longer, or nobody wants to."""
-        if self.awaited is None and self._interrupted():
+        if self.awaited is None and self.interrupted():
             raise GraphError(_INTERRUPTED)
         dead = self._nodes.dead()
         if dead if self.awaited is None else self.awaited in dead:
@@ -298,12 +298,11 @@ def _watch(
     supervisor: Supervisor,
     spinner: Spinner,
     roll: _Roll,
-    interrupted: Callable[[], bool],
 ) -> list[str]:
     problems: list[str] = []
 
     def over() -> bool:
-        if interrupted():
+        if roll.interrupted():
             problems.append(_INTERRUPTED)
         elif deaths := roll.deaths():
             problems.extend(deaths)

@@ -179,7 +179,7 @@ def replay_bags(
         for trial in content.trials:
             trial.intact(allow_gaps=allow_gaps)
     with tempfile.TemporaryDirectory() as temporary:
-        wanted, directory = directory, directory or Path(temporary)
+        directory = directory or Path(temporary)
         parameters = EstimatorParameters(
             joints=contents[0].joint_names,
             estimators=estimators or EstimatorParameters().estimators,
@@ -191,8 +191,7 @@ def replay_bags(
         parameters.bag_metadata()
         with GraphContext(domain_id) as graph:
             # Not before the domain is ours, so that nothing is left behind where it is not.
-            if wanted is not None:
-                prepare_directory(wanted)
+            prepare_directory(directory)
             parameter_file = directory / PARAMETERS_FILE
             parameter_file.write_text(
                 to_params_yaml({contract.ESTIMATOR_NODE: parameters}), encoding="utf-8"
