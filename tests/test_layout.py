@@ -30,6 +30,7 @@ WITH_ROS = {
     "armimp_common.lifecycle",
     "armimp_common.liveliness",
     "armimp_common.parameters",
+    "armimp_common.polled_subscription",
     "armimp_common.qos",
     "armimp_common.rig_node",
     "armimp_common.spin",

@@ -39,7 +39,7 @@ import os, struct, sys, time
 from pathlib import Path
 from armimp_common.contract import DATA_STREAMS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.inbox import TOGETHER, Inbox
+from armimp_estimation.inbox import TOGETHER, HandedInbox
 from armimp_estimation.recording import Recording
 from armimp_estimation.testing import recorded_arm
 
@@ -57,7 +57,7 @@ def on_samples(samples):
         record()
         recording.flush()
 
-inbox = Inbox(on_samples)
+inbox = HandedInbox(on_samples)
 receivers = {topic: inbox.receiver(topic) for topic in DATA_STREAMS}
 messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]
 began = time.monotonic()

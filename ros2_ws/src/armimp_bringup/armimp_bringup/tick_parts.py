@@ -21,7 +21,7 @@ from armimp_common.contract import (
 from armimp_common.errors import DataError, MalformedMessageError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
-from armimp_estimation.inbox import TOGETHER, Inbox
+from armimp_estimation.inbox import TOGETHER, HandedInbox
 from armimp_estimation.recording import Recording
 from armimp_sim.rig import SimulatedRig
 
@@ -53,7 +53,7 @@ class _Loop:
         self.rig = SimulatedRig(parameters.simulator)
         self.statuses: list[TrialStatus] = []
         self.experiment = Experiment(parameters.controller, self.statuses.append)
-        self.inbox = Inbox()
+        self.inbox = HandedInbox()
         self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
         self.recording = Recording(
             names, directory, parameters.estimator.bag_metadata(), lambda *_: None

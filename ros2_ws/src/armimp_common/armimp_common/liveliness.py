@@ -16,13 +16,15 @@ out without a cause, and never renews it then.
 
 from collections.abc import Callable
 from enum import Enum
+from typing import ClassVar
+from weakref import WeakKeyDictionary
 
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from std_msgs.msg import String
 
 from armimp_common import contract, qos
-from armimp_common.processes import identity, lives, stopped
+from armimp_common.processes import Life, identity, life_of
 
 _LOOK_PERIOD = 0.02
 
@@ -85,6 +87,39 @@ class SignOfLife:
         self.publisher.publish(String(data=identity()))
 
 
+class _Lookout:
+    """Has watches of a node look at their processes again and again, with one timer for all."""
+
+    _of_nodes: ClassVar["WeakKeyDictionary[Node, _Lookout]"] = WeakKeyDictionary()
+
+    def __init__(self, node: Node) -> None:
+        self._watches: set[Watch] = set()
+        self._timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
+
+    @classmethod
+    def of(cls, node: Node) -> "_Lookout":
+        """The one of this node."""
+        if node not in cls._of_nodes:
+            cls._of_nodes[node] = cls(node)
+        return cls._of_nodes[node]
+
+    def add(self, watch: "Watch") -> None:
+        """Have it look from now on."""
+        self._watches.add(watch)
+        if self._timer.is_canceled():
+            self._timer.reset()
+
+    def remove(self, watch: "Watch") -> None:
+        """There is nothing to see for it."""
+        self._watches.discard(watch)
+        if not self._watches:
+            self._timer.cancel()
+
+    def _look(self) -> None:
+        for watch in list(self._watches):
+            watch.look()
+
+
 class Watch:
     """Watches the sign of life of another node, for as long as `node` exists.
 
@@ -116,7 +151,7 @@ class Watch:
             qos.ALIVE_WATCHED,
             event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_event),
         )
-        self._timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
+        self._lookout = _Lookout.of(node)
 
     @property
     def sentence(self) -> str:
@@ -130,27 +165,29 @@ class Watch:
 
     def _on_identity(self, message: String) -> None:
         self._process = message.data
-        self._look()
+        self.look()
 
     def _on_event(self, event: QoSLivelinessChangedInfo) -> None:
         # Within one process the middleware counts below zero.
         self._alive, self._silent = max(event.alive_count, 0), event.not_alive_count
-        self._look()
+        self.look()
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """See what has become of the process, and tell if that is news."""
         alive, silent = self._alive, self._silent
         process_lives = None
         if self._process and self._process == self._own_process:
             alive, silent = alive + silent, 0
         elif alive or silent:
-            process_lives = lives(self._process)
-            if process_lives and stopped(self._process):
+            life = life_of(self._process)
+            process_lives = life.there
+            if life is Life.STOPPED:
                 alive, silent = 0, alive + silent
         presence = self.presence.after(alive, silent, process_lives)
-        if not process_lives:
-            self._timer.cancel()
-        elif self._timer.is_canceled():
-            self._timer.reset()
+        if process_lives:
+            self._lookout.add(self)
+        else:
+            self._lookout.remove(self)
         if presence is not self.presence:
             self.presence = presence
             self._on_change(self)

@@ -4,8 +4,13 @@ import math
 import os
 import time
 from contextlib import suppress
+from enum import Enum
 from functools import cache
 from pathlib import Path
+from typing import Final
+
+_STAT_BYTES: Final = 4096
+"""More than ``/proc/<pid>/stat`` ever has."""
 
 
 def identity() -> str:
@@ -19,34 +24,39 @@ def identity() -> str:
         return ""
 
 
-def lives(process: str) -> bool | None:
-    """Tell whether the process with this `identity` lives; None if it can't be told from here.
+class Life(Enum):
+    """What the system tells of a process."""
 
-    A stopped process lives. One that has ended and was not yet waited for does not.
-    """
-    state = _state_of(process)
-    return None if state is None else state not in ("", "Z", "X")
+    RUNNING = "running"
+    STOPPED = "stopped"
+    """As by SIGSTOP."""
+    ENDED = "ended"
+    """Even if nobody has waited for it yet."""
+    UNKNOWN = "unknown"
+    """It can't be told from here."""
+
+    @property
+    def there(self) -> bool | None:
+        """Whether the process lives; None if it can't be told from here."""
+        return None if self is Life.UNKNOWN else self is not Life.ENDED
 
 
-def stopped(process: str) -> bool:
-    """Tell whether the process with this `identity` is there but stopped, as by SIGSTOP."""
-    return _state_of(process) in ("T", "t")
-
-
-def _state_of(process: str) -> str | None:
-    """One letter; empty if it is gone, None if it can't be told from here."""
+def life_of(process: str) -> Life:
+    """Tell what has become of the process with this `identity`."""
     place, _, rest = process.rpartition("] ")
     number, _, start = rest.partition(" ")
     try:
         if not number.isdecimal() or f"{place}]" != _place():
-            return None
+            return Life.UNKNOWN
     except OSError:
-        return None
+        return Life.UNKNOWN
     try:
         state, started = _state(number)
     except OSError:
-        return ""
-    return state if started == start else ""
+        return Life.ENDED
+    if started != start or state in ("Z", "X"):
+        return Life.ENDED
+    return Life.STOPPED if state in ("T", "t") else Life.RUNNING
 
 
 def age() -> float:
@@ -64,7 +74,7 @@ def waited_ns(process: str) -> int | None:
     That is the time since their start in which they could have run and others did; see
     proc_pid_schedstat(5). None if it can't be told from here.
     """
-    if not lives(process):
+    if not life_of(process).there:
         return None
     number = process.rpartition("] ")[2].partition(" ")[0]
     total = 0
@@ -86,5 +96,10 @@ def _place() -> str:
 
 def _state(process: str) -> tuple[str, str]:
     """State and start time; see proc_pid_stat(5). The name before them may contain anything."""
-    fields = Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()
-    return fields[0], fields[19]
+    # Without a file object: this is done many times a second.
+    file = os.open(f"/proc/{process}/stat", os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        fields = os.read(file, _STAT_BYTES).rpartition(b")")[2].split(None, 20)
+    finally:
+        os.close(file)
+    return fields[0].decode("ascii"), fields[19].decode("ascii")

@@ -17,6 +17,7 @@ from std_msgs.msg import String
 from armimp_common import contract, qos
 from armimp_common.channels import wait_until_matched
 from armimp_common.liveliness import Presence, SignOfLife, Watch
+from armimp_common.processes import Life
 from armimp_common.spin import Spinner
 from armimp_common.testing import PATIENCE, a_moment, eventually
 
@@ -169,7 +170,7 @@ def test_when_a_stopped_process_is_killed_expect_its_death_to_be_heard(
 def test_when_the_process_cannot_be_looked_up_expect_silence(
     watch: Watch, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("armimp_common.liveliness.lives", lambda _: None)
+    monkeypatch.setattr("armimp_common.liveliness.life_of", lambda _: Life.UNKNOWN)
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         process.send_signal(signal.SIGSTOP)

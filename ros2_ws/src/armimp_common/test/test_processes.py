@@ -8,13 +8,13 @@ import time
 
 import pytest
 
-from armimp_common.processes import identity, lives, stopped, waited_ns
+from armimp_common.processes import Life, identity, life_of, waited_ns
 
 TELL = "import time; from armimp_common.processes import identity; print(identity(), flush=True)"
 
 
 def test_this_process_lives() -> None:
-    assert lives(identity())
+    assert life_of(identity()) is Life.RUNNING
 
 
 def test_a_process_lives_until_it_ends_even_if_it_is_stopped_or_not_waited_for() -> None:
@@ -23,27 +23,26 @@ def test_a_process_lives_until_it_ends_even_if_it_is_stopped_or_not_waited_for()
     assert process.stdout is not None
     told = process.stdout.readline().strip()
     assert told != identity()
-    assert lives(told)
-    assert not stopped(told)
+    assert life_of(told) is Life.RUNNING
     process.send_signal(signal.SIGSTOP)
     os.waitid(os.P_PID, process.pid, os.WSTOPPED | os.WNOWAIT)
-    assert lives(told)
-    assert stopped(told)
+    assert life_of(told) is Life.STOPPED
+    assert life_of(told).there
 
     process.kill()
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # It ended, and is still listed.
 
-    assert lives(told) is False
-    assert not stopped(told)
+    assert life_of(told) is Life.ENDED
     process.wait()
-    assert lives(told) is False
+    assert life_of(told) is Life.ENDED
+    assert life_of(told).there is False
     process.stdout.close()
 
 
 def test_another_process_with_the_same_number_is_not_taken_for_it() -> None:
     *place, number, start = identity().split()
 
-    assert lives(" ".join([*place, number, str(int(start) + 1)])) is False
+    assert life_of(" ".join([*place, number, str(int(start) + 1)])) is Life.ENDED
 
 
 def test_of_two_processes_on_one_core_each_waits_for_the_other() -> None:
@@ -74,7 +73,8 @@ def test_of_two_processes_on_one_core_each_waits_for_the_other() -> None:
 
 @pytest.mark.parametrize("process", ["", "rubbish", "boot pid:[1] 1 1", "] x y", "boot pid:[1]"])
 def test_of_a_process_elsewhere_nothing_is_known(process: str) -> None:
-    assert lives(process) is None
+    assert life_of(process) is Life.UNKNOWN
+    assert life_of(process).there is None
     assert waited_ns(process) is None
 
 

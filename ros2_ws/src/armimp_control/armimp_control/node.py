@@ -42,7 +42,7 @@ from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.safety import Limit
 from armimp_control.watchdog import Watchdog
 
-_WATCHDOG_PERIODS = {"lockstep": 0.005, "realtime": PERIOD}
+_WATCHDOG_PERIODS = {"lockstep": 0.02, "realtime": PERIOD}
 """How often the watchdog looks (s)."""
 _DIAGNOSTICS_TICKS = 1000
 _STOPPED = "emergency stop"

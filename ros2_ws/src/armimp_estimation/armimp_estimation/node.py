@@ -19,7 +19,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common import contract, qos
-from armimp_common.channels import CountPublisher, RawSubscription
+from armimp_common.channels import CountPublisher, HasSubscription, RawSubscription
 from armimp_common.diagnostics import judgement_message, values_of
 from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import (
@@ -32,12 +32,13 @@ from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
+from armimp_common.polled_subscription import PolledSubscription, PollingNode
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
 from armimp_estimation.gaps import segments_for
-from armimp_estimation.inbox import TOGETHER, Inbox
+from armimp_estimation.inbox import FETCHED, TOGETHER, Inbox
 from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.messages import (
     column_message,
@@ -52,6 +53,8 @@ from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import only_missed_samples
 from armimp_estimation.welch import WelchSiso
 
+_LATE_PERIOD = 0.005
+"""How often to look for messages that are late (s); mostly there are none."""
 _STRAGGLERS = 5.0
 """Seconds after the end of the last trial in which samples of it may still come."""
 _MESSAGE_CLASSES = {
@@ -61,7 +64,7 @@ _MESSAGE_CLASSES = {
 _RECORDED_BESIDE = {contract.CLOCK: Clock, contract.DIAGNOSTICS: DiagnosticArray}
 
 
-class ImpedanceEstimatorNode(LifecycleNode):
+class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
     """Records every trial, estimates each as it ends, and the whole matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
@@ -84,8 +87,6 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._settings = load(self, EstimatorParameters)
         # Judgements are made from what is recorded.
         self._together = contract.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
-        self._inbox = Inbox(self._on_samples)
-        self._inbox.close()
         self._metadata = self._settings.bag_metadata()
         self._reset()
         self._check_metadata()
@@ -93,15 +94,19 @@ class ImpedanceEstimatorNode(LifecycleNode):
         self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
         self._received = CountPublisher(self, contract.RECEIVED)
         self._judgement = self.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
-        self._streams = [
-            RawSubscription(
-                self,
-                topic,
-                _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]],
-                self._inbox.receiver(topic),
-            )
-            for topic in contract.DATA_STREAMS
-        ]
+        fetched = {
+            topic: PolledSubscription(self, topic, _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]])
+            for topic in FETCHED
+        }
+        self._late = self.create_timer(_LATE_PERIOD, self._on_late, autostart=False)
+        self._inbox = Inbox(
+            {topic: stream.take for topic, stream in fetched.items()},
+            self._on_samples,
+            self._late.reset,
+        )
+        self._inbox.close()
+        leading = RawSubscription(self, contract.PERTURBATION, JointState, self._inbox.receive)
+        self._streams: list[HasSubscription] = [*fetched.values(), leading]
         self._beside = [
             RawSubscription(
                 self,
@@ -144,6 +149,7 @@ class ImpedanceEstimatorNode(LifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
         self.destroy_timer(self._timer)
+        self.destroy_timer(self._late)
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
         self.destroy_publisher(self._received.publisher)
@@ -359,6 +365,11 @@ class ImpedanceEstimatorNode(LifecycleNode):
         except ArmimpError as error:
             self._note(str(error))
         self._conclude()
+
+    def _on_late(self) -> None:
+        """Look for messages that the perturbation of their sample has overtaken."""
+        if not self._inbox.look():
+            self._late.cancel()
 
     def _on_timer(self) -> None:
         if self._active and self._acknowledged == self._seen:

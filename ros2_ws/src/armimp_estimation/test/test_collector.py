@@ -16,7 +16,7 @@ from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
 from armimp_estimation.blocks import ORDER, TickBlock
 from armimp_estimation.collector import CollectedTrial, TrialCollector
-from armimp_estimation.inbox import Inbox
+from armimp_estimation.inbox import HandedInbox
 
 SETTLE, TICKS, REST = 4, 30, 5
 LENGTH = SETTLE + TICKS + REST
@@ -37,7 +37,7 @@ class Desk:
     """A collector with a diary; messages go to it one by one, or so many ticks together."""
 
     def __init__(self, together: int = 0) -> None:
-        self.together, self.heard, self.inbox = together, 0, Inbox()
+        self.together, self.heard, self.inbox = together, 0, HandedInbox()
         self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
         self.events: list[tuple[str, int]] = []
         self.sunk: list[tuple[str, bytes, int]] = []

@@ -4,17 +4,34 @@ import pytest
 
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.contract import COMMANDS, DATA_STREAMS, JOINT_STATES, PERTURBATION
-from armimp_estimation.inbox import Inbox
+from armimp_estimation.inbox import FETCHED, HandedInbox
 
 
-def filled(**counts: int) -> Inbox:
+class Post:
+    """An inbox, how messages get there, and what it tells."""
+
+    def __init__(self) -> None:
+        self.told: list[int] = []
+        self.times_behind = 0
+        self.inbox = HandedInbox(self.told.append, self._on_behind)
+        self.deliver = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
+
+    def _on_behind(self) -> None:
+        self.times_behind += 1
+
+    def deliver_all(self, message: bytes) -> None:
+        """A message of each stream, that of the perturbation last."""
+        for topic in (*FETCHED, PERTURBATION):
+            self.deliver[topic](message)
+
+
+def filled(**counts: int) -> Post:
     """An inbox with so many numbered messages of each stream, by the name of the constant."""
-    inbox = Inbox()
+    post = Post()
     for topic in DATA_STREAMS:
-        receive = inbox.receiver(topic)
         for number in range(counts.get(topic, counts["others"])):
-            receive(str(number).encode())
-    return inbox
+            post.deliver[topic](str(number).encode())
+    return post
 
 
 def numbers(raws: list[bytes]) -> list[int]:
@@ -22,28 +39,26 @@ def numbers(raws: list[bytes]) -> list[int]:
 
 
 def test_samples_are_taken_whole_and_the_rest_later() -> None:
-    inbox = filled(others=3, joint_states=5)
-    assert inbox.samples == 3
+    post = filled(others=3, joint_states=5)
 
-    first = inbox.take()
-    for topic in DATA_STREAMS:
-        inbox.receiver(topic)(b"9")
-    second = inbox.take()
+    first = post.inbox.take()
+    post.deliver_all(b"9")
+    second = post.inbox.take()
 
     assert all(numbers(first[topic]) == [0, 1, 2] for topic in DATA_STREAMS)
     assert numbers(second[JOINT_STATES]) == [3]
     assert numbers(second[COMMANDS]) == [9]
-    assert inbox.samples == 4
+    assert post.inbox.samples == 4
 
 
 def test_what_is_incomplete_can_be_taken_and_is_made_up_for() -> None:
-    inbox = filled(others=3, joint_states=5)
+    post = filled(others=3, joint_states=5)
 
-    taken = inbox.take(incomplete=True)
+    taken = post.inbox.take(incomplete=True)
     for topic in DATA_STREAMS:
         for number in range(len(taken[topic]), 6):
-            inbox.receiver(topic)(str(number).encode())
-    rest = inbox.take()
+            post.deliver[topic](str(number).encode())
+    rest = post.inbox.take()
 
     assert numbers(taken[JOINT_STATES]) == [0, 1, 2, 3, 4]
     assert numbers(taken[COMMANDS]) == [0, 1, 2]
@@ -52,66 +67,98 @@ def test_what_is_incomplete_can_be_taken_and_is_made_up_for() -> None:
 
 
 def test_nothing_waits_for_a_stream_that_fell_silent() -> None:
-    inbox = filled(others=200, joint_states=30)
+    post = filled(others=200, joint_states=30)
 
-    taken = inbox.take()
+    taken = post.inbox.take()
 
     assert len(taken[JOINT_STATES]) == 30
     assert 150 <= len(taken[COMMANDS]) < 200
-    assert inbox.samples == 30
+    assert post.inbox.samples == 30
 
 
 def test_newest_stamp_is_that_of_the_last_perturbation_that_waits() -> None:
-    inbox = Inbox()
+    inbox = Post().inbox
     encode = JointStateEncoder(("a",), "effort").encode
     assert inbox.newest_ns is None
     for stamp_ns in (5, 7):
-        inbox.receiver(PERTURBATION)(encode(stamp_ns, [0.0]))
+        inbox.receive(encode(stamp_ns, [0.0]))
     assert inbox.newest_ns == 7
-    inbox.receiver(PERTURBATION)(b"no message")
+    inbox.receive(b"no message")
     assert inbox.newest_ns is None
 
 
-@pytest.mark.parametrize("last", DATA_STREAMS)
-def test_samples_are_told_by_tens_whichever_stream_comes_last(last: str) -> None:
-    told: list[int] = []
-    inbox = Inbox(told.append)
-    receivers = {topic: inbox.receiver(topic) for topic in DATA_STREAMS}
-    order = [*(topic for topic in DATA_STREAMS if topic != last), last]
+def test_samples_are_told_by_tens() -> None:
+    post = Post()
+    for _ in range(25):
+        post.deliver_all(b"in turn")
 
+    assert post.told == [10, 20]
+    assert post.times_behind == 0
+
+
+@pytest.mark.parametrize("last", FETCHED)
+def test_samples_whose_perturbation_came_first_are_told_with_the_next_one(last: str) -> None:
+    post = Post()
+    order = [*(topic for topic in DATA_STREAMS if topic != last), last]
     for _ in range(25):
         for topic in order:
-            receivers[topic](b"in turn")
-    assert told == [10, 20]
-    for topic in order:
-        for _ in range(25):
-            receivers[topic](b"one stream after the other")
+            post.deliver[topic](b"in turn")
 
-    assert told == [10, 20, 30, 40, 50]
+    assert post.told == [10, 20]
+    assert post.times_behind == 2
+
+
+@pytest.mark.parametrize("late", FETCHED)
+def test_samples_whose_perturbation_was_the_last_one_are_told_at_a_look(late: str) -> None:
+    post = Post()
+    for topic in (*(topic for topic in FETCHED if topic != late), PERTURBATION):
+        for _ in range(25):
+            post.deliver[topic](b"one stream after the other")
+    assert post.told == []
+    assert post.times_behind == 1
+    assert post.inbox.look()
+
+    for _ in range(25):
+        post.deliver[late](b"at last")
+
+    assert not post.inbox.look()
+    assert post.told == [20]
 
 
 def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
-    told: list[int] = []
-    inbox = Inbox(told.append)
-    receivers = [inbox.receiver(topic) for topic in DATA_STREAMS]
-    for receive in receivers * 9:
-        receive(b"1")
+    post = Post()
+    for _ in range(9):
+        post.deliver_all(b"1")
 
-    inbox.close()
-    for receive in receivers * 9:
-        receive(b"2")
+    post.inbox.close()
+    for _ in range(9):
+        post.deliver_all(b"2")
 
-    assert told == []
-    assert inbox.take() == {topic: [b"1"] * 9 for topic in DATA_STREAMS}
+    assert not post.inbox.look()
+    post.inbox.close()
+    assert post.inbox.take() == {topic: [b"1"] * 9 for topic in DATA_STREAMS}
+    assert post.told == []
 
 
 @pytest.mark.parametrize("topic", DATA_STREAMS)
 def test_once_opened_it_begins_anew(topic: str) -> None:
-    inbox = filled(others=3)
-    inbox.take()
-    inbox.receiver(topic)(b"1")
+    post = filled(others=3)
+    post.inbox.take()
+    post.deliver[topic](b"1")
 
-    inbox.open()
+    post.inbox.open()
 
-    assert inbox.samples == 0
-    assert inbox.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
+    assert post.inbox.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
+    assert post.inbox.samples == 0
+
+
+def test_what_came_while_it_was_closed_is_not_taken_once_it_is_open() -> None:
+    post = Post()
+    post.inbox.close()
+    for _ in range(9):
+        post.deliver_all(b"too early")
+
+    post.inbox.open()
+    post.deliver_all(b"1")
+
+    assert post.inbox.take() == {topic: [b"1"] for topic in DATA_STREAMS}

@@ -17,7 +17,7 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
 from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import FinishedTrial
-from armimp_estimation.inbox import Inbox
+from armimp_estimation.inbox import HandedInbox
 from armimp_estimation.lpm import LpmFull
 from armimp_estimation.precision import PrecisionGoal, largest_error
 from armimp_estimation.record import TrialRecord
@@ -42,8 +42,9 @@ class Desk:
     problems: list[str] = field(default_factory=list)
     goal: PrecisionGoal | None = None
     together: int = 1
-    inbox: Inbox = field(default_factory=Inbox)
+    inbox: HandedInbox = field(default_factory=HandedInbox)
     judgements: list[Judgement] = field(default_factory=list)
+    led: int = 0
 
     def __post_init__(self) -> None:
         self.recording = Recording(
@@ -63,7 +64,8 @@ class Desk:
                 self.recording.add_status(decode_trial_status(raw))
             elif self.together > 1:
                 self.inbox.receiver(topic)(raw)
-                if topic == PERTURBATION and self.inbox.samples % self.together == 0:
+                self.led += topic == PERTURBATION
+                if topic == PERTURBATION and self.led % self.together == 0:
                     self.recording.add_many(self.inbox.take(), self.refuse)
             else:
                 self.recording.add(topic, raw)
