@@ -72,16 +72,15 @@ class Experiment:
             if parameters.mode == "realtime"
             else {}
         )
-        self._sample = np.zeros((2, n))
-        self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._sample.data, 0)
+        self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._law.sample.data, 0)
         self._tare_config = parameters.sequence_config().tare
         # Readings while all joints are held.
         self._at_rest = np.zeros((n, self._tare_config.ticks(PERIOD)))
         self._tare: Tare | None = None
         self._tick = 0
         self._reason = self._malformed = ""
-        self.command, self.tau_delta = self._law.command, np.zeros(n)
-        self._compute = self._law.ticker(self._sample[0], self._sample[1], self.tau_delta)
+        self.command, self.tau_delta = self._law.command, self._law.sample[2]
+        self._compute = self._law.compute
         self._clips = ClipLedger()
         self.fault = ""
         self.lost = 0

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.compiled import compiled_entry
+from armimp_common.compiled import compiled, compiled_entry
 from armimp_control.faults import clip_counts, in_words
 from armimp_control.gate import (
     CLOSED,
@@ -18,6 +18,7 @@ from armimp_control.gate import (
     JOURNAL,
     PRESENT,
     RATE,
+    RULE_ROWS,
     SENT,
     close_gate,
     examine,
@@ -25,7 +26,7 @@ from armimp_control.gate import (
     let_through,
 )
 from armimp_control.imbic import ImbicConfig, imbic
-from armimp_control.layout import COMMAND, MEMORY_ROWS, NO_JOINT, TARE
+from armimp_control.layout import COMMAND, MEMORY_ROWS, NO_JOINT, ROLE_ROWS, TARE
 from armimp_control.pd import PdConfig, pd
 from armimp_control.safety import Limit, SafetyConfig
 
@@ -119,6 +120,73 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     return clipped
 
 
+Arrays: TypeAlias = NDArray[np.float64]
+
+
+def _unpacked(
+    w: Arrays, n: int
+) -> tuple[Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays, Arrays]:
+    """Views of what a controller of n joints works on, all of it in one array.
+
+    Returns
+    -------
+    sample : (3, n) θ, τ_h, τ_Δ
+    posture : (2, n) command and target
+    role, rules, memory, gate, model, journal : as for :func:`control_tick`
+    scalars : (2,) Γ and L
+    """
+    a = 3 * n
+    b = a + 2 * n
+    c = b + ROLE_ROWS * n
+    d = c + RULE_ROWS * n
+    e = d + MEMORY_ROWS * n
+    f = e + GATE_ROWS * n
+    g = f + n * n
+    h = g + JOURNAL
+    return (
+        w[:a].reshape((3, n)),
+        w[a:b].reshape((2, n)),
+        w[b:c].reshape((ROLE_ROWS, n)),
+        w[c:d].reshape((RULE_ROWS, n)),
+        w[d:e].reshape((MEMORY_ROWS, n)),
+        w[e:f].reshape((GATE_ROWS, n)),
+        w[f:g].reshape((n, n)),
+        w[g:h],
+        w[h:],
+    )
+
+
+def _packed(n: int) -> Arrays:
+    """Zeros for :func:`_unpacked`."""
+    rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + GATE_ROWS + n
+    return np.zeros(rows * n + JOURNAL + 2)
+
+
+_views = compiled(_unpacked)
+
+
+@compiled_entry
+def _packed_tick(law: int, n: int, w: Arrays) -> int:
+    """:func:`control_tick` of one array: each one that is passed takes as long as the law."""
+    sample, posture, role, rules, memory, gate, model, journal, scalars = _views(w, n)
+    return control_tick(
+        law,
+        sample[0],
+        sample[1],
+        sample[2],
+        role,
+        posture[1],
+        model,
+        scalars[0],
+        scalars[1],
+        rules,
+        memory,
+        gate,
+        journal,
+        posture[0],
+    )
+
+
 class Controller:
     """A law and its safety gate with their memory, for use tick by tick.
 
@@ -129,6 +197,11 @@ class Controller:
     config : ImbicConfig or PdConfig
     safety : SafetyConfig
 
+    Attributes
+    ----------
+    sample : (3, n) θ (rad), τ_h and τ_Δ (N·m) of the present tick
+    command : (n,) answer to it, N·m
+
     Raises
     ------
     ConfigurationError
@@ -137,26 +210,21 @@ class Controller:
 
     def __init__(self, config: LawConfig, *, safety: SafetyConfig) -> None:
         self.config = config
-        self.rules = safety.rules(config.target_posture, config.period)
-        self.memory = np.zeros((MEMORY_ROWS, config.joints))
-        self.command = np.zeros(config.joints)
-        self.role = config.role(0)
-        self._tare = np.zeros(config.joints)
-        self._gate = np.zeros((GATE_ROWS, config.joints))
-        self._journal = np.zeros(JOURNAL)
-        self._ramp_ticks = safety.ramp_ticks(config.period)
-        self._numbers = numbers = LawNumbers.of(config)
-        self._rest = (
+        n, numbers = config.joints, LawNumbers.of(config)
+        self._law, self._joints, self._all = numbers.law, n, _packed(n)
+        views = _unpacked(self._all, n)
+        self.sample, posture, self.role, self.rules, self.memory, self._gate = views[:6]
+        model, self._journal, scalars = views[6:]
+        self.command = posture[0]
+        posture[1], model[:], scalars[:] = (
             numbers.target,
             numbers.model,
-            numbers.gamma,
-            numbers.period,
-            self.rules,
-            self.memory,
-            self._gate,
-            self._journal,
-            self.command,
+            (numbers.gamma, numbers.period),
         )
+        self.rules[:] = safety.rules(config.target_posture, config.period)
+        self._tare = np.zeros(n)
+        self.perturb_joint(0)
+        self._ramp_ticks = safety.ramp_ticks(config.period)
         self._notes = self._journal.data  # read in half the time
 
     @property
@@ -181,7 +249,7 @@ class Controller:
 
     def perturb_joint(self, joint: int) -> None:
         """Make ``joint`` (0-based) the compliant one and lock the others, without a jump."""
-        self.role = self.config.role(joint)
+        self.role[:] = self.config.role(joint)
         self.role[TARE] = self._tare
 
     def lock(self) -> None:
@@ -232,38 +300,14 @@ class Controller:
         ValueError
             If an input has another shape; compiled code would read beyond its end.
         """
-        self._check_shapes(theta, tau_h, tau_delta)
-        return control_tick(self._numbers.law, theta, tau_h, tau_delta, self.role, *self._rest)
-
-    def ticker(
-        self,
-        theta: NDArray[np.float64],
-        tau_h: NDArray[np.float64],
-        tau_delta: NDArray[np.float64],
-    ) -> Callable[[], int]:
-        """:meth:`tick` for arrays that are filled anew before each call.
-
-        Raises
-        ------
-        ValueError
-            As of :meth:`tick`, but only here.
-        """
-        self._check_shapes(theta, tau_h, tau_delta)
-        law, rest = self._numbers.law, self._rest
-
-        def tick() -> int:
-            return control_tick(law, theta, tau_h, tau_delta, self.role, *rest)
-
-        return tick
-
-    def _check_shapes(
-        self,
-        theta: NDArray[np.float64],
-        tau_h: NDArray[np.float64],
-        tau_delta: NDArray[np.float64],
-    ) -> None:
         if not theta.shape == tau_h.shape == tau_delta.shape == self.command.shape:
             raise ValueError(
                 f"controller: theta {theta.shape}, tau_h {tau_h.shape} and tau_delta "
                 f"{tau_delta.shape} must all be {self.command.shape}"
             )
+        self.sample[:] = theta, tau_h, tau_delta
+        return self.compute()
+
+    def compute(self) -> int:
+        """:meth:`tick` of what was written into :attr:`sample`."""
+        return _packed_tick(self._law, self._joints, self._all)

@@ -131,21 +131,20 @@ def test_inputs_are_not_changed() -> None:
     assert np.array_equal(config.model_inertia, model)
 
 
-def test_ticks_of_the_same_arrays_filled_anew_are_those_of_other_arrays() -> None:
+def test_a_tick_of_a_sample_that_was_written_in_place_is_that_of_other_arrays() -> None:
     config = _config()
     one, same = (Controller(config, safety=torque_only(30.0)) for _ in range(2))
-    theta, tau_h, tau_delta = (np.zeros(config.joints) for _ in range(3))
-    tick = same.ticker(theta, tau_h, tau_delta)
     random = np.random.default_rng(4)
     for perturbed in (0, 0, 0, 1, 1, 0):
         for controller in (one, same):
             controller.perturb_joint(perturbed)
-        theta[:] = config.target_posture + 1e-3 * random.normal(size=2)
-        tau_h[:], tau_delta[:] = random.normal(size=2), random.normal(size=2)
-        assert one.tick(theta.copy(), tau_h.copy(), tau_delta.copy()) == tick()
+        sample = random.normal(size=(3, 2))
+        sample[0] = config.target_posture + 1e-3 * sample[0]
+        same.sample[:] = sample
+        assert one.tick(*sample) == same.compute()
         assert np.array_equal(one.command, same.command)
     with pytest.raises(ValueError, match="must all be"):
-        same.ticker(theta, tau_h, np.zeros(3))
+        one.tick(sample[0], sample[1], np.zeros(3))
 
 
 def test_at_rest_in_the_target_posture_the_first_commands_are_zero() -> None:

@@ -284,7 +284,7 @@ def test_with_the_coarsest_encoders_the_locked_rig_stays_within_a_count() -> Non
     controller = Controller(config, safety=torque_only(80.0))
     inverse = np.linalg.inv(ROBOT + ARM)
     theta, velocity = POSTURE + np.array([0.01, -0.01]), np.zeros(2)
-    controller.role = config.role(0)
+    controller.role[:] = config.role(0)
     controller.role[:, 0] = config.role(1)[:, 0]  # both locked
     late, torque = [], []
     for tick in range(4000):
