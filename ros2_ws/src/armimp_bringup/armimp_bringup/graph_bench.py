@@ -20,6 +20,7 @@ from std_msgs.msg import UInt64
 from armimp_bringup import ping_pong
 from armimp_bringup.benchmarks import Measured
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.disturbance import disturbance, loop_times
 from armimp_bringup.graph import GraphContext, NodeGroup, SeparateNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.tick_parts import TickParts, tick_parts
@@ -57,12 +58,14 @@ class Round:
     ticks : wall time of a tick in each trial, s
     plant : wall time of a step of the plant, s
     lost : number of samples lost
+    loops : wall times of a loop of plain Python, s
     """
 
     bare: float
     ticks: Sequence[float]
     plant: float
     lost: int
+    loops: Sequence[float]
 
     @property
     def ratio(self) -> float:
@@ -103,6 +106,7 @@ def time_graph(tell: Callable[[str], None]) -> list[Measured]:
                     ticks=experiment.ticks,
                     plant=plant,
                     lost=experiment.lost,
+                    loops=loop_times(),
                 )
             )
             before = after
@@ -177,6 +181,12 @@ def graph_figures(
             value=sum(one.lost for one in rounds),
             unit="",
             limit=0,
+        ),
+        Measured(
+            key=f"{processes}_disturbance",
+            label=f"{processes}: plain Python beside, median over fastest",
+            value=disturbance([time for one in rounds for time in one.loops]),
+            unit="",
         ),
     ]
 

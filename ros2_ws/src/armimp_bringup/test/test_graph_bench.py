@@ -18,7 +18,13 @@ PARTS = TickParts(plant=25e-6, law=3e-6, codecs=4e-6, recording=5e-6)
 
 def figures(processes: Processes, graph: float, lost: int = 0) -> dict[str, Measured]:
     rounds = [
-        Round(bare=bare, ticks=[graph - spread, graph + spread], plant=25e-6, lost=lost)
+        Round(
+            bare=bare,
+            ticks=[graph - spread, graph + spread],
+            plant=25e-6,
+            lost=lost,
+            loops=[1e-3, 2e-3],
+        )
         for bare, spread in ((39e-6, 1e-6), (40e-6, 0.0), (90e-6, 5e-6))
     ]
     measured = graph_figures(processes, rounds, [PARTS], limit=5.0)
@@ -58,6 +64,13 @@ def test_a_lost_sample_and_a_slow_trial_miss_the_target() -> None:
     assert figures("composed", 85e-6)["lost"].met is True
     assert figures("composed", 194e-6)["slowest"].met is True
     assert figures("composed", 196e-6)["slowest"].met is False
+
+
+def test_how_much_the_machine_was_disturbed_is_told_beside() -> None:
+    found = figures("composed", 85e-6)["disturbance"]
+
+    assert found.value == pytest.approx(1.5)
+    assert found.limit is None
 
 
 def test_lost_samples_are_a_figure_and_whatever_else_spoils_a_run_is_an_error(

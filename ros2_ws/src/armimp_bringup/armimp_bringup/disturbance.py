@@ -1,0 +1,31 @@
+"""How much the machine was kept busy by others, of whom nothing can be seen from here.
+
+A virtual processor mostly is a thread of a core whose other thread works for somebody else. Plain
+Python then takes up to twice as long, though no other process of this machine runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+from time import perf_counter
+
+_ROUNDS = 10_000
+
+
+def loop_times(count: int = 100) -> list[float]:
+    """Wall times of a short loop of plain Python, s; each takes about half a millisecond."""
+    return [_loop() for _ in range(count)]
+
+
+def disturbance(times: Sequence[float]) -> float:
+    """How much longer than the fastest of :func:`loop_times` half of them took; 1 at best."""
+    return median(times) / min(times)
+
+
+def _loop() -> float:
+    began = perf_counter()
+    total = 0
+    for i in range(_ROUNDS):
+        total += i * i
+    return perf_counter() - began
