@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean, median
 from typing import Any, Literal
-from unittest.mock import patch
 
 import yaml
 from rclpy.context import Context
@@ -74,7 +73,7 @@ class Round:
 
 
 def time_graph(tell: Callable[[str], None]) -> list[Measured]:
-    """Measure both arrangements of the node graph; takes about three minutes.
+    """Measure both arrangements of the node graph; takes some three minutes.
 
     Bare exchange and experiment take turns, so that both meet the same machine.
 
@@ -245,8 +244,11 @@ def _timed_steps() -> Iterator[list[int]]:
         plain(rig, command)
         took.append(time.perf_counter_ns() - began)
 
-    with patch.object(SimulatedRig, "step", step):
+    SimulatedRig.step = step  # type: ignore[method-assign, assignment]
+    try:
         yield took
+    finally:
+        SimulatedRig.step = plain  # type: ignore[method-assign]
 
 
 def bare_tick(processes: Processes, exchanges: int = 20_000) -> float:

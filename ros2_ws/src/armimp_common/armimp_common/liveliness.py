@@ -17,7 +17,7 @@ out without a cause, and never renews it then.
 from collections.abc import Callable
 from enum import Enum
 from typing import ClassVar
-from weakref import WeakKeyDictionary
+from weakref import WeakKeyDictionary, WeakSet
 
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
@@ -93,7 +93,8 @@ class _Lookout:
     _of_nodes: ClassVar["WeakKeyDictionary[Node, _Lookout]"] = WeakKeyDictionary()
 
     def __init__(self, node: Node) -> None:
-        self._watches: set[Watch] = set()
+        # Each is kept by its subscription; here it would keep its node, and that this.
+        self._watches: WeakSet[Watch] = WeakSet()
         self._timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
 
     @classmethod

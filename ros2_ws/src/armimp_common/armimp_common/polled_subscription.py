@@ -33,7 +33,8 @@ class PollingNode(Node):
 class PolledSubscription:
     """Subscription that keeps messages, as the bytes that came, until they are taken.
 
-    Beyond the depth of its profile, the oldest are lost.
+    Beyond the depth of its profile, the oldest are lost. To be made in the thread of the executor,
+    which might attend to it otherwise before it is hidden.
 
     Parameters
     ----------
@@ -57,23 +58,34 @@ class PolledSubscription:
             message_type, topic, _nobody, profile, raw=True
         )
         self.subscription.__class__ = _Unattended
-        self._handle: Any = self.subscription.handle
-        self._type = message_type
 
     def take(self) -> list[bytes]:
         """Take all messages that have come, in their order.
 
         Raises
         ------
-        rclpy.handle.InvalidHandle
+        rclpy.exceptions.InvalidHandle
             If the subscription was destroyed.
         """
-        taken: list[bytes] = []
-        with self._handle:
-            take = self._handle.take_message
-            while (found := take(self._type, True)) is not None:
-                taken.append(found[0])
-        return taken
+        return take_all(self.subscription)
+
+
+def take_all(subscription: Subscription) -> list[bytes]:
+    """Take all messages that have come to a subscription, as bytes in their order.
+
+    An executor that attends to it finds none of them any more.
+
+    Raises
+    ------
+    rclpy.exceptions.InvalidHandle
+        If the subscription was destroyed.
+    """
+    handle: Any = subscription.handle
+    taken: list[bytes] = []
+    with handle:
+        while (found := handle.take_message(subscription.msg_type, True)) is not None:
+            taken.append(found[0])
+    return taken
 
 
 def _nobody(message: bytes) -> None:

@@ -30,8 +30,9 @@ from armimp_common.spin import run_node
 from rclpy.node import Node
 
 def make(*, context):
-    node = Node("other", context=context)
-    node.sign = SignOfLife(node, "other")
+    name = "another" if "another" in sys.argv else "other"
+    node = Node(name, context=context)
+    node.sign = SignOfLife(node, name)
     if "busy" in sys.argv:
         # PyDLL keeps the interpreter lock, unlike CDLL: no Python code of this process runs.
         node.create_timer(0.1, lambda: ctypes.PyDLL(None).usleep(900_000))
@@ -139,6 +140,21 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard(
     assert changes[1] is Presence.GONE
     assert watch.sentence == "other is dead"
     assert watch.ghost
+
+
+def test_when_one_of_two_watched_processes_has_left_expect_the_other_to_be_looked_at_still(
+    node: Node, watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    gone: list[Presence] = []
+    second = Watch(node, "another", lambda watch: gone.append(watch.presence))
+    with other_process() as process, other_process("another") as leaving:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        eventually(spinner, lambda: introduced(second, gone), "a sign of life of the other one")
+        leaving.send_signal(signal.SIGINT)
+        eventually(spinner, lambda: second.presence is Presence.LEFT, "its end")
+
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence", patience=1.0)
 
 
 def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_runs_out(

@@ -43,7 +43,7 @@ from armimp_control.safety import Limit
 from armimp_control.watchdog import Watchdog
 
 _WATCHDOG_PERIODS = {"lockstep": 0.02, "realtime": PERIOD}
-"""How often the watchdog looks (s)."""
+"""How often the watchdog looks (s); on the way down to zero once a period in any mode."""
 _DIAGNOSTICS_TICKS = 1000
 _STOPPED = "emergency stop"
 _FAREWELL = Duration(seconds=0.5)
@@ -114,6 +114,7 @@ class ImbicControllerNode(LifecycleNode):
         )
         period = _WATCHDOG_PERIODS[parameters.mode]
         self._timer = self.create_timer(period, self._on_watchdog, autostart=False)
+        self._ramp = self.create_timer(PERIOD, self._on_watchdog, autostart=False)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -154,6 +155,7 @@ class ImbicControllerNode(LifecycleNode):
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
         self.destroy_timer(self._timer)
+        self.destroy_timer(self._ramp)
         for channel in (self._joint_states, self._torque_sensors):
             self.destroy_subscription(channel.subscription)
         for publisher in (
@@ -195,6 +197,7 @@ class ImbicControllerNode(LifecycleNode):
         """Leave the plant with zero torque and the world with an explanation."""
         self._active = self._lockstep = False
         self._timer.cancel()
+        self._ramp.cancel()
         if self._urgency is not None:
             self._urgency.give_back()
             self._urgency = None
@@ -324,13 +327,17 @@ class ImbicControllerNode(LifecycleNode):
     def _on_watchdog(self) -> None:
         experiment, now = self._experiment, time.monotonic()
         if experiment is None or not self._watchdog.expired(now):
+            self._ramp.cancel()
             return
+        if self._lockstep and self._ramp.is_canceled():
+            self._ramp.reset()
         if not experiment.finished:
             experiment.stop(_NO_SAMPLE if self._held is None else _NO_JUDGEMENT)
         experiment.fall(self._watchdog.ticks_due(now))
         self._commands.publish(experiment.command)
         if experiment.at_rest:
             self._timer.cancel()
+            self._ramp.cancel()
 
     def _latch(self, reason: str) -> None:
         """Remember the first fault, until it is reset."""

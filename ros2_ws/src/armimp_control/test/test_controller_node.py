@@ -316,9 +316,10 @@ class TestFaults:
     def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
-        self.start(make(IMPATIENT), driver, spinner)
+        ramp_time = 0.05
+        self.start(make({**IMPATIENT, "safety.ramp_time": ramp_time}), driver, spinner)
 
-        last = driver.commands[59]
+        last = np.abs(driver.commands[59])
         eventually(
             spinner,
             lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
@@ -326,8 +327,10 @@ class TestFaults:
         )
         a_moment(spinner)
 
-        ramp = np.array([last, *driver.commands[60:]])
-        assert (np.diff(np.abs(ramp), axis=0) <= 0.0).all()
+        ramp = np.array([last, *np.abs(driver.commands[60:])])
+        assert (np.diff(ramp, axis=0) <= 0.0).all()
+        # A tick of it each millisecond, or several at once where the machine is held up.
+        assert (-np.diff(ramp, axis=0) <= 0.5 * last).all()
         assert driver.commands[-1] == (0.0, 0.0)
         assert driver.statuses[-1].reason == "no sensor sample arrived any more"
 

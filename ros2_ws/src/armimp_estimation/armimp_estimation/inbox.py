@@ -12,7 +12,10 @@ from armimp_common.errors import MalformedMessageError
 TOGETHER = 50
 """Samples that are recorded at a time; those that wait for it are lost if the process is killed."""
 _PATIENCE = 20
-"""Samples for which messages wait for others of the same sample."""
+"""Samples for which a perturbation waits for other messages of the same sample."""
+_KEPT = 2000
+"""Samples for which other messages wait for the perturbation, which may be late: they are fetched,
+and it is handed in when its turn comes."""
 
 FETCHED = tuple(topic for topic in DATA_STREAMS if topic != PERTURBATION)
 """Streams that are fetched; the perturbation, mostly the last message of its sample, leads."""
@@ -119,7 +122,9 @@ class Inbox:
         if self._open:
             self._fetch()
         counts = self._counts()
-        upto = max(counts) if incomplete else max(min(counts), max(counts) - _PATIENCE)
+        upto = max(min(counts), self._leading - _PATIENCE, max(counts) - _KEPT)
+        if incomplete:
+            upto = max(counts)
         taken: dict[str, list[bytes]] = {}
         for topic, waiting in self._waiting.items():
             count = max(upto - self._taken[topic], 0)

@@ -32,7 +32,7 @@ from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
-from armimp_common.polled_subscription import PolledSubscription, PollingNode
+from armimp_common.polled_subscription import PolledSubscription, PollingNode, take_all
 from armimp_common.spin import run_node
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
@@ -105,8 +105,10 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             self._late.reset,
         )
         self._inbox.close()
-        leading = RawSubscription(self, contract.PERTURBATION, JointState, self._inbox.receive)
-        self._streams: list[HasSubscription] = [*fetched.values(), leading]
+        self._leading = RawSubscription(
+            self, contract.PERTURBATION, JointState, self._inbox.receive
+        )
+        self._streams: list[HasSubscription] = [*fetched.values(), self._leading]
         self._beside = [
             RawSubscription(
                 self,
@@ -131,6 +133,8 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             watches=[self._rig, self._controller],
         )
         self._active = True
+        # What has come so far goes with what the inbox does not take either.
+        take_all(self._leading.subscription)
         self._inbox.open()
         self._acknowledged = self._recorded = self._flushed = 0
         self._seen = -1

@@ -15,6 +15,7 @@ from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
@@ -568,6 +569,27 @@ class TestLife:
 
         assert script.results == []
         assert not (tmp_path / "out").exists()
+
+    def test_what_came_before_the_activation_does_not_count(
+        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+    ) -> None:
+        """Perturbations that still wait for their callback would be paired with later commands."""
+        estimator = make()
+        assert estimator.trigger_configure() is SUCCESS
+        script.wait_for_estimator()
+        for topic, _, raw in MADE_UP[1 : 1 + 4 * 30]:
+            script.publishers[topic].publish(raw)
+
+        assert estimator.trigger_activate() is SUCCESS
+        script.play(spinner, MADE_UP)
+        eventually(spinner, script.concluded, "the conclusion")
+
+        (first, _) = bags_of(tmp_path)
+        with AnyReader([first]) as reader:
+            wanted = [one for one in reader.connections if one.topic.endswith(COMMANDS)]
+            recorded = [bytes(raw) for _, _, raw in reader.messages(connections=wanted)]
+        sent = [raw for topic, _, raw in MADE_UP if topic == COMMANDS]
+        assert recorded == sent[SETTLE : SETTLE + TICKS]
 
     def test_when_nobody_publishes_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeEstimator, monkeypatch: pytest.MonkeyPatch

@@ -76,6 +76,24 @@ def test_nothing_waits_for_a_stream_that_fell_silent() -> None:
     assert post.inbox.samples == 30
 
 
+def test_samples_wait_as_a_whole_for_perturbations_that_are_late() -> None:
+    post = filled(others=200, **{PERTURBATION: 30})
+
+    taken = post.inbox.take()
+
+    assert all(numbers(taken[topic]) == list(range(30)) for topic in DATA_STREAMS)
+    for number in range(30, 200):
+        post.deliver[PERTURBATION](str(number).encode())
+    rest = post.inbox.take()
+    assert all(numbers(rest[topic]) == list(range(30, 200)) for topic in DATA_STREAMS)
+
+
+def test_nothing_waits_for_perturbations_that_stay_away() -> None:
+    post = filled(others=10_000, **{PERTURBATION: 0})
+
+    assert len(post.inbox.take()[JOINT_STATES]) == 8000
+
+
 def test_newest_stamp_is_that_of_the_last_perturbation_that_waits() -> None:
     inbox = Post().inbox
     encode = JointStateEncoder(("a",), "effort").encode
