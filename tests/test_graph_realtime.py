@@ -151,7 +151,11 @@ def test_when_the_controller_is_held_up_for_three_periods_expect_missed_commands
     tmp_path: Path,
 ) -> None:
     summary, held = run_held(tmp_path / "out", CONTROLLER_NODE, 0.003, times=3)
-    if not held:
+    # Held up for longer than was asked, and figures end before that.
+    ended = any(
+        watchdog in problem for problem in summary.problems for watchdog in (NO_SAMPLE, NO_COMMAND)
+    )
+    if not held or ended:
         pytest.skip(f"the machine is too busy: {summary.problems[0]}")
 
     assert summary.timing is not None
