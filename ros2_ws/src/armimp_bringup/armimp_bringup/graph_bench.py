@@ -19,7 +19,7 @@ from std_msgs.msg import UInt64
 from armimp_bringup import ping_pong
 from armimp_bringup.benchmarks import Measured
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.disturbance import disturbance, loop_times
+from armimp_bringup.disturbance import disturbance, loop_times, stolen_time
 from armimp_bringup.graph import GraphContext, NodeGroup, SeparateNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.tick_parts import TickParts, tick_parts
@@ -58,6 +58,7 @@ class Round:
     plant : wall time of a step of the plant, s
     lost : number of samples lost
     loops : wall times of a loop of plain Python, s
+    stolen : time for which the host took a processor away, in processors
     """
 
     bare: float
@@ -65,6 +66,7 @@ class Round:
     plant: float
     lost: int
     loops: Sequence[float]
+    stolen: float
 
     @property
     def ratio(self) -> float:
@@ -95,7 +97,9 @@ def time_graph(tell: Callable[[str], None]) -> list[Measured]:
         before = bare_tick(processes)
         for run in range(RUNS):
             tell(f"{processes}, {run + 1} of {RUNS}")
+            stolen, began = stolen_time(), time.monotonic()
             experiment = graph_tick(processes)
+            stolen = (stolen_time() - stolen) / (time.monotonic() - began)
             after = bare_tick(processes)
             parts.append(tick_parts(ExperimentConfig(duration=DURATION)))
             plant = parts[-1].plant if experiment.plant is None else experiment.plant
@@ -106,6 +110,7 @@ def time_graph(tell: Callable[[str], None]) -> list[Measured]:
                     plant=plant,
                     lost=experiment.lost,
                     loops=loop_times(),
+                    stolen=stolen,
                 )
             )
             before = after
@@ -184,8 +189,14 @@ def graph_figures(
         Measured(
             key=f"{processes}_disturbance",
             label=f"{processes}: plain Python beside, median over fastest",
-            value=disturbance([time for one in rounds for time in one.loops]),
+            value=disturbance([took for one in rounds for took in one.loops]),
             unit="",
+        ),
+        Measured(
+            key=f"{processes}_stolen",
+            label=f"{processes}: taken away by the host, in the worst of {len(rounds)} runs",
+            value=max(one.stolen for one in rounds),
+            unit="processors",
         ),
     ]
 
