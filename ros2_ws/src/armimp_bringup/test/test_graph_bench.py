@@ -24,6 +24,7 @@ def figures(processes: Processes, graph: float, lost: int = 0) -> dict[str, Meas
             plant=25e-6,
             lost=lost,
             loops=[1e-3, 2e-3],
+            stolen=spread,
         )
         for bare, spread in ((39e-6, 1e-6), (40e-6, 0.0), (90e-6, 5e-6))
     ]
@@ -67,10 +68,11 @@ def test_a_lost_sample_and_a_slow_trial_miss_the_target() -> None:
 
 
 def test_how_much_the_machine_was_disturbed_is_told_beside() -> None:
-    found = figures("composed", 85e-6)["disturbance"]
+    found = figures("composed", 85e-6)
 
-    assert found.value == pytest.approx(1.5)
-    assert found.limit is None
+    assert found["disturbance"].value == pytest.approx(1.5)
+    assert found["stolen"].value == pytest.approx(5e-6)
+    assert found["disturbance"].limit is found["stolen"].limit is None
 
 
 def test_lost_samples_are_a_figure_and_whatever_else_spoils_a_run_is_an_error(
