@@ -327,7 +327,9 @@ class ImbicControllerNode(LifecycleNode):
     def _on_watchdog(self) -> None:
         experiment, now = self._experiment, time.monotonic()
         if experiment is None or not self._watchdog.expired(now):
-            self._ramp.cancel()
+            # Not for nothing: in real time this is asked every millisecond.
+            if not self._ramp.is_canceled():
+                self._ramp.cancel()
             return
         if self._lockstep and self._ramp.is_canceled():
             self._ramp.reset()
