@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common import contract
-from armimp_common.contract import PERIOD_NS
+from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import DataError
 from armimp_common.trial_status import TrialStatus
 from armimp_estimation.kept_stream import KeptStream
+from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.sample_ledger import SampleLedger, StreamCount
+from armimp_estimation.sampling import judge_stamps, sampling_period
 from armimp_estimation.trial_problems import TrialProblems, find_problems
 from armimp_estimation.trial_streams import TrialStreams, decode_streams
 from armimp_estimation.trial_windows import (
@@ -30,10 +32,6 @@ from armimp_estimation.trial_windows import (
     tick_numbers,
     windows_from_statuses,
 )
-
-RATE: float = contract.NS_PER_S / PERIOD_NS
-"""Samples per second of a record, Hz."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AssembledTrial:
@@ -58,6 +56,10 @@ class AssembledTrial:
         The part of the problem that remains when only the intact parts are used.
     source : str
         Where the trial comes from, for messages.
+    period : float
+        Sampling period, ns.
+    findings : tuple of Problem
+        What is wrong with the stamps.
     """
 
     window: TrialWindow
@@ -67,6 +69,8 @@ class AssembledTrial:
     problem: str
     fault: str = ""
     source: str = ""
+    period: float = PERIOD_NS
+    findings: tuple[Problem, ...] = ()
 
     @property
     def trial(self) -> int:
@@ -165,22 +169,30 @@ def assemble_trials(
     """
     if streams is None:
         streams = decode_streams(joint_names, messages)
+    period = sampling_period({topic: one.stamps for topic, one in streams.stamped.items()})
     if statuses:
         windows = windows_from_statuses(statuses)
     else:
         perturbation = streams.stamped[contract.PERTURBATION]
-        windows = infer_windows(perturbation.stamps, perturbation.values)
+        windows = infer_windows(perturbation.stamps, perturbation.values, period)
+    # The controller, which tells of its trials, works at the rate of the contract.
+    planned = NS_PER_S / PERIOD_NS if statuses else None
     began_ns = min(int(stream.stamps.min()) for stream in streams.stamped.values())
     return tuple(
-        assemble_trial(window, streams, source=source)
+        assemble_trial(window, streams, source=source, period=period, planned=planned)
         for window in windows
         # A latched topic repeats the statuses of trials that were over before the recording.
-        if window.start_ns + window.ticks * PERIOD_NS > began_ns
+        if window.start_ns + window.ticks * period > began_ns
     )
 
 
 def assemble_trial(
-    window: TrialWindow, streams: TrialStreams, *, source: str = ""
+    window: TrialWindow,
+    streams: TrialStreams,
+    *,
+    source: str = "",
+    period: float = PERIOD_NS,
+    planned: float | None = None,
 ) -> AssembledTrial:
     """Join the streams of one trial.
 
@@ -192,12 +204,19 @@ def assemble_trial(
         Everything that was received; other trials may be in it, too.
     source : str
         Where it comes from, for messages.
+    period : float
+        Sampling period, ns.
+    planned : float or None
+        Sampling rate of the recording, Hz, if it is known beforehand.
     """
-    kept = {topic: KeptStream(stream, window.start_ns) for topic, stream in streams.stamped.items()}
+    kept = {
+        topic: KeptStream(stream, window.start_ns, period)
+        for topic, stream in streams.stamped.items()
+    }
     stamps = _union([one.stamps for one in kept.values()])
-    numbers = tick_numbers(stamps)
+    numbers = tick_numbers(stamps, period)
     if stamps.size:
-        numbers += (stamps[0] - window.start_ns + PERIOD_NS // 2) // PERIOD_NS
+        numbers += int(np.floor((stamps[0] - window.start_ns) / period + 0.5))
     for one in kept.values():
         one.number(stamps, numbers)
     span = _span(window, kept)
@@ -221,6 +240,8 @@ def assemble_trial(
         stretches=len(runs),
     )
     segments: tuple[TrialRecord, ...] = ()
+    inside_stamps = {topic: one.stamps[: one.inside(span)] for topic, one in kept.items()}
+    findings = judge_stamps(inside_stamps, period, trial=window.trial, planned=planned)
     joint = _joint_index(window, streams.joint_names)
     if joint is None:
         known = ", ".join(streams.joint_names)
@@ -240,6 +261,8 @@ def assemble_trial(
         problem=problems.all,
         fault=problems.lasting,
         source=source,
+        period=period,
+        findings=tuple(findings),
     )
 
 
@@ -303,7 +326,7 @@ def _record(
     return TrialRecord(
         trial=window.trial,
         perturbed_joint=joint,
-        rate=RATE,
+        rate=NS_PER_S / kept[contract.PERTURBATION].period,
         joint_names=streams.joint_names,
         perturbation=kept[contract.PERTURBATION].values(start, stop),
         position=kept[contract.JOINT_STATES].values(start, stop),

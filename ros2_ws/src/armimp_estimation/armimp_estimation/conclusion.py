@@ -20,6 +20,7 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.results import (
+    FindingSummary,
     Summary,
     TrialLedger,
     TrialSummary,
@@ -155,6 +156,8 @@ def conclude(
         found += [problem for one in trials for problem in judge_gaps(one.assembled, options)]
     except DataError as error:
         found.append(str(error))
+    findings = [finding for one in trials for finding in one.assembled.findings]
+    findings += [] if identification is None else identification.problems
     if identification is None:
         return Conclusion(
             summary=Summary(
@@ -163,6 +166,7 @@ def conclude(
                 seed=seed,
                 valid=False,
                 problems=found,
+                findings=[FindingSummary.of(one) for one in findings],
                 trials=[_bare(trial, joints) for trial in trials],
                 estimators={},
                 truth=None if truth is None else TruthSummary.of(truth),
@@ -177,6 +181,7 @@ def conclude(
         config=told.config,
         seed=seed,
         problems=tuple(found),
+        findings=findings,
         timing=None if told.timing is None else told.timing.summary,
     )
     told_of_torques = {"torque_reading": ReadingSummary.of(reading)}
@@ -255,7 +260,7 @@ def truth_of(metadata: Mapping[str, str]) -> MBK | None:
 
 
 def reading_of(metadata: Mapping[str, str]) -> TorqueReading:
-    """How torques were read, from the metadata of a bag; ``before_update`` if it does not know.
+    """How torques were read, from the metadata of a bag; ``unknown`` if it does not know.
 
     Raises
     ------
@@ -263,7 +268,7 @@ def reading_of(metadata: Mapping[str, str]) -> TorqueReading:
         If something is there, but makes no sense.
     """
     known = [timing.value for timing in TorqueTiming]
-    timing = _parsed(metadata, TIMING_KEY, TorqueTiming.BEFORE_UPDATE.value)
+    timing = _parsed(metadata, TIMING_KEY, TorqueTiming.UNKNOWN.value)
     if timing not in known:
         raise DataError(f"metadata: {TIMING_KEY} is {timing!r}, known are {', '.join(known)}")
     told = {}

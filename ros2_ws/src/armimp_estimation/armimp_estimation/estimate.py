@@ -90,12 +90,21 @@ class ImpedanceEstimate:
         Number of independent averages behind each value and its variance.
     T, R : ndarray, shape (n, n, n_freq)
         Responses of torques and of angles (rad/(N·m)) to the perturbation.
-    systematic : ndarray, shape (n, n, n_freq), or None
-        Standard error of a correction that the values contain, N·m/rad: complex, since it is the
-        same error at all frequencies, in this proportion. The variance includes it.
+    systematics : tuple of ndarray, shape (n, n, n_freq)
+        Standard errors of corrections that the values contain, or of biases that they are known to
+        have, N·m/rad: complex, since each is the same error at all frequencies, in this proportion.
+        The variance includes them.
     weight_floor : float or None
         Relative error beside the variance that the M-B-K fit should allow for in its weights, see
         :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit.
+    delay_uncertainty : float or None
+        Standard error with which torques and angles are known to be of the same instant, s: the
+        fit then has a common delay as a parameter. None: they are taken as they are.
+    delay_unknown : float
+        Standard error to fall back upon where the data refute that, s.
+    unbiased : bool
+        Whether nothing but its variance separates the estimate from the truth: only then does lack
+        of fit mean another arm, and only such an estimate decides whether a result is valid.
     """
 
     name: str
@@ -106,8 +115,11 @@ class ImpedanceEstimate:
     averages: float
     T: ComplexArray
     R: ComplexArray
-    systematic: ComplexArray | None = None
+    systematics: tuple[ComplexArray, ...] = ()
     weight_floor: float | None = None
+    delay_uncertainty: float | None = None
+    delay_unknown: float = 0.0
+    unbiased: bool = False
 
     @property
     def joints(self) -> int:

@@ -1,6 +1,16 @@
-"""Inertia, viscosity and stiffness from an impedance estimate, by weighted least squares."""
+"""Inertia, viscosity and stiffness from an impedance estimate, by weighted least squares.
+
+Where an estimate can't be sure of when torques were read, one delay d of all torques against the
+angles is a parameter, too. To first order ``Z(ω) = Z_0(ω) (1 - jωd)``, and of that the part
+``-jωd·(-Mω²) = jω³ M d`` is like nothing that M, B and K can do, so the data tell d. What they don't
+tell is whether the torque as a whole is late, or only what jumps with commands, which is the
+inertial part ``-Mω²``: those differ by ``jωd (K + jωB)``, which looks like viscosity and inertia.
+Half of that is corrected, and half is the standard error of the correction, beside the uncertainty
+with which the instant of the readings was known beforehand.
+"""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,6 +57,27 @@ class FitConfig:
             raise ConfigurationError(f"smoothing must not be negative, got {self.smoothing!r} Hz")
 
 
+@dataclass(frozen=True, kw_only=True)
+class CommonDelay:
+    """Delay of all torques against the angles, beyond what the estimator knew of.
+
+    Attributes
+    ----------
+    delay, error : float
+        Delay that was corrected, and its standard error, s.
+    told, told_error : float
+        What the data alone tell, s.
+    refuted : bool
+        Whether that contradicts what was declared.
+    """
+
+    delay: float
+    error: float
+    told: float
+    told_error: float
+    refuted: bool = False
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MBKFit:
     """Fitted parameters, their standard errors and the quality of the fit.
@@ -61,6 +92,13 @@ class MBKFit:
         Coefficient of determination, see :func:`r_squared`.
     Z : ndarray, shape (n, n, n_freq)
         Fitted impedance at the frequencies of the estimate, N·m/rad.
+    lack : ndarray, shape (n, n)
+        Lack of fit: mean of ``|Z - fit|²/variance`` for each degree of freedom, 1 if noise explains
+        all of it.
+    lack_limit : float
+        What chance alone doesn't exceed: 2, or more for few frequencies.
+    delay : CommonDelay or None
+        Delay that was fitted and corrected, if the estimate leaves that open.
     """
 
     mbk: MBK
@@ -69,6 +107,17 @@ class MBKFit:
     K_se: FloatArray
     r2: FloatArray
     Z: ComplexArray
+    lack: FloatArray
+    lack_limit: float
+    delay: CommonDelay | None = None
+
+
+LACK_LIMIT = 2.0
+"""Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
+_LACK_CHANCE = 5.0
+_REFUTED = 4.0
+_NOTICED = 2.0
+_ITERATIONS = 3
 
 
 def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
@@ -88,22 +137,47 @@ def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
     return 1.0 - float(np.sum(residual**2)) / total if total > 0.0 else math.nan
 
 
+def lack_limit(frequencies: int, correlation: FloatArray) -> float:
+    """Lack of fit that chance doesn't reach: 2, or 5 standard deviations where bins are few.
+
+    The mean of so many ``|e|²/variance`` scatters by ``sqrt((1 + 2 Σ ρ²)/F)``, with the
+    correlation ρ of the errors of bins that are neighbours.
+    """
+    spread = math.sqrt((1.0 + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies)
+    return max(LACK_LIMIT, 1.0 + _LACK_CHANCE * spread)
+
+
 def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBKFit:
-    """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element by variance-weighted least squares.
+    """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element; see :func:`fit_impedance`."""
+    return fit_impedance(estimate, config)[1]
+
+
+def fit_impedance(
+    estimate: ImpedanceEstimate, config: FitConfig | None = None
+) -> tuple[ImpedanceEstimate, MBKFit]:
+    """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element, and a delay that is common to all.
 
     The real part gives M and K, the imaginary part B. Weights are inverse variances, smoothed and
     limited as :class:`FitConfig` says. Each parameter is then a sum ``Σ_f a_f y_f``, so whatever
     the weights, its variance is the sandwich ``½ Σ_fg a_f a_g σ_f σ_g ρ(|f - g|)``: half of the
     complex variance for either part, and the correlation ρ of neighbouring frequencies, which
     windowing causes. The error of a correction, which is the same at all frequencies, adds the
-    square of ``Σ_f a_f s_f`` with its standard error s.
+    square of ``Σ_f a_f s_f`` with its standard error s. Where terms with s³ and s⁴ would be
+    significant, the change of M, B and K by them is added, too.
 
     Parameters
     ----------
     estimate : ImpedanceEstimate
-        Impedance with variances; all of its frequencies are used.
+        Impedance with variances; all of its frequencies are used. A delay is fitted if it has a
+        ``delay_uncertainty``.
     config : FitConfig
         Options.
+
+    Returns
+    -------
+    estimate : ImpedanceEstimate
+        The same, or with the delay corrected.
+    fit : MBKFit
 
     Raises
     ------
@@ -118,43 +192,60 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
     if estimate.weight_floor is not None:
         options = replace(options, weight_floor=estimate.weight_floor)
     n = estimate.joints
-    values = np.zeros((3, n, n))
-    errors = np.zeros((3, n, n))
-    systematic = estimate.systematic
-    if systematic is None:
-        systematic = np.zeros_like(estimate.Z)
-    for i in range(n):
-        for j in range(n):
-            values[:, i, j], errors[:, i, j] = _fit_element(
-                estimate.f,
-                estimate.Z[i, j],
-                estimate.variance[i, j] - np.abs(systematic[i, j]) ** 2,
-                systematic[i, j],
-                estimate.bin_correlation,
-                options,
-            )
-    mbk = MBK(M=values[0], B=values[1], K=values[2])
+    noise = estimate.variance.copy()
+    for common in estimate.systematics:
+        noise -= np.abs(common) ** 2
+    problem = _Elements(
+        f=estimate.f,
+        Z=estimate.Z.reshape(n * n, -1),
+        noise=np.maximum(noise, 0.0).reshape(n * n, -1),
+        systematics=tuple(common.reshape(n * n, -1) for common in estimate.systematics),
+        correlation=estimate.bin_correlation,
+        freedom=estimate.averages - 1.0,
+        options=options,
+    )
+    delay = None
+    if estimate.delay_uncertainty is not None:
+        problem, delay = _with_delay(problem, estimate.delay_uncertainty, estimate.delay_unknown)
+        estimate = replace(
+            estimate,
+            Z=problem.Z.reshape(estimate.Z.shape),
+            variance=problem.total.reshape(estimate.variance.shape),
+            systematics=tuple(one.reshape(estimate.Z.shape) for one in problem.systematics),
+            delay_uncertainty=None,
+        )
+    values, errors = problem.fit()
+    M, B, K = (value.reshape(n, n) for value in values)
+    mbk = MBK(M=M, B=B, K=K)
     fitted = mbk.impedance(estimate.f)
     quality = [[r_squared(estimate.Z[i, j], fitted[i, j]) for j in range(n)] for i in range(n)]
-    return MBKFit(
+    M_se, B_se, K_se = (error.reshape(n, n) for error in errors)
+    fit = MBKFit(
         mbk=mbk,
-        M_se=errors[0],
-        B_se=errors[1],
-        K_se=errors[2],
+        M_se=M_se,
+        B_se=B_se,
+        K_se=K_se,
         r2=np.array(quality),
         Z=fitted,
+        lack=problem.lack(values).reshape(n, n),
+        lack_limit=lack_limit(estimate.f.size, estimate.bin_correlation),
+        delay=delay,
     )
+    return estimate, fit
 
 
-def fit_column(
+def fit_column(  # noqa: PLR0913
     f: FloatArray,
     impedance: ComplexArray,
     variance: FloatArray,
     systematic: ComplexArray,
     correlation: FloatArray,
     config: FitConfig,
+    *,
+    delay_uncertainty: float | None = None,
+    delay_unknown: float = 0.0,
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit the elements of one column as :func:`fit_mbk` does those of a matrix.
+    """Fit the elements of one column as :func:`fit_impedance` does those of a matrix.
 
     Parameters
     ----------
@@ -166,6 +257,8 @@ def fit_column(
         Of the errors of neighbouring frequencies.
     config : FitConfig
         Options.
+    delay_uncertainty, delay_unknown : float, optional
+        As those of an :class:`ImpedanceEstimate`, s.
 
     Returns
     -------
@@ -175,42 +268,212 @@ def fit_column(
     Raises
     ------
     DataError
-        As :func:`fit_mbk`.
+        As :func:`fit_impedance`.
     """
     if f.size < 3:
         raise DataError(f"{f.size} frequencies are too few to fit M, B and K")
     if not (np.isfinite(impedance).all() and np.isfinite(variance).all()):
         raise DataError("impedance or its variance is not finite")
-    fits = [
-        _fit_element(f, Z, total - np.abs(common) ** 2, common, correlation, config)
-        for Z, total, common in zip(impedance, variance, systematic, strict=True)
-    ]
-    values = np.stack([value for value, _ in fits], axis=1)
-    return values, np.stack([error for _, error in fits], axis=1)
+    problem = _Elements(
+        f=f,
+        Z=impedance,
+        noise=variance - np.abs(systematic) ** 2,
+        systematics=(systematic,),
+        correlation=correlation,
+        freedom=math.inf,
+        options=config,
+    )
+    if delay_uncertainty is not None:
+        problem, _ = _with_delay(problem, delay_uncertainty, delay_unknown)
+    return problem.fit()
 
 
-def _fit_element(
-    f: FloatArray,
-    impedance: ComplexArray,
-    variance: FloatArray,
-    systematic: ComplexArray,
-    correlation: FloatArray,
-    options: FitConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Return (M, B, K) and their standard errors of one element."""
-    omega = 2.0 * np.pi * f
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Elements:
+    """Elements of an impedance over frequency, all fitted alike; arrays (elements, n_freq)."""
+
+    f: FloatArray
+    Z: ComplexArray
+    noise: FloatArray
+    systematics: tuple[ComplexArray, ...]
+    correlation: FloatArray
+    freedom: float
+    options: FitConfig
+
+    @property
+    def omega(self) -> FloatArray:
+        return 2.0 * np.pi * self.f
+
+    @property
+    def total(self) -> FloatArray:
+        """Variance with that of the corrections."""
+        return np.asarray(self.noise + sum(np.abs(one) ** 2 for one in self.systematics))
+
+    def fit(self) -> tuple[FloatArray, FloatArray]:
+        """M, B, K and their standard errors, each (3, elements)."""
+        values = np.zeros((3, len(self.Z)))
+        errors = np.zeros((3, len(self.Z)))
+        for row in range(len(self.Z)):
+            values[:, row], errors[:, row] = self._fit_element(row)
+        return values, errors
+
+    def _fit_element(self, row: int) -> tuple[FloatArray, FloatArray]:
+        weights = self.weights(row)
+        coefficients = mbk_coefficients(self.omega, weights)
+        values = _apply(coefficients, self.Z[row])
+        squares = _sandwich(coefficients, self.noise[row], self.correlation)
+        for systematic in self.systematics:
+            squares += _apply(coefficients, systematic[row]) ** 2
+        return values, np.sqrt(squares + self._change_by_more_terms(row, weights, coefficients))
+
+    def _change_by_more_terms(
+        self, row: int, weights: FloatArray, coefficients: FloatArray
+    ) -> FloatArray:
+        """Squared change of M, B, K by ``c s³`` and ``c s⁴``, where c is significant."""
+        relative = self.omega / self.omega[-1]
+        squares = np.zeros(3)
+        for term in (-1j * relative**3, relative**4 + 0j):
+            left = term - _of_mbk(_apply(coefficients, term), self.omega)
+            functional = weights * left / np.sum(weights * np.abs(left) ** 2)
+            value = _functional(functional, self.Z[row])
+            error = self.functional_error(row, functional)
+            if abs(value) > _NOTICED * error:
+                squares += (value * _apply(coefficients, term)) ** 2
+        return squares
+
+    def functional_error(self, row: int, functional: ComplexArray) -> float:
+        """Standard error of ``Re Σ_f conj(b_f) Z_f``."""
+        parts = np.stack((functional.real, functional.imag))
+        square = float(np.sum(_sandwich(parts, self.noise[row], self.correlation)))
+        for systematic in self.systematics:
+            square += _functional(functional, systematic[row]) ** 2
+        return math.sqrt(square)
+
+    def weights(self, row: int) -> FloatArray:
+        return _weights(self.f, self.Z[row], self.total[row], self.options)
+
+    def lack(self, values: FloatArray) -> FloatArray:
+        """Lack of fit of each element, (elements,).
+
+        The variances come from m complex degrees of freedom, which makes the mean of their
+        inverses too large by ``m/(m - 1)``; three real parameters are one and a half complex ones.
+        """
+        finite = 1.0 < self.freedom < math.inf
+        spare = (self.freedom - 1.0) / self.freedom if finite else 1.0
+        lacks = []
+        for row, Z in enumerate(self.Z):
+            square = np.abs(Z - _of_mbk(values[:, row], self.omega)) ** 2
+            # Below rounding a difference means nothing.
+            least = (np.finfo(np.float64).eps * np.max(np.abs(Z))) ** 2
+            ratio = square / np.maximum(self.total[row], max(least, np.finfo(np.float64).tiny))
+            lacks.append(spare * float(np.sum(ratio)) / max(self.f.size - 1.5, 1.0))
+        return np.array(lacks)
+
+
+def _with_delay(
+    problem: _Elements, uncertainty: float, unknown: float
+) -> tuple[_Elements, CommonDelay]:
+    """Fit a common delay and correct it.
+
+    Parameters
+    ----------
+    problem : _Elements
+        What is known without it.
+    uncertainty : float
+        Standard error with which the delay is known to be 0, s.
+    unknown : float
+        Standard error to fall back upon where the data refute that, s.
+    """
+    total, told_error = 0.0, math.inf
+    trial = problem
+    for _ in range(_ITERATIONS):
+        step, told_error = _delay_of(trial)
+        # No drive, filter or clock is later than that; beyond, it isn't a delay.
+        total = float(np.clip(total + step, -0.02, 0.02))
+        turn = np.exp(2j * np.pi * problem.f * total)
+        trial = replace(problem, Z=problem.Z * turn)
+    fitted, plain = trial.fit()[0], problem.fit()[0]
+    limit = lack_limit(problem.f.size, problem.correlation)
+    fits = bool((trial.lack(fitted) <= limit).all())
+    refuted = fits and abs(total) > _REFUTED * math.hypot(uncertainty, told_error)
+    assumed = max(uncertainty, unknown) if refuted else uncertainty
+    if not fits:
+        # Another arm than M, B and K: what looks like a delay may be its own.
+        delay, error = 0.0, assumed
+    else:
+        share = assumed**2 / (assumed**2 + told_error**2)
+        delay, error = share * total, math.sqrt(share) * told_error
+    known = CommonDelay(
+        delay=delay, error=error, told=total, told_error=told_error, refuted=refuted
+    )
+    values = fitted if fits else plain
+    turning = 2j * np.pi * problem.f
+    steady = np.stack([_of_mbk(np.array([0.0, v[1], v[2]]), problem.omega) for v in values.T])
+    inertial = np.stack([_of_mbk(np.array([v[0], 0.0, 0.0]), problem.omega) for v in values.T])
+    corrected = problem.Z * np.exp(turning * delay)
+    doubt = 0.5 * delay * turning * steady
+    # That part is late by what nobody told, whatever the data say of the other.
+    untold = assumed * turning * steady
+    # A low-pass that delays as much takes (ωd)²/2 off what moves that fast.
+    faded = 0.5 * (np.abs(turning) * delay) ** 2 * inertial
+    systematics = (
+        *problem.systematics,
+        error * turning * corrected,
+        doubt,
+        untold,
+        faded,
+    )
+    return replace(problem, Z=corrected - doubt, systematics=systematics), known
+
+
+def _delay_of(problem: _Elements) -> tuple[float, float]:
+    """Delay that all elements have in common, and its standard error, s.
+
+    For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares; of these the
+    mean, weighted by their inverse variances, the error of which covers their scatter.
+    """
+    delays, precisions = [], []
+    values = problem.fit()[0]
+    for row in range(len(problem.Z)):
+        weights = problem.weights(row)
+        coefficients = mbk_coefficients(problem.omega, weights)
+        late = -1j * problem.omega * _of_mbk(values[:, row], problem.omega)
+        left = late - _of_mbk(_apply(coefficients, late), problem.omega)
+        square = float(np.sum(weights * np.abs(left) ** 2))
+        if not square > 0.0:
+            continue
+        functional = weights * left / square
+        error = problem.functional_error(row, functional)
+        if error > 0.0:
+            delays.append(_functional(functional, problem.Z[row]))
+            precisions.append(1.0 / error**2)
+    if not delays:
+        return 0.0, math.inf
+    weight = np.array(precisions)
+    mean = float(np.sum(weight * np.array(delays)) / np.sum(weight))
+    scatter = float(np.sum(weight * (np.array(delays) - mean) ** 2)) / max(len(delays) - 1, 1)
+    return mean, math.sqrt(max(1.0, scatter) / float(np.sum(weight)))
+
+
+def mbk_coefficients(omega: FloatArray, weights: FloatArray) -> FloatArray:
+    """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f``: M and K of the real part, B of the other."""
     scale = omega[-1]
     relative = omega / scale
-    weights = _weights(f, impedance, variance, options)
-    # Rows of coefficients a: (M, K) act on the real part, B on the imaginary part.
-    design = np.stack((-(relative**2), np.ones(f.size)))
+    design = np.stack((-(relative**2), np.ones(omega.size)))
     normal = (design * weights) @ design.T
     of_real = np.linalg.solve(normal, design * weights)
     of_imaginary = weights * relative / np.sum(weights * relative**2)
-    coefficients = np.stack((of_real[0] / scale**2, of_imaginary / scale, of_real[1]))
-    values = _apply(coefficients, impedance)
-    common = _apply(coefficients, systematic)
-    return values, np.sqrt(_sandwich(coefficients, variance, correlation) + common**2)
+    return np.stack((of_real[0] / scale**2, of_imaginary / scale, of_real[1]))
+
+
+def _of_mbk(values: FloatArray, omega: FloatArray) -> ComplexArray:
+    M, B, K = values
+    return np.asarray(K - M * omega**2 + 1j * omega * B, dtype=np.complex128)
+
+
+def _functional(functional: ComplexArray, values: ComplexArray) -> float:
+    """``Re Σ_f conj(b_f) y_f``."""
+    return float(np.sum(functional.real * values.real + functional.imag * values.imag))
 
 
 def _apply(coefficients: FloatArray, values: ComplexArray) -> FloatArray:

@@ -9,11 +9,15 @@ from numpy.typing import NDArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
 from armimp_estimation.estimate import Estimator, ImpedanceEstimate
-from armimp_estimation.fit import MBKFit, fit_mbk
+from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
+from armimp_estimation.plausibility import judge_angles
+from armimp_estimation.problems import Concern, Problem, spoiled
 from armimp_estimation.registry import make_estimator
+from armimp_estimation.robot_balance import RobotBalance, in_order, judge_balance, robot_balance
 from armimp_estimation.settings import IdentifyConfig
+from armimp_estimation.signal_quality import judge_signals
 from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
@@ -56,7 +60,7 @@ class TrialScores:
     joint : int
         Perturbed joint k, 0-based.
     lock_ratio : ndarray, shape (n,)
-        ``rms(θ_i) / rms(θ_k)``, 1 at k.
+        Motion within the band that the perturbation causes, relative to that of joint k, 1 there.
     bias_bound : ndarray, shape (n,)
         Share of each torque that motion of locked joints explains, see
         :func:`armimp_estimation.scores.bias_bound`.
@@ -84,10 +88,12 @@ class Identification:
         Number of independent averages of the spectra (of the shortest trial).
     coherence_significance : float
         Coherence below which signals count as unrelated.
-    problems : tuple of str
-        What is wrong with the result, in words.
+    problems : tuple of Problem
+        What is wrong with the result, and what was found and put right.
     truth : MBK or None
         True matrices, if known.
+    balance : RobotBalance or None
+        What the commands move, if they are known.
     """
 
     joint_names: tuple[str, ...]
@@ -95,13 +101,28 @@ class Identification:
     estimators: dict[str, EstimatorResult]
     effective_averages: float
     coherence_significance: float
-    problems: tuple[str, ...]
+    problems: tuple[Problem, ...]
     truth: MBK | None
+    balance: RobotBalance | None = None
+
+    @property
+    def deciding(self) -> tuple[str, ...]:
+        """Estimators that decide whether the result is valid: those without bias, else all."""
+        unbiased = [name for name, one in self.estimators.items() if one.estimate.unbiased]
+        return tuple(unbiased or self.estimators)
+
+    @property
+    def impedance_valid(self) -> bool:
+        """Whether Z(f) and its bands can be trusted."""
+        return self._holds(Concern.IMPEDANCE)
 
     @property
     def valid(self) -> bool:
-        """Whether there is no problem."""
-        return not self.problems
+        """Whether M, B, K and their intervals can be trusted, too."""
+        return self._holds(Concern.PARAMETERS)
+
+    def _holds(self, concern: Concern) -> bool:
+        return not any(spoiled(self.problems, concern, name) for name in self.deciding)
 
 
 def identify(
@@ -142,21 +163,29 @@ def identify(
     if truth is not None and truth.joints != len(names):
         raise ConfigurationError(f"truth is of {truth.joints} joints, the data of {len(names)}")
 
+    balance = robot_balance([trial.record for trial in ordered])
+    if balance is not None and balance.permuted:
+        ordered = tuple(in_order(trial, balance) for trial in ordered)
     spectra = [trial.spectra for trial in ordered]
     frf = frf_matrix(spectra)
     averages = min(trial.spectra.effective_averages for trial in spectra)
     level = scores.coherence_significance(averages, options.limits.significance)
-    locks = np.stack([scores.lock_ratio(trial.record) for trial in ordered], axis=1)
+    for trial in ordered:
+        scores.require_motion(trial.record)
+    locks = scores.lock_ratio(spectra, frf)
     bounds = scores.bias_bound(frf)
     motion = scores.mean_coherence_motion(spectra)
     torque = scores.mean_coherence_torque(spectra)
 
-    problems = verdict.judge_locking(names, locks, bounds, options.limits)
+    problems: list[Problem] = []
+    for trial in ordered:
+        problems += judge_angles(trial.record) + judge_signals(trial.record)
     problems += verdict.judge_coherence(names, motion, torque, level)
-    results = {}
+    if verdict.SINGLE in distinct:
+        problems += verdict.judge_locking(names, locks, bounds, options.limits)
+    results: dict[str, EstimatorResult] = {}
     for worker in workers:
-        estimate = worker.estimate(ordered)
-        fit = fit_mbk(estimate, options.fit)
+        estimate, fit = fit_impedance(worker.estimate(ordered), options.fit)
         derived = scores.mean_coherence_derived(spectra, estimate)
         results[worker.name] = EstimatorResult(
             estimate=estimate,
@@ -166,7 +195,12 @@ def identify(
             coherence_torque=torque,
             coherence_motion=motion,
         )
-        problems += verdict.judge_estimate(worker.name, derived, fit.r2, options.limits)
+        declared = options.lpm.reading.sentence
+        problems += verdict.judge_estimate(names, estimate, fit, declared)
+    if balance is not None:
+        best = next((r for r in results.values() if r.estimate.unbiased), None)
+        arm = best if best is not None else next(iter(results.values()))
+        problems += judge_balance(names, balance, arm.fit)
     return Identification(
         joint_names=names,
         trials=tuple(
@@ -183,4 +217,5 @@ def identify(
         coherence_significance=level,
         problems=tuple(problems),
         truth=truth,
+        balance=balance,
     )

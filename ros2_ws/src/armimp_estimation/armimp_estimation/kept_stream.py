@@ -3,11 +3,11 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
 from armimp_estimation.sample_ledger import StreamCount
 from armimp_estimation.trial_streams import Stream
 
-_LATE_NS = PERIOD_NS // 4
+_LATE = 0.25
+"""Periods by which a step between stamps may be too long."""
 
 
 class KeptStream:
@@ -19,15 +19,18 @@ class KeptStream:
         All messages.
     start_ns : int
         Stamp of the first sample of the trial.
+    period : float
+        Sampling period, ns.
     order : ndarray
         Index into them of each kept one, in the order of the stamps.
     stamps, numbers : ndarray
         Stamp and number of the control period of each kept one.
     """
 
-    def __init__(self, stream: Stream, start_ns: int) -> None:
+    def __init__(self, stream: Stream, start_ns: int, period: float) -> None:
         self.stream = stream
         self.start_ns = start_ns
+        self.period = period
         if (np.diff(stream.stamps) > 0).all():
             self.stamps: NDArray[np.int64] = stream.stamps
             self.order: NDArray[np.intp] = np.arange(stream.stamps.size)
@@ -62,14 +65,14 @@ class KeptStream:
             received = int(((stamps >= self.start_ns) & (stamps <= last_ns)).sum())
             arrived = stamps[np.sort(self.order[:distinct])]
             reordered = int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum())
-        steps = np.diff(self.stamps[:distinct]) - PERIOD_NS * np.diff(self.numbers[:distinct])
+        steps = np.diff(self.stamps[:distinct]) - self.period * np.diff(self.numbers[:distinct])
         return StreamCount(
             expected=span,
             received=received,
             lost=span - distinct,
             duplicated=received - distinct,
             reordered=reordered,
-            late=int((steps > _LATE_NS).sum()),
+            late=int((steps > _LATE * self.period).sum()),
         )
 
     def present(self, span: int) -> NDArray[np.bool_]:

@@ -54,6 +54,9 @@ class LpmConfig:
         encoders of finite resolution the command chatters, and friction answers within the
         control period in a way that depends on the direction of motion: in simulation up to 2 %
         of the correction are left (friction 3, resolution 3, perturbation 1).
+    timing_uncertainty : float
+        Standard error with which the instant of torque readings is known where it was told, s.
+        Where it was not, or the records refute that torques jump as it says, it is half a period.
     weight_floor : float
         Relative error that is allowed for in the weights of the M-B-K fit, beside the variance;
         see :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials.
@@ -63,12 +66,13 @@ class LpmConfig:
     span: float = 0.25
     reading: TorqueReading = field(default_factory=TorqueReading)
     skew_uncertainty: float = 0.02
+    timing_uncertainty: float = 20e-6
     weight_floor: float = 0.005
 
     def __post_init__(self) -> None:
         if not 0.0 < self.span < np.inf:
             raise ConfigurationError(f"span must be positive, got {self.span!r} Hz")
-        for name in ("skew_uncertainty", "weight_floor"):
+        for name in ("skew_uncertainty", "timing_uncertainty", "weight_floor"):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
                 raise ConfigurationError(f"{name} must not be negative, got {value!r}")
@@ -144,7 +148,7 @@ class LpmFull:
         skew = self._skew(jump, f, records[0].rate, n)
         torque = multiply(skew, stacked[n:])
         impedance = multiply(torque, inverse)
-        uncorrected = self._without_skew(stacked[n : 2 * n], f)
+        uncorrected = self._without_skew(stacked[n : 2 * n], f, records[0].rate)
         systematic = options.skew_uncertainty * multiply(torque - uncorrected, inverse)
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
@@ -162,8 +166,11 @@ class LpmFull:
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
             R=R,
-            systematic=systematic,
+            systematics=(systematic,),
             weight_floor=options.weight_floor,
+            delay_uncertainty=self._delay_uncertainty(jump, records[0].rate),
+            delay_unknown=0.5 / records[0].rate,
+            unbiased=True,
         )
 
     def column(self, record: TrialRecord, fit: FitConfig | None = None) -> FittedColumn:
@@ -190,7 +197,7 @@ class LpmFull:
         skew = self._skew(jump, f, record.rate, n)
         torque = multiply(skew, stacked[n:, None])[:, 0]
         impedance = torque / stacked[k]
-        uncorrected = self._without_skew(stacked[n : 2 * n], f)
+        uncorrected = self._without_skew(stacked[n : 2 * n], f, record.rate)
         systematic = self.config.skew_uncertainty * (torque - uncorrected) / stacked[k]
         variance = np.abs(systematic) ** 2
         for i in range(n):
@@ -200,20 +207,30 @@ class LpmFull:
             variance[i] += response.combined_variance(coefficients) / np.abs(stacked[k]) ** 2
         options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
         correlation = response.bin_correlation()
-        values, errors = fit_column(f, impedance, variance, systematic, correlation, options)
+        values, errors = fit_column(
+            f,
+            impedance,
+            variance,
+            systematic,
+            correlation,
+            options,
+            delay_uncertainty=self._delay_uncertainty(jump, record.rate),
+            delay_unknown=0.5 / record.rate,
+        )
         return FittedColumn(joint=k, values=values, errors=errors)
 
     def _skew(
         self, jump: UpdateJump | None, f: FloatArray, rate: float, joints: int
     ) -> ComplexArray:
         """Coefficients of torques, and of steps if they count, in the torque without skew."""
-        reading = self.config.reading
+        reading = self.config.reading.at_rate(rate)
         steps = 0 if jump is None else joints
         skew = np.zeros((joints, joints + steps, f.size), dtype=np.complex128)
         diagonal = np.arange(joints)
         skew[diagonal, diagonal] = 1.0
         if jump is None:
-            skew *= np.exp(2j * np.pi * f * reading.skew(rate) / rate)
+            if reading.timing is TorqueTiming.INTERVAL_MEAN:
+                skew *= np.exp(2j * np.pi * f * reading.skew(rate) / rate)
         else:
             skew[:, joints:] = jump.missing(f, rate, reading)
         if not reading.prompt:
@@ -222,15 +239,25 @@ class LpmFull:
 
     def _jump(self, records: Sequence[TrialRecord]) -> UpdateJump | None:
         """Jump of torques with the commands, if that is what is late and can be known."""
-        reading = self.config.reading
+        reading = self.config.reading.at_rate(records[0].rate)
+        if reading.timing is TorqueTiming.UNKNOWN:
+            reading = replace(reading, timing=TorqueTiming.BEFORE_UPDATE)
         late = reading.timing is TorqueTiming.BEFORE_UPDATE
         if late and all(record.command is not None for record in records):
             return update_jump(records, reading)
         return None
 
-    def _without_skew(self, torque: ComplexArray, f: FloatArray) -> ComplexArray:
+    def _delay_uncertainty(self, jump: UpdateJump | None, rate: float) -> float:
+        """Standard error with which torques and angles are of one instant, s."""
+        timing = self.config.reading.timing
+        told = timing in {TorqueTiming.INTERVAL_MEAN, TorqueTiming.SIMULTANEOUS}
+        if told or (jump is not None and timing is not TorqueTiming.UNKNOWN):
+            return self.config.timing_uncertainty
+        return 0.5 / rate
+
+    def _without_skew(self, torque: ComplexArray, f: FloatArray, rate: float) -> ComplexArray:
         """Responses of torques (..., n_freq) with all corrected but what jumps with commands."""
-        reading = self.config.reading
+        reading = self.config.reading.at_rate(rate)
         return torque if reading.prompt else torque / reading.response(f)
 
     def _columns(self, records: Sequence[TrialRecord], *, with_steps: bool) -> list[LocalResponse]:

@@ -1,7 +1,7 @@
 """Files of a result: ``summary.json`` for the figures, ``frf.npz`` for the curves."""
 
 import math
-from collections.abc import Mapping, Sized
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -16,6 +16,7 @@ from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import Concern, Problem, Severity, spoiled
 from armimp_estimation.sample_ledger import SampleLedger
 from armimp_estimation.torque_reading import ReadingSummary
 from armimp_estimation.whole_files import write_whole
@@ -33,6 +34,52 @@ class StreamSummary(JsonModel):
     duplicated: int
     reordered: int
     late: int
+
+
+class FindingSummary(JsonModel):
+    """A problem as data, see `armimp_estimation.problems`, with its sentence."""
+
+    code: str
+    concern: str
+    severity: str
+    trial: int | None
+    estimator: str
+    values: dict[str, JsonValue]
+    sentence: str
+
+    @classmethod
+    def of(cls, problem: Problem) -> "FindingSummary":
+        """Summary of one problem."""
+        values = {
+            name: None if isinstance(value, float) and not math.isfinite(value) else value
+            for name, value in problem.values.items()
+        }
+        return cls(
+            code=problem.code.value,
+            concern=problem.concern.value,
+            severity=problem.severity.value,
+            trial=problem.trial,
+            estimator=problem.estimator,
+            values=values,
+            sentence=problem.sentence,
+        )
+
+
+class VerdictSummary(JsonModel):
+    """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
+
+    impedance: bool
+    parameters: bool
+
+
+class DelaySummary(JsonModel):
+    """Delay of torques against angles that was fitted, s; see `armimp_estimation.fit`."""
+
+    delay: Number
+    error: Number
+    told: Number
+    told_error: Number
+    refuted: bool
 
 
 class TrialSummary(JsonModel):
@@ -97,14 +144,21 @@ class EstimatorSummary(JsonModel):
     M_se: Matrix
     B_se: Matrix
     K_se: Matrix
+    lack_of_fit: Matrix
     vaf: Matrix | None
     r2: Matrix
     coherence_derived: Matrix
     coherence_torque: Matrix
     coherence_motion: Vector
+    lack_limit: Number = math.nan
+    """Lack of fit beyond which M, B and K are not valid."""
+    verdict: VerdictSummary = VerdictSummary(impedance=False, parameters=False)
+    """Whether its own numbers can be trusted."""
+    delay: DelaySummary | None = None
+    """Delay that was corrected, if one was left open."""
 
     @classmethod
-    def of(cls, result: EstimatorResult) -> "EstimatorSummary":
+    def of(cls, result: EstimatorResult, verdict: VerdictSummary) -> "EstimatorSummary":
         """Summary of the result of one estimator."""
         fit = result.fit
         return cls(
@@ -114,6 +168,10 @@ class EstimatorSummary(JsonModel):
             M_se=fit.M_se.tolist(),
             B_se=fit.B_se.tolist(),
             K_se=fit.K_se.tolist(),
+            lack_of_fit=fit.lack.tolist(),
+            lack_limit=fit.lack_limit,
+            verdict=verdict,
+            delay=None if fit.delay is None else DelaySummary(**vars(fit.delay)),
             vaf=None if result.vaf is None else result.vaf.tolist(),
             r2=fit.r2.tolist(),
             coherence_derived=result.coherence_derived.tolist(),
@@ -173,6 +231,10 @@ class Summary(JsonModel):
     seed: int | None
     valid: bool
     problems: list[str]
+    verdict: VerdictSummary = VerdictSummary(impedance=False, parameters=False)
+    """The verdicts; the result is valid if both are."""
+    findings: list[FindingSummary] = Field(default_factory=list)
+    """Problems as data, and what was found and put right."""
     trials: list[TrialSummary]
     estimators: dict[str, EstimatorSummary]
     truth: TruthSummary | None
@@ -199,7 +261,7 @@ class Summary(JsonModel):
 
     def _check_matrices(self, name: str, part: JsonModel) -> None:
         for field, value in part:
-            if field != "coherence_motion" and value is not None:
+            if isinstance(value, list) and field != "coherence_motion":
                 self._check_length(f"{name}.{field}", value)
                 for row in value:
                     self._check_length(f"a row of {name}.{field}", row)
@@ -244,6 +306,7 @@ def summarise(
     config: Mapping[str, JsonValue],
     seed: int | None,
     problems: tuple[str, ...] = (),
+    findings: Sequence[Problem] | None = None,
     timing: TimingSummary | None = None,
 ) -> Summary:
     """Put an identification into the form of ``summary.json``.
@@ -260,6 +323,8 @@ def summarise(
         Seed of the run.
     problems : tuple of str
         Problems of the run itself, which come first and make the result invalid.
+    findings : sequence of Problem, optional
+        Those of the identification and of its trials; by default those of the identification.
     timing : TimingSummary, optional
         Of a run in real time.
 
@@ -280,16 +345,33 @@ def summarise(
                 bias_bound=trial.bias_bound.tolist(),
             )
         )
-    everything = [*problems, *identification.problems]
+    known = identification.problems if findings is None else findings
+    deciding = identification.deciding
+    heavy = [one for one in known if one.severity is Severity.ERROR]
+    # What concerns an estimator that decides nothing stands beside its own numbers.
+    everything = [*problems, *(p.sentence for p in heavy if p.estimator in ("", *deciding))]
+
+    def verdict_of(*estimators: str) -> VerdictSummary:
+        holds = {
+            concern: not problems and not any(spoiled(known, concern, one) for one in estimators)
+            for concern in Concern
+        }
+        return VerdictSummary(
+            impedance=holds[Concern.IMPEDANCE], parameters=holds[Concern.PARAMETERS]
+        )
+
     return Summary(
         config=dict(config),
         joints=len(identification.joint_names),
         seed=seed,
         valid=not everything,
         problems=everything,
+        verdict=verdict_of(*deciding),
+        findings=[FindingSummary.of(one) for one in known],
         trials=trials,
         estimators={
-            name: EstimatorSummary.of(result) for name, result in identification.estimators.items()
+            name: EstimatorSummary.of(result, verdict_of(name))
+            for name, result in identification.estimators.items()
         },
         truth=None if identification.truth is None else TruthSummary.of(identification.truth),
         timing=timing,

@@ -108,27 +108,43 @@ def coherence_significance(averages: float, alpha: float = 0.05) -> float:
     return float(1.0 - alpha ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
 
 
-def lock_ratio(record: TrialRecord) -> FloatArray:
-    """Motion of each joint relative to that of the perturbed one: ``rms(θ_i) / rms(θ_k)``.
-
-    The rms is of the deviation from the mean. The perturbed joint itself has 1.
-
-    Returns
-    -------
-    ndarray, shape (n,)
+def require_motion(record: TrialRecord) -> None:
+    """Refuse a trial whose perturbed joint rests.
 
     Raises
     ------
     DataError
         If the perturbed joint did not move at all.
     """
-    motion = np.std(record.position, axis=1)
     k = record.perturbed_joint
-    if np.ptp(record.position[k]) == 0.0:  # the deviation is not quite zero, by rounding
+    if np.ptp(record.position[k]) == 0.0:
         raise DataError(
             f"trial {record.trial}: {record.joint_names[k]} is perturbed but does not move"
         )
-    ratio: FloatArray = motion / motion[k]
+
+
+def lock_ratio(trials: Sequence[TrialSpectra], frf: FrfMatrix) -> FloatArray:
+    """Motion of each joint that the perturbation causes, relative to that of the perturbed one.
+
+    ``sqrt(Σ_f |R_ik|² G_xx / Σ_f |R_kk|² G_xx)`` over the band, less what noise alone would give.
+    So neither motion outside the band counts nor such that has another cause, as the dither of
+    locked joints.
+
+    Parameters
+    ----------
+    trials : sequence of TrialSpectra
+        In order of k.
+    frf : FrfMatrix
+        Their responses.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Row i is the joint that moves, column k the perturbed one; 1 on the diagonal.
+    """
+    power = np.stack([trial.input_power for trial in trials])
+    caused = np.sum((np.abs(frf.R) ** 2 - frf.R_variance) * power[None], axis=2)
+    ratio: FloatArray = np.sqrt(np.maximum(caused, 0.0) / np.diag(caused)[None])
     return ratio
 
 
@@ -146,12 +162,14 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
     """
     n = frf.R.shape[0]
     bound = np.zeros((n, n))
+    # What moves beyond chance; its noise would look like bias where torques are small.
+    R = np.sqrt(np.maximum(np.abs(frf.R) ** 2 - frf.R_variance, 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         for i in range(n):
             for k in range(n):
                 moving = [i] if i != k else [j for j in range(n) if j != k]
                 for j in moving:
-                    share = np.abs(frf.T[i, j] / frf.R[j, j] * frf.R[j, k] / frf.T[i, k])
+                    share = np.abs(frf.T[i, j] / frf.R[j, j] * R[j, k] / frf.T[i, k])
                     bound[i, k] += np.mean(share)
     return bound
 

@@ -16,7 +16,7 @@ the Euler-Maclaurin formula. For a drive that lags, whose torque does not jump, 
 responses to its command, and the first terms of e and b have the response of the drive as a factor.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from functools import cached_property
 
@@ -32,13 +32,23 @@ ComplexArray = NDArray[np.complex128]
 _APART = 1e-5
 """Relative distance that poles have at least; partial fractions know no double ones."""
 HIGHEST_ORDER = 4
+LATEST = 1.0
+"""Delay of readings that is believed, s."""
+_AT_ONCE = 1e-6
+"""Part of a period by which a reading just after an update is later than it."""
 
 
 class TorqueTiming(str, Enum):
     """When torques are read, relative to the update of the command at the same sample."""
 
+    UNKNOWN = "unknown"
+    """Nobody knows: the records have to tell, as far as they can."""
     BEFORE_UPDATE = "before_update"
     """Just before: what jumps with the command is late."""
+    AFTER_UPDATE = "after_update"
+    """Just after: what jumps with the command is early."""
+    MID_INTERVAL = "mid_interval"
+    """Half a sample before the angles."""
     INTERVAL_MEAN = "interval_mean"
     """As the mean since the last sample: everything is late by half a sample."""
     SIMULTANEOUS = "simultaneous"
@@ -46,6 +56,9 @@ class TorqueTiming(str, Enum):
 
 
 _INSTANTS = {
+    TorqueTiming.UNKNOWN: "at an instant that nobody told",
+    TorqueTiming.AFTER_UPDATE: "just after each command takes effect",
+    TorqueTiming.MID_INTERVAL: "half a control period before the angles",
     TorqueTiming.BEFORE_UPDATE: "just before each command takes effect",
     TorqueTiming.INTERVAL_MEAN: "as means over the control period",
     TorqueTiming.SIMULTANEOUS: "at the instant of the angles",
@@ -86,7 +99,7 @@ class TorqueReading:
     timing : TorqueTiming
         When they are read.
     delay : float
-        How late they are beyond that, s.
+        How late they are beyond that, s; negative if they are early.
     cutoff : float
         Cut-off frequency of the Butterworth low-pass before the sampling, Hz; 0: there is none.
     order : int
@@ -101,14 +114,18 @@ class TorqueReading:
         If a value is out of range.
     """
 
-    timing: TorqueTiming = TorqueTiming.BEFORE_UPDATE
+    timing: TorqueTiming = TorqueTiming.UNKNOWN
     delay: float = 0.0
     cutoff: float = 0.0
     order: int = 1
     actuator_lag: float = 0.0
 
     def __post_init__(self) -> None:
-        for name, unit in (("delay", "s"), ("cutoff", "Hz"), ("actuator_lag", "s")):
+        if not abs(self.delay) <= LATEST:
+            raise ConfigurationError(
+                f"torque reading: delay must be within ± {LATEST:g} s, got {self.delay!r} s"
+            )
+        for name, unit in (("cutoff", "Hz"), ("actuator_lag", "s")):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
                 raise ConfigurationError(
@@ -129,7 +146,7 @@ class TorqueReading:
         """All of this in words."""
         facts = [_INSTANTS[self.timing]]
         if self.delay:
-            facts.append(f"{1e3 * self.delay:g} ms late")
+            facts.append(f"{1e3 * abs(self.delay):g} ms {'late' if self.delay > 0 else 'early'}")
         if self.cutoff:
             facts.append(
                 f"through a Butterworth low-pass of order {self.order}, {self.cutoff:g} Hz"
@@ -137,6 +154,26 @@ class TorqueReading:
         if self.actuator_lag:
             facts.append(f"drives lag by {1e3 * self.actuator_lag:g} ms")
         return ", ".join(facts)
+
+    def at_rate(self, rate: float) -> "TorqueReading":
+        """The same as readings just before the updates that are late by more, or less.
+
+        Readings just after an update are early by nothing but the jump, those amid a period are
+        late by half of it.
+
+        Parameters
+        ----------
+        rate : float
+            Readings per second, Hz.
+        """
+        shift = {TorqueTiming.AFTER_UPDATE: -_AT_ONCE, TorqueTiming.MID_INTERVAL: 0.5}
+        if self.timing not in shift:
+            return self
+        return replace(
+            self,
+            timing=TorqueTiming.BEFORE_UPDATE,
+            delay=self.delay + shift[self.timing] / rate,
+        )
 
     def response(self, f: FloatArray) -> ComplexArray:
         """``G = H exp(-jωD)`` at frequencies in Hz."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
+from armimp_common.contract import NS_PER_S
 from armimp_estimation.kept_stream import KeptStream
 from armimp_estimation.sample_ledger import StreamCount
 from armimp_estimation.trial_windows import TrialWindow
@@ -59,10 +59,6 @@ def find_problems(
     if not usable.size:
         nothing = fault or "no samples of it were recorded"
         return TrialProblems(all=nothing, lasting=nothing)
-    steps = np.diff(stamps)
-    if steps.size > 1 and np.median(steps) > 1.5 * PERIOD_NS:
-        apart = f"samples are {np.median(steps) / 1e6:.6g} ms apart, not {PERIOD_NS / 1e6:.6g} ms"
-        return TrialProblems(all=apart, lasting=apart)
     # What was recorded before an abort, or between missed samples, is intact.
     lasting = [fault] if fault and not (window.missed or window.aborted) else []
     close = np.flatnonzero(np.diff(numbers) == 0)
@@ -81,13 +77,15 @@ def _gaps(
 ) -> list[str]:
     """What is missing, or not as it should be, in the streams."""
     parts: list[str] = []
+    period = next(iter(kept.values())).period / NS_PER_S
     missing: dict[bytes, list[str]] = {}
     for topic, one in kept.items():
         missing.setdefault(one.present(span).tobytes(), []).append(topic)
     for holes, topics in missing.items():
         ticks = np.flatnonzero(~np.frombuffer(holes, np.bool_))
         if ticks.size:
-            parts.append(f"{_samples(ticks.size)} of {_listed(topics)} {_missing(ticks)}")
+            where = _missing(ticks, period)
+            parts.append(f"{_samples(ticks.size)} of {_listed(topics)} {where}")
     for topic, one in kept.items():
         count = counts[topic]
         if one.stream.malformed and count.lost:
@@ -95,7 +93,7 @@ def _gaps(
         ticks = np.flatnonzero(one.present(span) & ~one.finite(span))
         if ticks.size:
             verb = "is" if ticks.size == 1 else "are"
-            parts.append(f"{_samples(ticks.size)} of {topic} {verb} not finite {_where(ticks)}")
+            parts.append(f"{_samples(ticks.size)} of {topic} {verb} not finite {_where(ticks, period)}")
         if count.duplicated:
             parts.append(f"{_samples(count.duplicated)} of {topic} came more than once")
         if count.reordered:
@@ -111,13 +109,12 @@ def _samples(count: int) -> str:
     return f"{count} sample{'' if count == 1 else 's'}"
 
 
-def _missing(ticks: NDArray[np.intp]) -> str:
-    return f"{'is' if ticks.size == 1 else 'are'} missing {_where(ticks)}"
+def _missing(ticks: NDArray[np.intp], period: float) -> str:
+    return f"{'is' if ticks.size == 1 else 'are'} missing {_where(ticks, period)}"
 
 
-def _where(ticks: NDArray[np.intp]) -> str:
+def _where(ticks: NDArray[np.intp], period: float) -> str:
     """When it was, in seconds from the start of the trial; the end is that of the last period."""
-    period = PERIOD_NS / 1e9
     first, last = int(ticks[0]), int(ticks[-1])
     if first == last:
         return f"at {first * period:.3f} s"

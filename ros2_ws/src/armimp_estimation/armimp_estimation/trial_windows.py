@@ -175,7 +175,9 @@ def _with_clipping(window: TrialWindow, status: TrialStatus) -> TrialWindow:
 
 
 def infer_windows(
-    stamps: NDArray[np.int64], perturbation: NDArray[np.float64]
+    stamps: NDArray[np.int64],
+    perturbation: NDArray[np.float64],
+    period: float = PERIOD_NS,
 ) -> tuple[TrialWindow, ...]:
     """Find the trials of a recording without statuses from its perturbation alone.
 
@@ -188,6 +190,8 @@ def infer_windows(
         Stamps of the perturbation messages (ns).
     perturbation : ndarray, shape (n, N)
         Perturbation torques, N·m.
+    period : float
+        Sampling period, ns.
 
     Raises
     ------
@@ -215,7 +219,7 @@ def infer_windows(
             joint=int(joint[run[0]]),
             joint_name="",
             start_ns=int(stamps[samples[run[0]]]),
-            ticks=int(tick_numbers(stamps[samples[run[0]] : samples[run[-1]] + 1])[-1]) + 1,
+            ticks=int(tick_numbers(stamps[samples[run[0]] : samples[run[-1]] + 1], period)[-1]) + 1,
             seed=None,
             ended=bool(samples[run[-1]] < stamps.size - 1),
         )
@@ -223,7 +227,7 @@ def infer_windows(
     )
 
 
-def tick_numbers(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+def tick_numbers(stamps: NDArray[np.int64], period: float = PERIOD_NS) -> NDArray[np.int64]:
     """Number the control periods of ascending stamps, the first one 0.
 
     Every step is rounded by itself to whole periods, so neither jitter nor a clock that runs a
@@ -233,6 +237,8 @@ def tick_numbers(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     ----------
     stamps : ndarray, shape (N,)
         Ascending, ns.
+    period : float
+        Sampling period, ns.
 
     Returns
     -------
@@ -240,7 +246,8 @@ def tick_numbers(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
         Not descending; equal numbers where stamps are less than half a period apart.
     """
     numbers = np.zeros(stamps.size, np.int64)
-    np.cumsum((np.diff(stamps) + PERIOD_NS // 2) // PERIOD_NS, out=numbers[1:])
+    steps = np.floor(np.diff(stamps) / period + 0.5).astype(np.int64)
+    np.cumsum(steps, out=numbers[1:])
     return numbers
 
 

@@ -1,4 +1,7 @@
-"""Judgement of an identification in words, from what a rig can measure (never from the truth)."""
+"""Judgement of an identification, from what a rig can measure (never from the truth).
+
+Noise is no problem: intervals tell of it. What would make a number wrong is.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -7,6 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.fit import MBKFit
+from armimp_estimation.plausibility import judge_matrices
+from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity
 
 FloatArray = NDArray[np.float64]
 
@@ -18,16 +25,12 @@ class Limits:
     Parameters
     ----------
     lock_ratio : float
-        Largest motion of a locked joint relative to the perturbed one. Good locking stays below
-        0.006, apart from the controller's dither, with which it reaches 0.013 for the coarsest
-        encoders; at 0.02 the bias of off-diagonal elements may reach several per cent.
+        Largest motion of a locked joint, within the band and caused by the perturbation, relative
+        to the perturbed one; it biases ``welch_siso``. At 0.02 the bias of off-diagonal elements
+        may reach several per cent.
     bias_bound : float
         Largest share of a torque that motion of locked joints explains, band mean, see
         :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03.
-    coherence_derived : float
-        Smallest band mean of the derived coherence.
-    r2 : float
-        Smallest coefficient of determination of the M-B-K fit.
     significance : float
         Probability with which unrelated signals may pass as coherent; sets the level that band
         means of the ordinary coherences with the perturbation have to exceed.
@@ -35,8 +38,6 @@ class Limits:
 
     lock_ratio: float = 0.02
     bias_bound: float = 0.1
-    coherence_derived: float = 0.9
-    r2: float = 0.95
     significance: float = 0.05
 
     def __post_init__(self) -> None:
@@ -46,10 +47,15 @@ class Limits:
                 raise ConfigurationError(f"limit {item.name} must be in (0, 1), got {value!r}")
 
 
+_NOTICED = 5.0
+SINGLE = "welch_siso"
+"""The estimator that takes locked joints as still."""
+
+
 def judge_locking(
     names: Sequence[str], lock_ratio: FloatArray, bias_bound: FloatArray, limits: Limits
-) -> list[str]:
-    """Problems with joints that were to be held still.
+) -> list[Problem]:
+    """Problems with joints that were to be held still; they concern ``welch_siso`` alone.
 
     Derived coherence stays near 1 when locking fails, since a joint that gives way still answers
     the perturbation coherently; so locking is judged by the motion itself.
@@ -68,25 +74,34 @@ def judge_locking(
         for i, locked in enumerate(names):
             # Comparisons are written so that NaN fails.
             if i != k and not lock_ratio[i, k] <= limits.lock_ratio:
+                values: dict[str, float | int | str] = {
+                    "name": locked,
+                    "perturbed": perturbed,
+                    "percent": 100.0 * float(lock_ratio[i, k]),
+                    "limit": 100.0 * limits.lock_ratio,
+                }
                 problems.append(
-                    f"{locked} was not held still while {perturbed} was perturbed: it moved by "
-                    f"{100 * lock_ratio[i, k]:.3g} % of it (limit {100 * limits.lock_ratio:.3g} %)"
+                    Problem(code=ProblemCode.LOCK_RATIO, estimator=SINGLE, values=values)
                 )
             if not bias_bound[i, k] <= limits.bias_bound:
-                moving = locked if i != k else "the locked joints"
+                values = {
+                    "name": locked,
+                    "moving": locked if i != k else "the locked joints",
+                    "perturbed": perturbed,
+                    "percent": 100.0 * float(bias_bound[i, k]),
+                    "limit": 100.0 * limits.bias_bound,
+                    "element": f"({i + 1}, {k + 1})",
+                }
                 problems.append(
-                    f"motion of {moving} while {perturbed} was perturbed explains "
-                    f"{100 * bias_bound[i, k]:.3g} % of the torque of {locked} (limit "
-                    f"{100 * limits.bias_bound:.3g} %): element ({i + 1}, {k + 1}) may be biased "
-                    "as much"
+                    Problem(code=ProblemCode.LOCK_BIAS, estimator=SINGLE, values=values)
                 )
     return problems
 
 
 def judge_coherence(
     names: Sequence[str], motion: FloatArray, torque: FloatArray, level: float
-) -> list[str]:
-    """Problems with signals that do not answer the perturbation.
+) -> list[Problem]:
+    """Problems with perturbed joints that do not answer the perturbation.
 
     Parameters
     ----------
@@ -100,36 +115,63 @@ def judge_coherence(
         Coherence that counts as significant.
     """
     problems = []
-    for k, perturbed in enumerate(names):
-        if not motion[k] > level:
-            problems.append(
-                f"motion of {perturbed} does not follow its perturbation: mean coherence "
-                f"{motion[k]:.3g} is not significant (level {level:.3g})"
-            )
-        for i, name in enumerate(names):
-            if not torque[i, k] > level:
-                problems.append(
-                    f"torque of {name} does not follow the perturbation of {perturbed}: mean "
-                    f"coherence {torque[i, k]:.3g} is not significant (level {level:.3g})"
-                )
+    for k, name in enumerate(names):
+        for stream, coherence in (("motion", motion[k]), ("torque", torque[k, k])):
+            if not coherence > level:
+                values: dict[str, float | int | str] = {
+                    "stream": stream,
+                    "name": name,
+                    "perturbed": name,
+                    "coherence": float(coherence),
+                    "level": level,
+                }
+                problems.append(Problem(code=ProblemCode.NO_RESPONSE, values=values))
     return problems
 
 
 def judge_estimate(
-    estimator: str, coherence_derived: FloatArray, r2: FloatArray, limits: Limits
-) -> list[str]:
-    """Problems with the elements of one estimate; both arrays have shape (n, n)."""
-    problems = []
-    for i, k in np.ndindex(r2.shape):
-        element = f"{estimator}: element ({i + 1}, {k + 1})"
-        if not coherence_derived[i, k] >= limits.coherence_derived:
+    names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, declared: str
+) -> list[Problem]:
+    """Problems with one estimate and its fit.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joint names.
+    estimate : ImpedanceEstimate
+        The impedance.
+    fit : MBKFit
+        M, B and K.
+    declared : str
+        When torques were read, as far as that was told, in words.
+    """
+    problems = judge_matrices(estimate.name, names, fit)
+    if not estimate.unbiased:
+        return problems
+    for i, k in np.ndindex(fit.lack.shape):
+        if not fit.lack[i, k] <= fit.lack_limit:
             problems.append(
-                f"{element} has a mean derived coherence of {coherence_derived[i, k]:.3g} "
-                f"(limit {limits.coherence_derived:.3g})"
+                Problem(
+                    code=ProblemCode.LACK_OF_FIT,
+                    concern=Concern.PARAMETERS,
+                    estimator=estimate.name,
+                    values={
+                        "element": f"({i + 1}, {k + 1})",
+                        "lack": float(fit.lack[i, k]),
+                        "limit": fit.lack_limit,
+                    },
+                )
             )
-        if not r2[i, k] >= limits.r2:
-            problems.append(
-                f"{element} does not look like M s² + B s + K: R² is {r2[i, k]:.3g} "
-                f"(limit {limits.r2:.3g})"
-            )
+    delay = fit.delay
+    if delay is not None and abs(delay.delay) > _NOTICED * delay.error:
+        values: dict[str, float | int | str] = {
+            "delay_ms": 1e3 * delay.delay,
+            "error_ms": 1e3 * delay.error,
+        }
+        code = ProblemCode.DELAY_CORRECTED
+        if delay.refuted:
+            code, values = ProblemCode.TIMING_REFUTED, {**values, "declared": declared}
+        problems.append(
+            Problem(code=code, severity=Severity.NOTE, estimator=estimate.name, values=values)
+        )
     return problems

@@ -1,0 +1,124 @@
+"""Whether matrices and angles can be those of a person's arm, whoever it is.
+
+A passive arm has a kinetic energy ``½ q̇ᵀ M q̇ > 0`` for any motion, so the symmetric part of M has
+positive eigenvalues. Torques or angles in the wrong order make the elements off the diagonal larger
+than those on it, and a wrong sign makes one on it negative; both show there. What all joints have in
+common, such as a unit, shows in the size alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_estimation.fit import MBKFit
+from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.record import TrialRecord
+
+FloatArray = NDArray[np.float64]
+
+UNITS: Final = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
+RANGES: Final = {"M": (1e-4, 10.0), "B": (0.0, 150.0), "K": (0.0, 1500.0)}
+"""What a joint may have, from a wrist to a stiff ankle and ten times beyond; SI units."""
+LARGEST_POSTURE = 2.0 * np.pi
+"""Angle beyond which a posture isn't in radians, rad."""
+LARGEST_MOTION = 1.5
+"""Peak to peak motion under perturbation beyond which it isn't, rad: linear models end far below."""
+_ERRORS = 5.0
+
+
+def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Problem]:
+    """Find matrices that no arm has.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator.
+    names : sequence of str
+        Joint names.
+    fit : MBKFit
+        Matrices and their standard errors.
+    """
+    problems = []
+    matrices = {
+        "M": (fit.mbk.M, fit.M_se),
+        "B": (fit.mbk.B, fit.B_se),
+        "K": (fit.mbk.K, fit.K_se),
+    }
+    for letter, (matrix, errors) in matrices.items():
+        low, high = RANGES[letter]
+        for name, value, error in zip(names, np.diag(matrix), np.diag(errors), strict=True):
+            margin = _ERRORS * error
+            # Written so that NaN is a problem, too.
+            if not (value + margin >= low and value - margin <= high):
+                problems.append(
+                    _problem(
+                        ProblemCode.IMPLAUSIBLE_VALUE,
+                        estimator,
+                        matrix=letter,
+                        name=name,
+                        value=float(value),
+                        unit=UNITS[letter],
+                        low=low,
+                        high=high,
+                    )
+                )
+    value, error = least_eigenvalue(fit.mbk.M, fit.M_se)
+    if not problems and value < -_ERRORS * error:
+        problems.append(
+            _problem(
+                ProblemCode.IMPLAUSIBLE_INERTIA,
+                estimator,
+                matrix="M",
+                value=value,
+                error=error,
+                unit=UNITS["M"],
+                suspect="torques or angles of two joints may be swapped",
+            )
+        )
+    return problems
+
+
+def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, float]:
+    """Least eigenvalue of the symmetric part, and its standard error.
+
+    With the eigenvector v it is ``vᵀ A v``, whose error follows from those of the elements.
+    """
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    v = vectors[:, 0]
+    square = float(np.sum((np.outer(v, v) * errors) ** 2))
+    return float(values[0]), float(np.sqrt(square))
+
+
+def judge_angles(record: TrialRecord) -> list[Problem]:
+    """Find angles that aren't radians.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        One trial.
+    """
+    problems = []
+    for name, angle in zip(record.joint_names, record.position, strict=True):
+        posture, motion = float(np.abs(np.median(angle))), float(np.ptp(angle))
+        if posture > LARGEST_POSTURE:
+            what, value = "are about", posture
+        elif motion > LARGEST_MOTION:
+            what, value = "move by", motion
+        else:
+            continue
+        problems.append(
+            Problem(
+                code=ProblemCode.IMPLAUSIBLE_ANGLE,
+                trial=record.trial,
+                values={"name": name, "what": what, "value": value},
+            )
+        )
+    return problems
+
+
+def _problem(code: ProblemCode, estimator: str, **values: float | str) -> Problem:
+    return Problem(code=code, estimator=estimator, values=values)

@@ -1,0 +1,190 @@
+"""What is wrong with a result, as data: a code with values; words are made here and nowhere else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Final
+
+
+class Severity(str, Enum):
+    """What a problem does to the verdicts that it concerns."""
+
+    ERROR = "error"
+    """They say not valid."""
+    NOTE = "note"
+    """Nothing: it was corrected, or is in the standard errors."""
+
+
+class Concern(str, Enum):
+    """Which verdict a problem concerns."""
+
+    IMPEDANCE = "impedance"
+    """Z(f) and its bands, and with them all that is fitted to it."""
+    PARAMETERS = "parameters"
+    """M, B and K and their intervals; Z(f) may be right."""
+
+
+class ProblemCode(str, Enum):
+    """Kinds of problems."""
+
+    RATE_UNCUSTOMARY = "rate_uncustomary"
+    RATE_UNPLANNED = "rate_unplanned"
+    RATE_DRIFTS = "rate_drifts"
+    STAMPS_IRREGULAR = "stamps_irregular"
+    STREAM_RATES_DIFFER = "stream_rates_differ"
+    COMMANDS_PERMUTED = "commands_permuted"
+    COMMANDS_SHIFTED = "commands_shifted"
+    DELAY_CORRECTED = "delay_corrected"
+    TIMING_REFUTED = "timing_refuted"
+    LACK_OF_FIT = "lack_of_fit"
+    IMPLAUSIBLE_INERTIA = "implausible_inertia"
+    IMPLAUSIBLE_VALUE = "implausible_value"
+    IMPLAUSIBLE_ANGLE = "implausible_angle"
+    TORQUE_UNBALANCED = "torque_unbalanced"
+    ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"
+    ROBOT_INERTIA_WRONG = "robot_inertia_wrong"
+    CLIPPED = "clipped"
+    STUCK = "stuck"
+    UNRESOLVED = "unresolved"
+    SPIKES = "spikes"
+    LOCK_RATIO = "lock_ratio"
+    LOCK_BIAS = "lock_bias"
+    NO_RESPONSE = "no_response"
+
+
+SENTENCES: Final[Mapping[ProblemCode, str]] = {
+    ProblemCode.RATE_UNCUSTOMARY: (
+        "stamps give a sampling rate of {rate:.7g} Hz, which is not a customary one: "
+        "if it is right, declare it with --rate {rate:.7g}"
+    ),
+    ProblemCode.RATE_UNPLANNED: (
+        "stamps give a sampling rate of {rate:.7g} Hz, but {planned:.7g} Hz were expected"
+    ),
+    ProblemCode.RATE_DRIFTS: (
+        "the sampling rate drifts: stamps give {first:.7g} Hz in the first half, "
+        "{second:.7g} Hz in the second"
+    ),
+    ProblemCode.STAMPS_IRREGULAR: (
+        "stamps are irregular: they scatter by {scatter:.3g} periods (rms) and up to "
+        "{largest:.3g} periods about a rate of {rate:.7g} Hz"
+    ),
+    ProblemCode.STREAM_RATES_DIFFER: (
+        "stamps of {stream} give {rate:.7g} Hz, those of the others {other:.7g} Hz"
+    ),
+    ProblemCode.COMMANDS_PERMUTED: (
+        "commands are in another order than the joints: {order}; they were put in order"
+    ),
+    ProblemCode.COMMANDS_SHIFTED: (
+        "commands take effect {periods:d} periods later than expected; they were shifted"
+    ),
+    ProblemCode.DELAY_CORRECTED: (
+        "torques are late against angles by {delay_ms:.4g} ± {error_ms:.2g} ms; this was corrected"
+    ),
+    ProblemCode.TIMING_REFUTED: (
+        "the declared instant of the torque readings ({declared}) is refuted by the records: "
+        "torques are late by a further {delay_ms:.4g} ± {error_ms:.2g} ms, which was corrected"
+    ),
+    ProblemCode.LACK_OF_FIT: (
+        "{estimator}: element {element} is not of the form M s² + B s + K: its lack of fit is "
+        "{lack:.3g} times what noise explains (limit {limit:.3g})"
+    ),
+    ProblemCode.IMPLAUSIBLE_INERTIA: (
+        "{estimator}: {matrix} is not that of a passive arm: its symmetric part has the eigenvalue "
+        "{value:.3g} ± {error:.2g} {unit}; {suspect}"
+    ),
+    ProblemCode.IMPLAUSIBLE_VALUE: (
+        "{estimator}: {matrix} of {name} is {value:.3g} {unit}, outside of what an arm may have "
+        "({low:g} to {high:g}); check sign and unit of its torque and angle"
+    ),
+    ProblemCode.IMPLAUSIBLE_ANGLE: (
+        "angles of {name} {what} {value:.3g}: they can't be radians; are they degrees?"
+    ),
+    ProblemCode.TORQUE_UNBALANCED: (
+        "torque of {name} and its command disagree: the transducer shows {share:.3g} ± {error:.2g} "
+        "times the stiffness that the command feels; check sign, unit, gain and order of both"
+    ),
+    ProblemCode.ROBOT_INERTIA_IMPOSSIBLE: (
+        "commands less torques move a robot of the inertia {inertia}, which is impossible: "
+        "check sign, unit, gain and order of commands, torques and angles of {name}"
+    ),
+    ProblemCode.ROBOT_INERTIA_WRONG: (
+        "commands less torques move {name} as if its inertia were {share:.3g} times the known one: "
+        "check sign, unit, gain and order of its command, torque and angle"
+    ),
+    ProblemCode.CLIPPED: (
+        "{stream} of {name} is clipped at {value:.4g} {unit} in {count:d} samples"
+    ),
+    ProblemCode.STUCK: (
+        "{stream} of {name} is stuck: it keeps one value for {longest:.3g} s, "
+        "{count:d} times for longer than {limit:.2g} s"
+    ),
+    ProblemCode.UNRESOLVED: (
+        "{stream} of {name} moves by {counts:.2g} counts of its resolution only: "
+        "what depends on it isn't resolved"
+    ),
+    ProblemCode.SPIKES: "{stream} of {name} has {count:d} spikes of up to {value:.3g} {unit}",
+    ProblemCode.LOCK_RATIO: (
+        "{estimator}: {name} was not held still while {perturbed} was perturbed: within the band "
+        "it moved by {percent:.3g} % of it (limit {limit:.3g} %)"
+    ),
+    ProblemCode.LOCK_BIAS: (
+        "{estimator}: motion of {moving} while {perturbed} was perturbed explains {percent:.3g} % "
+        "of the torque of {name} (limit {limit:.3g} %): element {element} may be biased as much"
+    ),
+    ProblemCode.NO_RESPONSE: (
+        "{stream} of {name} does not follow the perturbation of {perturbed}: mean coherence "
+        "{coherence:.3g} is not significant (level {level:.3g})"
+    ),
+}
+"""One sentence for each code, with places for its values."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """One thing that is wrong, or was found and put right.
+
+    Attributes
+    ----------
+    code : ProblemCode
+        Kind of problem.
+    concern : Concern
+        Which verdict it concerns; what concerns the impedance concerns the parameters as well.
+    severity : Severity
+        Whether it makes that verdict say not valid.
+    trial : int or None
+        Number of the trial, 1-based, if it is of one.
+    estimator : str
+        The estimator, if only the estimate of one is concerned.
+    values : mapping of str to float, int or str
+        What the sentence of the code tells.
+    """
+
+    code: ProblemCode
+    concern: Concern = Concern.IMPEDANCE
+    severity: Severity = Severity.ERROR
+    trial: int | None = None
+    estimator: str = ""
+    values: Mapping[str, float | int | str] = field(default_factory=dict)
+
+    @property
+    def sentence(self) -> str:
+        """The problem in words, one line."""
+        values = {"estimator": self.estimator, **self.values}
+        where = "" if self.trial is None else f"trial {self.trial}: "
+        return where + SENTENCES[self.code].format(**values)
+
+    def __str__(self) -> str:
+        return self.sentence
+
+    def spoils(self, concern: Concern, estimator: str = "") -> bool:
+        """Whether it makes a verdict say not valid, for one estimator or for all."""
+        if self.severity is not Severity.ERROR or self.estimator not in ("", estimator):
+            return False
+        return concern is Concern.PARAMETERS or self.concern is concern
+
+
+def spoiled(problems: Iterable[Problem], concern: Concern, estimator: str = "") -> bool:
+    """Whether one of the problems makes a verdict say not valid."""
+    return any(problem.spoils(concern, estimator) for problem in problems)

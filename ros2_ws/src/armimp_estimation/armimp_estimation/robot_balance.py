@@ -1,0 +1,224 @@
+"""Balance of the robot: what the commands move, less what the transducers show of the arm.
+
+Between the robot's drives and the arm nothing but the robot itself takes torque, so
+
+    H T_u - T_τ = (M_r s² + B_r s + K_r) R,    H = (1 - exp(-jωL))/jωL
+
+with the responses T_u of the commands, T_τ of the transducers and R of the angles to the
+perturbation, and the hold H of the commands. A robot in the plane has no stiffness beyond that of its
+friction, and its inertia is symmetric with positive eigenvalues. If the transducer of a joint shows g
+times the torque, then ``K_r = (1 - g)/g · K̂`` in its row, with the stiffness K̂ of the estimate. So
+wrong signs, units, gains and orders show without knowing arm or robot. What is wrong with commands,
+torques and angles in the same proportion doesn't.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.fit import FitConfig, MBKFit, fit_impedance
+from armimp_estimation.local_polynomial import LocalPolynomialConfig, LocalResponse, local_response
+from armimp_estimation.plausibility import least_eigenvalue
+from armimp_estimation.problems import Problem, ProblemCode, Severity
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.trial import TrialData
+from armimp_estimation.welch import invert, multiply
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+BAND = (0.5, 12.0)
+"""Where inertia and stiffness are seen, Hz: below, friction is most of it."""
+GAIN_TOLERANCE = 0.25
+"""Share by which the torque of a transducer may differ from that of the command.
+
+Friction looks like stiffness of the robot, by as much.
+"""
+ASYMMETRY = 0.5
+"""Share by which elements of the robot's inertia off the diagonal may differ from each other."""
+_ERRORS = 5.0
+_MOST_ORDERS = 4
+_CLEARLY = 0.3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotBalance:
+    """What commands less torques move.
+
+    Attributes
+    ----------
+    fit : MBKFit
+        Inertia, viscosity and stiffness of the robot, with standard errors.
+    order : tuple of int
+        Row of the commands that belongs to each joint.
+    """
+
+    fit: MBKFit
+    order: tuple[int, ...]
+
+    @property
+    def stiffness(self) -> float:
+        """Size of the robot's stiffness, N·m/rad."""
+        return float(np.sqrt(np.sum(self.fit.mbk.K**2)))
+
+    @property
+    def permuted(self) -> bool:
+        """Whether commands are in another order than the joints."""
+        return self.order != tuple(range(len(self.order)))
+
+
+def robot_balance(records: Sequence[TrialRecord]) -> RobotBalance | None:
+    """Estimate what the commands move.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+
+    Returns
+    -------
+    RobotBalance or None
+        None if there are no commands, or they or the angles don't follow the perturbation.
+    """
+    if any(record.command is None for record in records):
+        return None
+    n = len(records)
+    try:
+        responses = _responses(records)
+        f = responses[0].f
+        stacked = np.stack([one.response for one in responses], axis=1)
+        inverse = invert(stacked[:n], f)
+    except DataError:
+        return None
+    turn = 2j * np.pi * f / records[0].rate
+    hold = (1.0 - np.exp(-turn)) / turn
+    orders = list(itertools.permutations(range(n))) if n <= _MOST_ORDERS else [tuple(range(n))]
+    found: list[RobotBalance] = []
+    for order in orders:
+        rows = [2 * n + row for row in order]
+        torque = hold * stacked[rows] - stacked[n : 2 * n]
+        impedance = multiply(torque, inverse)
+        variance = np.zeros(impedance.shape)
+        for k, response in enumerate(responses):
+            for i in range(n):
+                coefficients = np.zeros((3 * n, f.size), dtype=np.complex128)
+                coefficients[:n] = -impedance[i]
+                coefficients[n + i] = -1.0
+                coefficients[rows[i]] = hold
+                noise = response.combined_variance(coefficients)
+                variance[i] += noise * np.abs(inverse[k]) ** 2
+        estimate = ImpedanceEstimate(
+            name="robot",
+            f=f,
+            Z=impedance,
+            variance=variance,
+            bin_correlation=responses[0].bin_correlation(),
+            averages=responses[0].freedom + 1.0,
+            T=torque,
+            R=stacked[:n],
+        )
+        _, fit = fit_impedance(estimate, FitConfig())
+        found.append(RobotBalance(fit=fit, order=order))
+    best = min(found, key=lambda one: one.stiffness)
+    # The right order leaves a robot with hardly any stiffness; friction leaves some of it.
+    return best if best.stiffness < _CLEARLY * found[0].stiffness else found[0]
+
+
+def transducer_gains(robot: MBKFit, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
+    """Gain g of each transducer against the commands, and its standard error.
+
+    With ``ρ = Σ_j K_r,ij K̂_ij / Σ_j K̂_ij²`` it is ``1/(1 + ρ)``.
+    """
+    K, size = arm.mbk.K, np.sum(arm.mbk.K**2, axis=1)
+    share = np.sum(robot.mbk.K * K, axis=1) / size
+    error = np.sqrt(np.sum((robot.K_se * K) ** 2, axis=1)) / size
+    slope = 1.0 / (1.0 + share) ** 2
+    return 1.0 / (1.0 + share), slope * error
+
+
+def judge_balance(
+    names: Sequence[str], balance: RobotBalance, arm: MBKFit
+) -> list[Problem]:
+    """Find what doesn't balance.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joint names.
+    balance : RobotBalance
+        What the commands move.
+    arm : MBKFit
+        What was estimated of the arm from the same trials.
+    """
+    problems = []
+    gains, errors = transducer_gains(balance.fit, arm)
+    if balance.permuted:
+        order = ", ".join(names[row] for row in np.argsort(balance.order))
+        problems.append(
+            Problem(
+                code=ProblemCode.COMMANDS_PERMUTED,
+                severity=Severity.NOTE,
+                values={"order": order},
+            )
+        )
+    wrong = []
+    for name, gain, error in zip(names, gains, errors, strict=True):
+        # In terms of the stiffness, so that a gain near 0 or below counts as well.
+        if not abs(1.0 / gain - 1.0) <= GAIN_TOLERANCE + _ERRORS * error / gain**2:
+            wrong.append(name)
+            problems.append(
+                Problem(
+                    code=ProblemCode.TORQUE_UNBALANCED,
+                    values={"name": name, "share": float(gain), "error": float(error)},
+                )
+            )
+    fit = balance.fit
+    value, error = least_eigenvalue(fit.mbk.M, fit.M_se)
+    M = fit.mbk.M
+    size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
+    uneven = np.abs(M - M.T) > ASYMMETRY * size + _ERRORS * np.hypot(fit.M_se, fit.M_se.T)
+    if value < -_ERRORS * error or uneven.any():
+        inertia = "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in M) + "] kg·m²"
+        problems.append(
+            Problem(
+                code=ProblemCode.ROBOT_INERTIA_IMPOSSIBLE,
+                values={"inertia": inertia, "name": ", ".join(wrong or names)},
+            )
+        )
+    return problems
+
+
+def in_order(trial: TrialData, balance: RobotBalance) -> TrialData:
+    """Return a trial with its commands in the order of the joints."""
+    record = trial.record
+    if record.command is None:
+        return trial
+    command = record.command[list(balance.order)]
+    return replace(trial, record=replace(record, command=command))
+
+
+def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
+    shortest = min(records, key=lambda record: record.samples)
+    f = None
+    found = []
+    for record in (shortest, *(one for one in records if one is not shortest)):
+        command = record.position[:0] if record.command is None else record.command
+        half = max(6, min(24, int(0.5 * record.duration)))
+        response = local_response(
+            record.perturbation[record.perturbed_joint],
+            np.concatenate([record.position, record.torque, command]),
+            record.rate,
+            BAND,
+            LocalPolynomialConfig(half_width=half),
+            f,
+        )
+        f = response.f
+        found.append((record.perturbed_joint, response))
+    return [response for _, response in sorted(found, key=lambda pair: pair[0])]

@@ -1,0 +1,187 @@
+"""The sampling rate of a recording, from its stamps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.errors import DataError
+from armimp_estimation.problems import Problem, ProblemCode
+
+Stamps = NDArray[np.int64]
+
+LOWEST, HIGHEST = 200.0, 4000.0
+"""Sampling rates that are taken, Hz."""
+TOLERANCE = 5e-4
+"""Relative difference of a rate from a customary one: five times that of a poor crystal."""
+_DRIFT = 1e-3
+_SCATTER = 0.1
+_LARGEST = 0.45
+
+
+def sampling_period(streams: Mapping[str, Stamps]) -> float:
+    """Mean time between samples, ns; that of the contract if it is within the tolerance.
+
+    Each step is rounded to whole periods by the median step, so that samples which are missing,
+    late or repeated don't count: ``L = Σ steps / Σ periods``. Of several streams it is the median.
+
+    Parameters
+    ----------
+    streams : mapping of str to ndarray of int64, shape (N,)
+        Stamps (ns) of each stream, in any order, by topic.
+
+    Raises
+    ------
+    DataError
+        If the rate is not between :data:`LOWEST` and :data:`HIGHEST`.
+    """
+    periods = [found for stamps in streams.values() if (found := _period(stamps)) is not None]
+    if not periods:
+        return float(PERIOD_NS)
+    period = float(np.median(periods))
+    rate = NS_PER_S / period
+    if not LOWEST * (1.0 - TOLERANCE) <= rate <= HIGHEST * (1.0 + TOLERANCE):
+        raise DataError(
+            f"stamps give a sampling rate of {rate:.6g} Hz; rates from {LOWEST:g} to "
+            f"{HIGHEST:g} Hz can be estimated from"
+        )
+    return float(PERIOD_NS) if abs(period / PERIOD_NS - 1.0) <= TOLERANCE else period
+
+
+def is_customary(rate: float) -> bool:
+    """Whether a rig may well have this sampling rate, Hz.
+
+    Customary are multiples of 50 Hz, powers of two, and periods of whole quarters of a
+    millisecond.
+    """
+    nearest = [
+        50.0 * max(1, round(rate / 50.0)),
+        2.0 ** round(np.log2(rate)),
+        4000.0 / max(1, round(4000.0 / rate)),
+    ]
+    return any(abs(rate / one - 1.0) <= TOLERANCE for one in nearest)
+
+
+def judge_stamps(
+    streams: Mapping[str, Stamps], period: float, *, trial: int, planned: float | None
+) -> list[Problem]:
+    """Find what is wrong with the stamps of a trial.
+
+    Parameters
+    ----------
+    streams : mapping of str to ndarray of int64
+        Stamps (ns) of each stream within the trial, ascending, by topic.
+    period : float
+        Sampling period that is used, ns.
+    trial : int
+        Number of the trial, for the problems.
+    planned : float or None
+        Rate that the recording was made for, Hz, if that is known.
+
+    Returns
+    -------
+    list of Problem
+    """
+    rate = NS_PER_S / period
+    problems = []
+    if planned is not None:
+        if abs(rate / planned - 1.0) > TOLERANCE:
+            problems.append(
+                _problem(ProblemCode.RATE_UNPLANNED, trial, rate=rate, planned=planned)
+            )
+    elif not is_customary(rate):
+        problems.append(_problem(ProblemCode.RATE_UNCUSTOMARY, trial, rate=rate))
+    for topic, stamps in streams.items():
+        own = _period(stamps)
+        if own is None:
+            continue
+        if abs(own / period - 1.0) > _DRIFT:
+            problems.append(
+                _problem(
+                    ProblemCode.STREAM_RATES_DIFFER,
+                    trial,
+                    stream=topic,
+                    rate=NS_PER_S / own,
+                    other=rate,
+                )
+            )
+    first = next(iter(streams.values()))
+    grid = Grid.of(first)
+    if grid is None:
+        return problems
+    if abs(grid.drift) > _DRIFT:
+        problems.append(
+            _problem(
+                ProblemCode.RATE_DRIFTS,
+                trial,
+                first=rate * (1.0 - 0.5 * grid.drift),
+                second=rate * (1.0 + 0.5 * grid.drift),
+            )
+        )
+    elif not (grid.scatter <= _SCATTER and grid.largest <= _LARGEST):
+        problems.append(
+            _problem(
+                ProblemCode.STAMPS_IRREGULAR,
+                trial,
+                scatter=grid.scatter,
+                largest=grid.largest,
+                rate=rate,
+            )
+        )
+    return problems
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """How far stamps are from a regular grid.
+
+    Attributes
+    ----------
+    drift : float
+        Relative change of the rate from the first half to the second.
+    scatter, largest : float
+        Rms and largest distance of a stamp from the grid, periods.
+    """
+
+    drift: float
+    scatter: float
+    largest: float
+
+    @classmethod
+    def of(cls, stamps: Stamps) -> Grid | None:
+        """Compare stamps with the straight line through them; None for fewer than 20."""
+        period = _period(stamps)
+        if stamps.size < 20 or period is None:
+            return None
+        steps = np.diff(stamps)
+        numbers = np.concatenate(([0.0], np.cumsum(np.rint(steps / period))))
+        times = (stamps - stamps[0]) / period
+        half = stamps.size // 2
+        slopes = [
+            np.polyfit(numbers[part], times[part], 1)[0]
+            for part in (slice(None, half), slice(half, None))
+        ]
+        off = times - np.polyval(np.polyfit(numbers, times, 1), numbers)
+        return cls(
+            drift=float(slopes[0] / slopes[1] - 1.0),
+            scatter=float(np.std(off)),
+            largest=float(np.max(np.abs(off))),
+        )
+
+
+def _period(stamps: Stamps) -> float | None:
+    steps = np.diff(np.unique(stamps))
+    if steps.size == 0:
+        return None
+    median = float(np.median(steps))
+    whole = np.rint(steps / median)
+    counted = whole > 0
+    return float(np.sum(steps[counted]) / np.sum(whole[counted]))
+
+
+def _problem(code: ProblemCode, trial: int, **values: float | str) -> Problem:
+    return Problem(code=code, trial=trial, values=values)

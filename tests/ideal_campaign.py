@@ -1,0 +1,83 @@
+"""Verdicts on ideal runs of the project's own rig: the distribution that each check has to leave alone.
+
+``python tests/ideal_campaign.py [--seeds 0:4]`` prints false refusals, the largest value of each
+measure, and the coverage of the 95 % intervals of M, B and K, over the 48 conditions of the study.
+"""
+
+from __future__ import annotations
+
+import argparse
+import collections
+
+import numpy as np
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.simulated import simulate
+from armimp_bringup.study.conditions import select_conditions
+from armimp_bringup.study.engine import condition_config
+from armimp_estimation.robot_balance import transducer_gains
+
+NAMES = "MBK"
+
+
+def main() -> None:
+    """Print the distributions."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", default="0:1")
+    parser.add_argument("--only", action="append", default=[])
+    parser.add_argument("--estimator", default="lpm_full")
+    options = parser.parse_args()
+    conditions = select_conditions(options.only, options.seeds)
+    base = ExperimentConfig()
+    refused: collections.Counter[str] = collections.Counter()
+    covered: dict[tuple[int, int, int], list[np.ndarray]] = collections.defaultdict(list)
+    lacks, gains, runs = [], [], 0
+    for first in range(0, len(conditions), 24):
+        some = conditions[first : first + 24]
+        for condition, experiment in zip(
+            some, simulate([condition_config(base, one) for one in some]), strict=True
+        ):
+            runs += 1
+            found = experiment.identify([options.estimator])
+            result = found.estimators[options.estimator]
+            truth = experiment.truth
+            errors = [
+                (getattr(result.fit.mbk, n) - getattr(truth, n)) / getattr(result.fit, f"{n}_se")
+                for n in NAMES
+            ]
+            key = (condition.friction, condition.resolution, condition.perturbation)
+            covered[key].append(np.array(errors))
+            lacks.append((float(np.max(result.fit.lack)), str(condition)))
+            line = f"{condition}: lack {np.max(result.fit.lack):.2f}"
+            if found.balance is not None:
+                gain, error = transducer_gains(found.balance.fit, result.fit)
+                gains.append((float(np.max(np.abs(1 / gain - 1))), str(condition)))
+                M = found.balance.fit.mbk.M
+                line += f" gain {gain.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"
+            if result.fit.delay is not None:
+                delay = result.fit.delay
+                line += f" delay {1e6 * delay.told:.1f} ± {1e6 * delay.told_error:.1f} µs"
+                line += f" -> {1e6 * delay.delay:.1f} ± {1e6 * delay.error:.1f}"
+            se = [np.max(getattr(result.fit, f"{n}_se") / np.abs(getattr(truth, n))) for n in NAMES]
+            line += " se% " + " ".join(f"{100 * one:.2f}" for one in se)
+            line += " worst " + " ".join(f"{np.max(np.abs(one)):.2f}" for one in errors)
+            print(line)
+            for problem in found.problems:
+                refused[f"{problem.severity.value} {problem.code.value}"] += 1
+                print("     ", problem)
+    print(f"{runs} runs, problems: {dict(refused)}")
+    print("largest lack of fit:", sorted(lacks)[-3:])
+    print("largest imbalance of gain:", sorted(gains)[-3:])
+    everything = np.array([one for errors in covered.values() for one in errors])
+    for row, name in enumerate(NAMES):
+        inside = np.abs(everything[:, row]) < 1.96
+        print(f"coverage of {name}: {100 * inside.mean():.1f} %, by element", end=" ")
+        print((100 * inside.mean(axis=0)).round(1).tolist())
+    for key, errors in covered.items():
+        shares = [(np.abs(np.array(errors)[:, row]) < 1.96).mean() for row in range(3)]
+        if min(shares) < 0.8:
+            print(key, "covers", [f"{100 * one:.0f} %" for one in shares])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,412 @@
+"""A rig that shares nothing with the project's own, to judge the estimator's verdicts.
+
+Arm and robot are one linear state-space model, integrated exactly over 20 steps in each control
+period, with forces that are held over a step (friction of the robot, reflex, muscle that depends
+on amplitude or time). The controller is a plain PD law on differentiated encoder readings that
+knows nothing of the torque. Each class of mismatch is an option of :class:`Mismatch`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.linalg import expm
+from scipy.signal import butter, sosfilt
+
+FloatArray = NDArray[np.float64]
+
+SUBSTEPS = 20
+INERTIA = np.array([[0.187, 0.084], [0.079, 0.060]])
+DAMPING = np.array([[0.651, 0.239], [0.236, 0.407]])
+STIFFNESS = np.array([[7.967, 3.187], [1.663, 6.901]])
+ROBOT = np.array([[0.41, 0.17], [0.17, 0.15]])
+POSTURE = np.array([1.1, 1.35])
+NAMES = ("shoulder", "elbow")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mismatch:
+    """What is not as the estimator would like it; times in s, SI units."""
+
+    rate: float = 1000.0
+    duration: float = 50.0
+    level: float = 1.0
+    """Of the perturbation: 1 gives standard deviations of 2.5 and 1.5 N·m."""
+    inertia: float = 1.0
+    damping: float = 1.0
+    stiffness: float = 1.0
+    """Of the arm, times the values above."""
+    torque_delay: float = 0.0
+    """Of torque readings against the instant just before the update."""
+    after: bool = False
+    mean: bool = False
+    low_pass: float = 0.0
+    """Time constant of the torque readings."""
+    angle_low_pass: float = 0.0
+    command_delay: float = 0.0
+    torque_noise: float = 0.003
+    angle_step: float = 6.136e-5
+    torque_step: float = 0.01
+    friction: float = 0.15
+    viscosity: float = 0.1
+    lock: float = 150.0
+    """Natural frequency of locked joints, rad/s (at most a sixth of the rate)."""
+    cuff: float = 0.0
+    """Stiffness between robot and arm, N·m/rad; 0: rigid."""
+    reflex: float = 0.0
+    reflex_delay: float = 0.04
+    short_range: float = 0.0
+    """Additional stiffness within 5 mrad of a yielding element, N·m/rad."""
+    cubic: float = 0.0
+    """Share by which stiffness falls at 50 mrad."""
+    waxing: float = 0.0
+    """Share by which stiffness grows over the trial."""
+    tremor: float = 0.0
+    voluntary: float = 0.0
+    preload: float = 0.0
+    """Angle between the posture held and the arm's rest, rad."""
+    readings: Callable[[Recording], Recording] | None = field(default=None, compare=False)
+    """What is done to the arrays afterwards."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """One trial as a recorder would have it; arrays (n, N)."""
+
+    joint: int
+    stamps: NDArray[np.int64]
+    position: FloatArray
+    torque: FloatArray
+    perturbation: FloatArray
+    command: FloatArray | None
+    command_shift: int = 0
+
+
+def arm_of(mismatch: Mismatch) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return M, B and K of the arm at small amplitude."""
+    return (
+        INERTIA * mismatch.inertia,
+        DAMPING * mismatch.damping,
+        STIFFNESS * mismatch.stiffness,
+    )
+
+
+@njit(cache=True)
+def _run(  # noqa: PLR0913, PLR0917
+    A,
+    G,
+    torque_of,
+    perturbation,
+    disturbance,
+    gains,
+    target,
+    pole,
+    angle_step,
+    angle_pole,
+    friction,
+    reflex,
+    reflex_steps,
+    nonlinear,
+    hold,
+    substeps,
+    command_steps,
+    states,
+    mean,
+    torque_pole,
+):
+    n = 2
+    ticks = perturbation.shape[1]
+    position = np.zeros((n, ticks))
+    command = np.zeros((n, ticks))
+    before = np.zeros((n, ticks))
+    fine = np.zeros((n, ticks * substeps))
+    x = np.zeros(states)
+    force = np.zeros(2 * n)
+    active = np.zeros(n)
+    sent = np.zeros((n, 8))
+    velocity = np.zeros(n)
+    last = np.zeros(n)
+    filtered = np.zeros(n)
+    stretch = np.zeros((n, reflex_steps + 1))
+    contraction = np.zeros((n, 2))
+    low = np.zeros(n)
+    yielding = np.zeros(n)
+    where = states - 4 if states > 4 else 0
+    for k in range(ticks):
+        for i in range(n):
+            filtered[i] += angle_pole * (x[i] - filtered[i])
+            reading = filtered[i] if angle_pole < 1.0 else x[i]
+            if angle_step > 0.0:
+                reading = np.round(reading / angle_step) * angle_step
+            position[i, k] = reading
+            velocity[i] += pole * ((reading - last[i]) - velocity[i]) if k else 0.0
+            last[i] = reading
+            command[i, k] = (
+                perturbation[i, k]
+                - gains[0, i] * (reading - target[i])
+                - gains[1, i] * velocity[i]
+            )
+            for age in range(7, 0, -1):
+                sent[i, age] = sent[i, age - 1]
+            sent[i, 0] = command[i, k]
+        for s in range(substeps):
+            whole = 0
+            left = s - command_steps
+            while left < 0:
+                left += substeps
+                whole += 1
+            for i in range(n):
+                old = active[i]
+                active[i] = sent[i, whole]
+                speed = x[n + i]
+                stick = friction * np.tanh(speed / 0.02)
+                force[i] = old - stick
+                q, v = x[where + i], x[where + n + i]
+                # Reflex: torque after a delay, through two first-order lags of the muscle.
+                for age in range(reflex_steps, 0, -1):
+                    stretch[i, age] = stretch[i, age - 1]
+                stretch[i, 0] = v
+                contraction[i, 0] += hold * (reflex * stretch[i, reflex_steps] - contraction[i, 0])
+                contraction[i, 1] += hold * (contraction[i, 0] - contraction[i, 1])
+                # A spring of limited range that yields and follows.
+                if q - yielding[i] > 0.005:
+                    yielding[i] = q - 0.005
+                if q - yielding[i] < -0.005:
+                    yielding[i] = q + 0.005
+                extra = nonlinear[0] * (q - yielding[i])
+                extra -= nonlinear[1] * q * min(q * q / 0.0025, 4.0)
+                extra += nonlinear[2] * (k / ticks - 0.5) * q
+                force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
+            if s == 0:
+                for i in range(n):
+                    value = 0.0
+                    for j in range(states):
+                        value += torque_of[i, j] * x[j]
+                    for j in range(2 * n):
+                        value += torque_of[i, states + j] * force[j]
+                    before[i, k] = value
+            for i in range(n):
+                force[i] = active[i] - friction * np.tanh(x[n + i] / 0.02)
+            for i in range(n):
+                value = 0.0
+                for j in range(states):
+                    value += torque_of[i, j] * x[j]
+                for j in range(2 * n):
+                    value += torque_of[i, states + j] * force[j]
+                low[i] += torque_pole * (value - low[i])
+                fine[i, k * substeps + s] = low[i]
+            new = A @ x + G @ force
+            for j in range(states):
+                x[j] = new[j]
+    return position, command, before, fine
+
+
+def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
+    """Run the trial that perturbs one joint: half a second at rest before and after it."""
+    period = 1.0 / mismatch.rate
+    rng = np.random.default_rng([seed, joint])
+    settle = round(0.5 * mismatch.rate)
+    ticks = round(mismatch.duration * mismatch.rate)
+    total = ticks + 2 * settle
+    perturbation = np.zeros((2, total))
+    noise = sosfilt(
+        butter(4, 20.0, fs=mismatch.rate, output="sos"), rng.standard_normal(ticks + settle)
+    )[settle:]
+    size = mismatch.level * (2.5, 1.5)[joint]
+    perturbation[joint, settle : settle + ticks] = noise / noise.std() * size
+
+    M, B, K = arm_of(mismatch)
+    states, A, G, torque_of = _state_space(mismatch, M, B, K, period / SUBSTEPS)
+    disturbance = _disturbance(mismatch, total, rng)
+    disturbance += (K @ np.full(2, mismatch.preload))[:, None]
+    inertia = np.diag(ROBOT) + np.diag(M)
+    lock = min(mismatch.lock, mismatch.rate / 6.0)
+    stiff, damped = inertia * lock**2, 2.0 * inertia * lock
+    soft = np.array([4.0, 3.0]) + 0.5 * np.diag(K)
+    gains = np.stack([stiff, damped])
+    gains[0, joint] = soft[joint]
+    gains[1, joint] = 0.5 * np.sqrt(soft[joint] * inertia[joint])
+    gains[1] *= mismatch.rate
+    pole = 1.0 - np.exp(-500.0 * period)
+    angle_pole = 1.0
+    if mismatch.angle_low_pass:
+        angle_pole = 1.0 - np.exp(-period / mismatch.angle_low_pass)
+    step = period / SUBSTEPS
+    torque_pole = 1.0 - np.exp(-step / mismatch.low_pass) if mismatch.low_pass else 1.0
+    position, command, before, fine = _run(
+        A,
+        G,
+        torque_of,
+        perturbation,
+        disturbance,
+        gains,
+        np.zeros(2),
+        pole,
+        mismatch.angle_step,
+        angle_pole,
+        mismatch.friction,
+        mismatch.reflex,
+        max(1, round(mismatch.reflex_delay / step)),
+        np.array(
+            [
+                mismatch.short_range,
+                mismatch.cubic * float(K[0, 0]),
+                mismatch.waxing * float(K[0, 0]),
+            ]
+        ),
+        1.0 - np.exp(-step / 0.02),
+        SUBSTEPS,
+        round(mismatch.command_delay / step),
+        states,
+        mismatch.mean,
+        torque_pole,
+    )
+    torque = _readings(mismatch, before, fine, step)
+    torque += mismatch.torque_noise * rng.standard_normal(torque.shape)
+    if mismatch.torque_step > 0.0:
+        torque = np.round(torque / mismatch.torque_step) * mismatch.torque_step
+    stamps = 1_700_000_000_000_000_000 + np.rint(np.arange(total) * (1e9 * period)).astype(np.int64)
+    recording = Recording(
+        joint=joint,
+        stamps=stamps,
+        position=position + POSTURE[:, None],
+        torque=torque,
+        perturbation=perturbation,
+        command=command,
+    )
+    return recording if mismatch.readings is None else mismatch.readings(recording)
+
+
+def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
+    """Run one trial for each joint."""
+    return [simulate_trial(mismatch, joint, seed) for joint in (0, 1)]
+
+
+def _readings(mismatch: Mismatch, before: FloatArray, fine: FloatArray, step: float) -> FloatArray:
+    late = round(mismatch.torque_delay / step)
+    places = np.arange(before.shape[1]) * SUBSTEPS
+    if mismatch.mean:
+        sums = np.cumsum(np.pad(fine, ((0, 0), (1, 0))), axis=1)
+        ends = np.clip(places - late, 0, fine.shape[1])
+        return (sums[:, ends] - sums[:, np.maximum(ends - SUBSTEPS, 0)]) / SUBSTEPS
+    if mismatch.after:
+        return fine[:, places].copy()
+    if late or mismatch.low_pass:
+        return fine[:, np.clip(places - late - (late == 0), 0, fine.shape[1] - 1)].copy()
+    return before.copy()
+
+
+def _disturbance(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
+    total = np.zeros((2, ticks))
+    for size, band in ((mismatch.voluntary, (0.05, 2.0)), (mismatch.tremor, (8.0, 12.0))):
+        if size:
+            sos = butter(2, band, btype="band", fs=mismatch.rate, output="sos")
+            raw = sosfilt(sos, rng.standard_normal((2, ticks + 20000)), axis=1)[:, 20000:]
+            total += size * raw / raw.std(axis=1, keepdims=True)
+    return total
+
+
+def _state_space(
+    mismatch: Mismatch, M: FloatArray, B: FloatArray, K: FloatArray, step: float
+) -> tuple[int, FloatArray, FloatArray, FloatArray]:
+    """Exact discretisation, and the rows that give the transducers' torque from state and force.
+
+    Forces are those on the robot, then those that the arm offers beside M, B and K.
+    """
+    viscous = mismatch.viscosity * np.eye(2)
+    one, nil = np.eye(2), np.zeros((2, 2))
+    if mismatch.cuff:
+        stiff = mismatch.cuff * one
+        damped = 0.002 * stiff
+        robot, arm = np.linalg.inv(ROBOT), np.linalg.inv(M)
+        dynamics = np.block(
+            [
+                [nil, one, nil, nil],
+                [-robot @ stiff, -robot @ (damped + viscous), robot @ stiff, robot @ damped],
+                [nil, nil, nil, one],
+                [arm @ stiff, arm @ damped, -arm @ (stiff + K), -arm @ (damped + B)],
+            ]
+        )
+        forces = np.block([[nil, nil], [robot, nil], [nil, nil], [nil, -arm]])
+        torque_of = np.hstack([stiff, damped, -stiff, -damped, nil, nil])
+    else:
+        both = np.linalg.inv(ROBOT + M)
+        dynamics = np.block([[nil, one], [-both @ K, -both @ (B + viscous)]])
+        forces = np.block([[nil, nil], [both, -both]])
+        torque_of = np.hstack(
+            [K - M @ both @ K, B - M @ both @ (B + viscous), M @ both, one - M @ both]
+        )
+    states = len(dynamics)
+    block = np.zeros((states + 4, states + 4))
+    block[:states, :states], block[:states, states:] = dynamics, forces
+    exact = expm(block * step)
+    return (
+        states,
+        np.ascontiguousarray(exact[:states, :states]),
+        np.ascontiguousarray(exact[:states, states:]),
+        np.ascontiguousarray(torque_of),
+    )
+
+
+def write_bag(
+    path: Path,
+    recordings: Sequence[Recording],
+    *,
+    names: Sequence[str] = NAMES,
+    orders: Sequence[Sequence[int]] = ((0, 1), (0, 1), (0, 1)),
+    commands: bool = True,
+) -> None:
+    """Write trials one after the other into a bag, with the `rosbags` library alone.
+
+    Parameters
+    ----------
+    orders
+        Order of the joints in the messages of angles, torques and perturbation.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    state, array = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
+    State, Header = store.types[state], store.types["std_msgs/msg/Header"]
+    Time = store.types["builtin_interfaces/msg/Time"]
+    Array, Layout = store.types[array], store.types["std_msgs/msg/MultiArrayLayout"]
+    nothing = np.zeros(0)
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        topics = ("joint_states", "torque_sensors", "imbic_controller/perturbation")
+        links = [bag.add_connection(f"/{topic}", state, typestore=store) for topic in topics]
+        to_drive = bag.add_connection("/effort_controller/commands", array, typestore=store)
+        shift = 0
+        for recording in recordings:
+            streams = (recording.position, recording.torque, recording.perturbation)
+            stamps = recording.stamps + shift
+            shift = int(stamps[-1] - recording.stamps[0] + 2_000_000_000)
+            for k, stamp in enumerate(stamps.tolist()):
+                header = Header(Time(stamp // 10**9, stamp % 10**9), "")
+                for row, (link, values) in enumerate(zip(links, streams, strict=True)):
+                    order = list(orders[row])
+                    numbers = np.ascontiguousarray(values[order, k])
+                    angle, effort = (numbers, nothing) if row == 0 else (nothing, numbers)
+                    named = [names[i] for i in order]
+                    message = State(header, named, angle, nothing, effort)
+                    bag.write(link, stamp, store.serialize_cdr(message, state))
+                if commands and recording.command is not None:
+                    data = np.ascontiguousarray(recording.command[:, k])
+                    raw = store.serialize_cdr(Array(Layout([], 0), data), array)
+                    bag.write(to_drive, stamp, raw)
+
+
+def changed(**change: Callable[[FloatArray], FloatArray]) -> Callable[[Recording], Recording]:
+    """Return what changes arrays of a recording, by name."""
+
+    def change_all(recording: Recording) -> Recording:
+        return replace(
+            recording, **{name: f(getattr(recording, name)) for name, f in change.items()}
+        )
+
+    return change_all

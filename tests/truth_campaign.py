@@ -1,0 +1,334 @@
+"""Verdicts on recordings of a rig that is not the project's: valid and wrong, refused and right.
+
+``python tests/truth_campaign.py [--seeds 0:4] [--only PATTERN]`` prints the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+from independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
+from numpy.typing import NDArray
+
+from armimp_common import contract
+from armimp_common.errors import ArmimpError
+from armimp_estimation.assemble import assemble_trials
+from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
+from armimp_estimation.trial_streams import Stream, TrialStreams
+
+FloatArray = NDArray[np.float64]
+MILLI = 1e-3
+
+
+def _clipped(share: float):
+    def clip(torque: FloatArray) -> FloatArray:
+        limit = np.quantile(np.abs(torque), 1.0 - share, axis=1, keepdims=True)
+        limit = np.round(limit, 2)
+        return np.clip(torque, -limit, limit)
+
+    return clip
+
+
+def _stuck(seconds: float):
+    def hold(torque: FloatArray) -> FloatArray:
+        torque = torque.copy()
+        for start in (9000, 23000, 37000):
+            stop = start + int(seconds * 1000)
+            torque[0, start:stop] = torque[0, start]
+        return torque
+
+    return hold
+
+
+def _spikes(size: float):
+    def hit(torque: FloatArray) -> FloatArray:
+        torque = torque.copy()
+        places = np.random.default_rng(5).integers(600, torque.shape[1] - 600, 40)
+        torque[0, places] += size
+        return torque
+
+    return hit
+
+
+def _hum(size: float):
+    def add(torque: FloatArray) -> FloatArray:
+        t = np.arange(torque.shape[1]) / 1000.0
+        return torque + size * np.sin(2 * np.pi * 50.0 * t + 0.3)
+
+    return add
+
+
+def _coarse(step: float):
+    return lambda values: np.round(values / step) * step
+
+
+def _drift(slope: float):
+    return lambda torque: torque + slope * np.arange(torque.shape[1]) / 1000.0
+
+
+def _restamped(rate: float):
+    def stamp(stamps):
+        return stamps[0] + np.rint(np.arange(stamps.size) * (1e9 / rate)).astype(np.int64)
+
+    return stamp
+
+
+def _jittered(share: float):
+    def stamp(stamps):
+        noise = np.random.default_rng(3).normal(scale=share * 1e6, size=stamps.size)
+        return stamps + np.rint(np.clip(noise, -4e5, 4e5)).astype(np.int64)
+
+    return stamp
+
+
+def _warped(share: float):
+    def stamp(stamps):
+        x = np.arange(stamps.size)
+        return stamps + np.rint(share * 1e6 * x**2 / x.size).astype(np.int64)
+
+    return stamp
+
+
+def _row(row: int, factor: float):
+    def scale(values: FloatArray) -> FloatArray:
+        values = values.copy()
+        values[row] *= factor
+        return values
+
+    return scale
+
+
+def _cross(share: float):
+    return lambda torque: torque + share * torque[::-1]
+
+
+def _without_commands(recording: Recording) -> Recording:
+    return replace(recording, command=None)
+
+
+def _first_lost(recording: Recording) -> Recording:
+    return replace(recording, command_shift=1)
+
+
+def _shifted(by: int):
+    return changed(command=lambda command: np.roll(command, by, axis=1))
+
+
+NOISE, RIGHT, MUST = "noise", "right", ""
+"""Noise must come out valid; what is right may; other classes may be valid only if right."""
+
+
+def cases() -> dict[str, tuple[str, Mismatch]]:
+    """Everything that is tried: kind and mismatch by name (class, magnitude)."""
+    found: dict[str, tuple[str, Mismatch]] = {"ideal": (NOISE, Mismatch())}
+
+    def add(kind: str, name: str, *variants: tuple[str, dict]) -> None:
+        for label, options in variants:
+            found[f"{name} {label}".strip()] = (kind, Mismatch(**options))
+
+    for rate in (500.0, 800.0, 2000.0):
+        add(NOISE, "rate", (f"{rate:g}", {"rate": rate}))
+        add(RIGHT, f"rate {rate:g} after", ("", {"rate": rate, "after": True}))
+        late = {"rate": rate, "torque_delay": 0.5 / rate}
+        add(RIGHT, f"rate {rate:g} mid", ("", late))
+        add(RIGHT, f"rate {rate:g} mean", ("", {"rate": rate, "mean": True}))
+    for rate in (999.9, 980.0, 1020.0, 900.0):
+        add(MUST, "stamped", (f"{rate:g}", {"readings": changed(stamps=_restamped(rate))}))
+    for share in (0.02, 0.3):
+        add(MUST, "jitter", (f"{share:g}", {"readings": changed(stamps=_jittered(share))}))
+    add(MUST, "warped", ("1%", {"readings": changed(stamps=_warped(0.01))}))
+    add(RIGHT, "after", ("", {"after": True}))
+    add(RIGHT, "mean", ("", {"mean": True}))
+    for late in (0.2, 0.5, 0.8, 1.0, 1.5, 2.0, 4.0):
+        add(MUST, "torque late", (f"{late:g} ms", {"torque_delay": late * MILLI}))
+    for low in (0.2, 0.5, 1.0, 3.0):
+        add(MUST, "torque low-pass", (f"{low:g} ms", {"low_pass": low * MILLI}))
+        add(MUST, "angle low-pass", (f"{low:g} ms", {"angle_low_pass": low * MILLI}))
+    for late in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.0):
+        add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI}))
+    add(NOISE, "no commands", ("", {"readings": _without_commands}))
+    no_commands = {"after": True, "readings": _without_commands}
+    add(RIGHT, "no commands, after", ("", no_commands))
+    add(RIGHT, "first command lost", ("", {"readings": _first_lost}))
+    for by in (-2, -1, 1, 2):
+        add(RIGHT, "commands shifted", (f"{by}", {"readings": _shifted(by)}))
+    flip = changed(command=lambda command: command[::-1].copy())
+    add(RIGHT, "commands permuted", ("", {"readings": flip}))
+    add(RIGHT, "fine sensors", ("", {"angle_step": 0.0, "torque_step": 0.0, "torque_noise": 0.0}))
+    smooth = {"angle_step": 1e-7, "torque_step": 1e-3, "torque_noise": 1e-3}
+    add(RIGHT, "fine sensors, after", ("", smooth | {"after": True}))
+    add(RIGHT, "fine sensors, mean", ("", smooth | {"mean": True}))
+    add(RIGHT, "fine sensors, command late", ("0.5 ms", smooth | {"command_delay": 0.5 * MILLI}))
+    for name in ("torque", "position", "command", "perturbation"):
+        for label, factor in (("sign", -1.0), ("degrees", 57.29578), ("N·mm", 1000.0)):
+            add(MUST, f"{name} {label}", ("", {"readings": changed(**{name: _times(factor)})}))
+        for row in (0, 1):
+            one = changed(**{name: _row(row, -1.0)})
+            add(MUST, f"{name} sign of joint", (f"{row + 1}", {"readings": one}))
+    for factor in (0.5, 0.8, 0.9, 1.1, 1.25, 2.0):
+        add(MUST, "torque gain", (f"{factor:g}", {"readings": changed(torque=_times(factor))}))
+        one = changed(torque=_row(1, factor))
+        add(MUST, "torque gain of joint 2", (f"{factor:g}", {"readings": one}))
+    for label, gone in (("", False), (", no commands", True)):
+        for name in ("torque", "position"):
+            swap = changed(**{name: lambda values: values[::-1].copy()})
+            both = (lambda r, s=swap: _without_commands(s(r))) if gone else swap
+            add(MUST, f"{name} swapped{label}", ("", {"readings": both}))
+    for label, factor in (("sign", -1.0), ("N·mm", 1000.0), ("degrees", 57.29578)):
+        for name in ("torque", "position"):
+            wrong = changed(**{name: _times(factor)})
+            gone = lambda r, w=wrong: _without_commands(w(r))  # noqa: E731
+            add(MUST, f"{name} {label}, no commands", ("", {"readings": gone}))
+    for share in (0.002, 0.02, 0.1):
+        add(MUST, "clipped", (f"{share:g}", {"readings": changed(torque=_clipped(share))}))
+        add(MUST, "angle clipped", (f"{share:g}", {"readings": changed(position=_clip(share))}))
+    for seconds in (0.05, 0.3, 2.0):
+        add(MUST, "stuck", (f"{seconds:g} s", {"readings": changed(torque=_stuck(seconds))}))
+        add(MUST, "angle stuck", (f"{seconds:g} s", {"readings": changed(position=_stuck(seconds))}))
+    for size in (0.5, 5.0, 50.0):
+        add(RIGHT, "spikes", (f"{size:g} N·m", {"readings": changed(torque=_spikes(size))}))
+        add(RIGHT, "angle spikes", (f"{size/10:g} rad", {"readings": changed(position=_spikes(size / 10))}))
+    for size in (0.05, 0.5):
+        add(NOISE, "hum", (f"{size:g} N·m", {"readings": changed(torque=_hum(size))}))
+    for step in (0.05, 0.2, 1.0):
+        add(RIGHT, "torque step", (f"{step:g} N·m", {"torque_step": step, "torque_noise": 0.0}))
+    for step in (1e-3, 5e-3, 2e-2):
+        add(RIGHT, "angle step", (f"{step:g} rad", {"angle_step": step}))
+    for slope in (0.002, 0.02):
+        add(NOISE, "drift", (f"{slope:g} N·m/s", {"readings": changed(torque=_drift(slope))}))
+    for gain in (0.1, 0.3, 1.0):
+        for delay in (0.03, 0.04, 0.06):
+            label = f"{gain:g}, {delay * 1e3:g} ms"
+            add(MUST, "reflex", (label, {"reflex": gain, "reflex_delay": delay}))
+    for stiff in (1e5, 3e4, 1e4, 3e3, 1e3):
+        add(MUST, "cuff", (f"{stiff / 1e3:g} kN·m/rad", {"cuff": stiff}))
+    for extra in (1.0, 5.0, 20.0):
+        add(MUST, "short-range stiffness", (f"{extra:g}", {"short_range": extra}))
+    for share in (0.1, 0.3):
+        add(MUST, "amplitude-dependent", (f"{share:g}", {"cubic": share}))
+        add(MUST, "waxing stiffness", (f"{share:g}", {"waxing": share}))
+    for size in (0.1, 0.3, 1.0):
+        add(NOISE, "tremor", (f"{size:g} N·m", {"tremor": size}))
+        add(NOISE, "voluntary", (f"{size:g} N·m", {"voluntary": size}))
+    for lock in (15.0, 30.0):
+        add(NOISE, "soft lock", (f"{lock:g} rad/s", {"lock": lock}))
+    for name in ("stiffness", "damping", "inertia"):
+        for factor in (0.3, 3.0, 8.0):
+            add(NOISE, f"{name} x", (f"{factor:g}", {name: factor}))
+    add(NOISE, "preload", ("0.1 rad", {"preload": 0.1}))
+    for level in (0.2, 0.5):
+        add(NOISE, "weak", (f"{level:g}", {"level": level}))
+    for friction in (0.5, 1.0, 2.0):
+        add(NOISE, "friction", (f"{friction:g} N·m", {"friction": friction}))
+    add(MUST, "cross-talk", ("3 %", {"readings": changed(torque=_cross(0.03))}))
+    return found
+
+
+def _times(factor: float):
+    return lambda values: values * factor
+
+
+def _clip(share: float):
+    def clip(values: FloatArray) -> FloatArray:
+        low = np.quantile(values, share / 2, axis=1, keepdims=True)
+        high = np.quantile(values, 1 - share / 2, axis=1, keepdims=True)
+        return np.clip(values, low, high)
+
+    return clip
+
+
+def streams_of(recordings: list[Recording]) -> TrialStreams:
+    """Trials one after the other, as a bag has them once it is decoded."""
+    gap = 2_000_000_000
+    stamps, shift = [], 0
+    for one in recordings:
+        stamps.append(one.stamps + shift)
+        shift = int(stamps[-1][-1] - one.stamps[0] + gap)
+    joined = np.concatenate(stamps)
+    fields = {
+        contract.JOINT_STATES: "position",
+        contract.TORQUE_SENSORS: "torque",
+        contract.PERTURBATION: "perturbation",
+    }
+    commands = None
+    if all(one.command is not None for one in recordings):
+        commands = np.concatenate([one.command for one in recordings], axis=1)
+        commands = commands[:, recordings[0].command_shift :]
+    return TrialStreams(
+        joint_names=NAMES,
+        stamped={
+            topic: Stream(
+                stamps=joined,
+                values=np.concatenate([getattr(one, name) for one in recordings], axis=1),
+            )
+            for topic, name in fields.items()
+        },
+        commands=0 if commands is None else commands.shape[1],
+        command_values=commands,
+    )
+
+
+def verdict_on(recordings: list[Recording]) -> Conclusion:
+    """What the estimator says of trials without trial status and metadata."""
+    trials = assemble_trials(NAMES, {}, (), streams=streams_of(recordings))
+    finished = [FinishedTrial(assembled=one, bag=None) for one in trials]
+    return conclude(finished, metadata={}, joints=2, estimators=("lpm_full",))
+
+
+def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str]]:
+    """Valid or not; worst error in standard errors, and in per cent; problems."""
+    try:
+        summary = verdict_on(simulate(mismatch, seed)).summary
+    except ArmimpError as error:
+        return False, np.nan, np.nan, [str(error)]
+    if "lpm_full" not in summary.estimators:
+        return False, np.nan, np.nan, [str(one) for one in summary.problems]
+    found = summary.estimators["lpm_full"]
+    worst, relative = 0.0, 0.0
+    for name, truth in zip("MBK", arm_of(mismatch), strict=True):
+        error = np.abs(np.array(getattr(found, name)) - truth)
+        worst = max(worst, float(np.max(error / np.array(getattr(found, f"{name}_se")))))
+        relative = max(relative, float(np.max(error / np.abs(truth))))
+    return summary.valid, worst, 100 * relative, [str(one) for one in summary.problems]
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", default="0:2")
+    parser.add_argument("--only", default="")
+    parser.add_argument("--why", action="store_true")
+    options = parser.parse_args()
+    seeds = range(*(int(one) for one in options.seeds.split(":")))
+    print(f"{'class':38s} kind  valid false-valid false-refusal  worst/se  worst %")
+    totals = [0, 0, 0]
+    began = time.monotonic()
+    for name, (kind, mismatch) in cases().items():
+        if not re.search(options.only, name):
+            continue
+        outcomes = [outcome(mismatch, seed) for seed in seeds]
+        valid = sum(one[0] for one in outcomes)
+        wrong = sum(one[0] and not one[1] <= 3.5 for one in outcomes)
+        refused = len(outcomes) - valid if kind == NOISE else 0
+        totals = [totals[0] + len(outcomes), totals[1] + wrong, totals[2] + refused]
+        worst = max(one[1] for one in outcomes)
+        percent = max(one[2] for one in outcomes)
+        reasons = [one[3][0] for one in outcomes if one[3]]
+        print(
+            f"{name:38s} {kind or 'must':5s} {valid:2d}/{len(outcomes)} {wrong:6d} {refused:9d}"
+            f" {worst:12.3g} {percent:9.3g}  {reasons[0][:110] if reasons else ''}",
+            flush=True,
+        )
+        if options.why:
+            for one in outcomes:
+                print("     ", *one[3], sep="\n      ")
+    print(f"runs {totals[0]}, false valid {totals[1]}, false refusals {totals[2]}", end=" ")
+    print(f"({time.monotonic() - began:.0f} s)")
+
+
+if __name__ == "__main__":
+    main()
