@@ -1,4 +1,4 @@
-"""Verdicts on ideal runs of the project's own rig: the distribution that each check has to leave alone.
+"""Verdicts on ideal runs of the project's own rig, which each check has to leave alone.
 
 ``python tests/ideal_campaign.py [--seeds 0:4]`` prints false refusals, the largest value of each
 measure, and the coverage of the 95 % intervals of M, B and K, over the 48 conditions of the study.

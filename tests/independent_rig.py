@@ -97,7 +97,7 @@ def arm_of(mismatch: Mismatch) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @njit(cache=True)
-def _run(  # noqa: PLR0913, PLR0917
+def _run(  # noqa: PLR0912, PLR0917 (one compiled loop)
     A,
     G,
     torque_of,
@@ -147,9 +147,7 @@ def _run(  # noqa: PLR0913, PLR0917
             velocity[i] += pole * ((reading - last[i]) - velocity[i]) if k else 0.0
             last[i] = reading
             command[i, k] = (
-                perturbation[i, k]
-                - gains[0, i] * (reading - target[i])
-                - gains[1, i] * velocity[i]
+                perturbation[i, k] - gains[0, i] * (reading - target[i]) - gains[1, i] * velocity[i]
             )
             for age in range(7, 0, -1):
                 sent[i, age] = sent[i, age - 1]

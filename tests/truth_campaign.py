@@ -11,7 +11,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
 from numpy.typing import NDArray
 
 from armimp_common import contract
@@ -19,6 +18,7 @@ from armimp_common.errors import ArmimpError
 from armimp_estimation.assemble import assemble_trials
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
 from armimp_estimation.trial_streams import Stream, TrialStreams
+from independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
 
 FloatArray = NDArray[np.float64]
 MILLI = 1e-3
@@ -122,7 +122,7 @@ NOISE, RIGHT, MUST = "noise", "right", ""
 """Noise must come out valid; what is right may; other classes may be valid only if right."""
 
 
-def cases() -> dict[str, tuple[str, Mismatch]]:
+def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: PLR0912 (a table)
     """Everything that is tried: kind and mismatch by name (class, magnitude)."""
     found: dict[str, tuple[str, Mismatch]] = {"ideal": (NOISE, Mismatch())}
 
@@ -149,7 +149,7 @@ def cases() -> dict[str, tuple[str, Mismatch]]:
         add(MUST, "torque low-pass", (f"{low:g} ms", {"low_pass": low * MILLI}))
         add(MUST, "angle low-pass", (f"{low:g} ms", {"angle_low_pass": low * MILLI}))
     for late in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.0):
-        add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI}))
+        add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI, "lock": 50.0}))
     add(NOISE, "no commands", ("", {"readings": _without_commands}))
     no_commands = {"after": True, "readings": _without_commands}
     add(RIGHT, "no commands, after", ("", no_commands))
@@ -188,10 +188,16 @@ def cases() -> dict[str, tuple[str, Mismatch]]:
         add(MUST, "angle clipped", (f"{share:g}", {"readings": changed(position=_clip(share))}))
     for seconds in (0.05, 0.3, 2.0):
         add(MUST, "stuck", (f"{seconds:g} s", {"readings": changed(torque=_stuck(seconds))}))
-        add(MUST, "angle stuck", (f"{seconds:g} s", {"readings": changed(position=_stuck(seconds))}))
+        add(
+            MUST, "angle stuck", (f"{seconds:g} s", {"readings": changed(position=_stuck(seconds))})
+        )
     for size in (0.5, 5.0, 50.0):
         add(RIGHT, "spikes", (f"{size:g} N·m", {"readings": changed(torque=_spikes(size))}))
-        add(RIGHT, "angle spikes", (f"{size/10:g} rad", {"readings": changed(position=_spikes(size / 10))}))
+        add(
+            RIGHT,
+            "angle spikes",
+            (f"{size / 10:g} rad", {"readings": changed(position=_spikes(size / 10))}),
+        )
     for size in (0.05, 0.5):
         add(NOISE, "hum", (f"{size:g} N·m", {"readings": changed(torque=_hum(size))}))
     for step in (0.05, 0.2, 1.0):

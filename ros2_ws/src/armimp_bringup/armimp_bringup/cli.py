@@ -43,7 +43,18 @@ _AllowGaps = Annotated[
 ]
 _TorqueDelay = Annotated[
     float | None,
-    typer.Option(help="How late torque readings are, s, for the estimates to correct."),
+    typer.Option(help="How late torque readings are, s; negative if they are early."),
+]
+_TorqueTiming = Annotated[
+    str | None,
+    typer.Option(help="When torques are read: before, after, mid, mean or simultaneous."),
+]
+_TorqueUncertainty = Annotated[
+    float | None,
+    typer.Option(help="Standard error of what is told of that, s; 20 µs by default."),
+]
+_Rate = Annotated[
+    float | None, typer.Option(help="Sampling rate, Hz, if an uncustomary one is right.")
 ]
 _Out = Annotated[Path | None, typer.Option("--out", help="New directory for the results.")]
 _Json = Annotated[bool, typer.Option("--json", help="Print summary.json instead of tables.")]
@@ -127,25 +138,32 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
 
 
 @app.command()
-def estimate(
+def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     bags: _Bags,
     estimator: _Estimators = None,
     namespace: Annotated[
         str | None, typer.Option(help="Namespace of the topics; default: found by itself.")
     ] = None,
     allow_gaps: _AllowGaps = False,
+    torque_timing: _TorqueTiming = None,
     torque_delay: _TorqueDelay = None,
+    torque_uncertainty: _TorqueUncertainty = None,
+    rate: _Rate = None,
     out: _Out = None,
     json: _Json = False,
 ) -> int:
     """Estimate the impedance from bags, one trial for each joint among them."""
-    from armimp_bringup.offline_estimate import estimate_bags
+    from armimp_bringup.offline_estimate import Declared, estimate_bags
     from armimp_bringup.orchestrator import prepare_directory
     from armimp_bringup.presentation import present
     from armimp_estimation.figure_process import FigureProcess
 
-    if torque_delay is not None and not 0.0 <= torque_delay <= 0.1:
-        raise ConfigurationError(f"--torque-delay: {torque_delay} is not within 0 to 0.1 s")
+    declared = Declared(
+        torque_timing=torque_timing,
+        torque_delay=torque_delay,
+        torque_uncertainty=torque_uncertainty,
+        rate=rate,
+    )
     with FigureProcess() as figures:
         if out is not None:
             prepare_directory(out)
@@ -155,7 +173,7 @@ def estimate(
             tuple(estimator or ()),
             namespace=namespace,
             allow_gaps=allow_gaps,
-            torque_delay=torque_delay,
+            declared=declared,
         )
         for note in notes:
             say(f"note: {note}")

@@ -4,17 +4,92 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from armimp_common.errors import DataError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, understand
+from armimp_estimation.conclusion import (
+    RATE_KEY,
+    TIMING_KEY,
+    UNCERTAINTY_KEY,
+    Conclusion,
+    FinishedTrial,
+    conclude,
+    understand,
+)
 from armimp_estimation.estimate import Estimator
 from armimp_estimation.gaps import GapConfig
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.sampling import HIGHEST, LOWEST
 from armimp_estimation.timing import latest_metadata
+from armimp_estimation.torque_reading import TorqueTiming
+
+_LATEST = 0.1
+_TIMINGS = {
+    "before": TorqueTiming.BEFORE_UPDATE,
+    "after": TorqueTiming.AFTER_UPDATE,
+    "mid": TorqueTiming.MID_INTERVAL,
+    "mean": TorqueTiming.INTERVAL_MEAN,
+    "simultaneous": TorqueTiming.SIMULTANEOUS,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Declared:
+    """What a user tells of a recording, in the place of what the bags say; None: nothing.
+
+    Parameters
+    ----------
+    torque_timing : str or None
+        When torques are read: before, after, mid, mean or simultaneous.
+    torque_delay : float or None
+        How late they are beyond that, s; negative if they are early.
+    torque_uncertainty : float or None
+        Standard error of these two, s.
+    rate : float or None
+        Sampling rate, Hz.
+
+    Raises
+    ------
+    ConfigurationError
+        If a value is out of range.
+    """
+
+    torque_timing: str | None = None
+    torque_delay: float | None = None
+    torque_uncertainty: float | None = None
+    rate: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.torque_timing is not None and self.torque_timing not in _TIMINGS:
+            known = ", ".join(_TIMINGS)
+            raise ConfigurationError(f"--torque-timing: {self.torque_timing!r} is none of {known}")
+        if self.torque_delay is not None and not abs(self.torque_delay) <= _LATEST:
+            raise ConfigurationError(
+                f"--torque-delay: {self.torque_delay} is not within ± {_LATEST:g} s"
+            )
+        if self.torque_uncertainty is not None and not 0 <= self.torque_uncertainty <= _LATEST:
+            raise ConfigurationError(
+                f"--torque-uncertainty: {self.torque_uncertainty} is not within 0 to {_LATEST:g} s"
+            )
+        if self.rate is not None and not LOWEST <= self.rate <= HIGHEST:
+            raise ConfigurationError(
+                f"--rate: {self.rate} is not within {LOWEST:g} to {HIGHEST:g} Hz"
+            )
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The same as metadata of a bag."""
+        timing = None if self.torque_timing is None else _TIMINGS[self.torque_timing].value
+        told = {
+            TIMING_KEY: timing,
+            "torque_delay": self.torque_delay,
+            UNCERTAINTY_KEY: self.torque_uncertainty,
+            RATE_KEY: self.rate,
+        }
+        return {key: json.dumps(value) for key, value in told.items() if value is not None}
 
 
 def estimate_bags(
@@ -23,7 +98,7 @@ def estimate_bags(
     *,
     namespace: str | None = None,
     allow_gaps: bool = False,
-    torque_delay: float | None = None,
+    declared: Declared | None = None,
 ) -> tuple[Conclusion, list[str]]:
     """Identify the impedance from bags that hold one trial for each joint between them.
 
@@ -37,8 +112,8 @@ def estimate_bags(
         Namespace of the topics.
     allow_gaps : bool
         Use the intact parts of trials that lost samples.
-    torque_delay : float, optional
-        How late torque readings are, s, in the place of what the bags say.
+    declared : Declared, optional
+        What is known in the place of what the bags say.
 
     Returns
     -------
@@ -62,8 +137,7 @@ def estimate_bags(
             trial.intact(allow_gaps=allow_gaps)
             trials.append(FinishedTrial(assembled=trial, bag=str(content.path)))
     metadata = latest_metadata([content.metadata for content in contents])
-    if torque_delay is not None:
-        metadata["torque_delay"] = json.dumps(torque_delay)
+    metadata |= (declared or Declared()).metadata
     conclusion = conclude(
         trials,
         metadata=metadata,

@@ -359,6 +359,6 @@ def settle(
     new = [problem for problem in problems if problem not in known]
     if update or new:
         known = [*new, *known]
-        summary = summary.model_copy(update={**update, "valid": not known, "problems": known})
+        summary = summary.model_copy(update=update).judged(known)
         write_summary(path, summary, anew=True)
     return summary

@@ -10,6 +10,7 @@ from armimp_bringup.stopwatch import Stopwatch
 from armimp_common.errors import DataError
 from armimp_estimation.conclusion import SUMMARY_FILE
 from armimp_estimation.figure_process import FigureProcess
+from armimp_estimation.problems import Severity
 from armimp_estimation.results import Summary, write_summary
 
 
@@ -62,8 +63,13 @@ def present(
         from armimp_bringup.tables import print_summary
 
         print_summary(summary, directory)
+    for finding in summary.findings:
+        if finding.severity == Severity.NOTE.value:
+            say(f"armimp: note: {finding.sentence}")
     for problem in summary.problems:
         say(f"armimp: not valid: {problem}")
+    if summary.verdict.impedance and not summary.verdict.parameters:
+        say("armimp: Z(f) is valid; M, B and K are not")
     return 0 if summary.valid and complete else 1
 
 

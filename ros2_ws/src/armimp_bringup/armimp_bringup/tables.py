@@ -70,6 +70,7 @@ def _quality_table(result: EstimatorSummary, summary: Summary) -> Table:
     rows: list[tuple[str, list[list[float]] | None, str]] = [
         ("VAF %", result.vaf, ".2f"),
         ("R²", result.r2, ".4f"),
+        ("lack of fit", result.lack_of_fit, ".2f"),
         ("coherence, derived", result.coherence_derived, ".4f"),
         ("coherence τΔ→τ", result.coherence_torque, ".4f"),
     ]

@@ -33,6 +33,7 @@ from armimp_estimation.trial_windows import (
     windows_from_statuses,
 )
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AssembledTrial:
     """A trial, or what could be had of it.

@@ -19,6 +19,7 @@ from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.results import (
     FindingSummary,
     Summary,
@@ -29,6 +30,7 @@ from armimp_estimation.results import (
     write_frf,
     write_summary,
 )
+from armimp_estimation.sampling import TOLERANCE
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
 from armimp_estimation.torque_reading import ReadingSummary, TorqueReading, TorqueTiming
@@ -38,6 +40,10 @@ SUMMARY_FILE = "summary.json"
 FRF_FILE = "frf.npz"
 TIMING_KEY = "torque_timing"
 """Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
+UNCERTAINTY_KEY = "torque_uncertainty"
+"""Name there of the standard error of what is told of the instant of torque readings, s."""
+RATE_KEY = "sampling_rate"
+"""Name there of the sampling rate, Hz, where it is an uncustomary one."""
 READING_KEYS = {
     "torque_delay": "delay",
     "torque_cutoff": "cutoff",
@@ -150,13 +156,19 @@ def conclude(
         parts = [trial.assembled.intact(allow_gaps=options.allow) for trial in trials]
         reading = reading_of(metadata) if config is None else config.lpm.reading
         if config is None:
-            config = IdentifyConfig(welch=segments_for(parts), lpm=LpmConfig(reading=reading))
+            lpm = LpmConfig(reading=reading, timing_uncertainty=uncertainty_of(metadata))
+            config = IdentifyConfig(welch=segments_for(parts), lpm=lpm)
         data = [TrialData.from_stretches(stretches, config.welch, reading) for stretches in parts]
         identification = identify(data, estimators, truth, config)
         found += [problem for one in trials for problem in judge_gaps(one.assembled, options)]
     except DataError as error:
         found.append(str(error))
-    findings = [finding for one in trials for finding in one.assembled.findings]
+    findings = [
+        finding
+        for one in trials
+        for finding in one.assembled.findings
+        if not _rate_is_declared(finding, metadata)
+    ]
     findings += [] if identification is None else identification.problems
     if identification is None:
         return Conclusion(
@@ -286,6 +298,29 @@ def reading_of(metadata: Mapping[str, str]) -> TorqueReading:
         return TorqueReading(timing=TorqueTiming(timing), **told)
     except ConfigurationError as error:
         raise DataError(f"metadata: {error}") from None
+
+
+def uncertainty_of(metadata: Mapping[str, str]) -> float:
+    """Standard error of what the metadata of a bag tell of the instant of torque readings, s.
+
+    Raises
+    ------
+    DataError
+        If it is there, but makes no sense.
+    """
+    value = _parsed(metadata, UNCERTAINTY_KEY, LpmConfig.timing_uncertainty)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        raise DataError(f"metadata: {UNCERTAINTY_KEY} is not a time in s: {value!r}")
+    return float(value)
+
+
+def _rate_is_declared(finding: Problem, metadata: Mapping[str, str]) -> bool:
+    """Whether a problem is a sampling rate that the metadata declare as right."""
+    declared = _parsed(metadata, RATE_KEY, None)
+    if finding.code is not ProblemCode.RATE_UNCUSTOMARY or not isinstance(declared, int | float):
+        return False
+    rate = finding.values["rate"]
+    return isinstance(rate, float) and abs(rate / declared - 1.0) <= TOLERANCE
 
 
 def _parsed(metadata: Mapping[str, str], key: str, default: Any) -> Any:

@@ -2,15 +2,14 @@
 
 Where an estimate can't be sure of when torques were read, one delay d of all torques against the
 angles is a parameter, too. To first order ``Z(ω) = Z_0(ω) (1 - jωd)``, and of that the part
-``-jωd·(-Mω²) = jω³ M d`` is like nothing that M, B and K can do, so the data tell d. What they don't
-tell is whether the torque as a whole is late, or only what jumps with commands, which is the
+``-jωd·(-Mω²) = jω³ M d`` is like nothing that M, B and K can do, so the data tell d. What they
+don't tell is whether the torque as a whole is late, or only what jumps with commands, which is the
 inertial part ``-Mω²``: those differ by ``jωd (K + jωB)``, which looks like viscosity and inertia.
 Half of that is corrected, and half is the standard error of the correction, beside the uncertainty
 with which the instant of the readings was known beforehand.
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -234,7 +233,7 @@ def fit_impedance(
     return estimate, fit
 
 
-def fit_column(  # noqa: PLR0913
+def fit_column(
     f: FloatArray,
     impedance: ComplexArray,
     variance: FloatArray,
@@ -456,7 +455,7 @@ def _delay_of(problem: _Elements) -> tuple[float, float]:
 
 
 def mbk_coefficients(omega: FloatArray, weights: FloatArray) -> FloatArray:
-    """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f``: M and K of the real part, B of the other."""
+    """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f``, where y is the real part but for B."""
     scale = omega[-1]
     relative = omega / scale
     design = np.stack((-(relative**2), np.ones(omega.size)))

@@ -54,5 +54,8 @@ def judge_gaps(trial: AssembledTrial, config: GapConfig) -> list[str]:
 
 def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
     """Welch segments that suit the intact parts of the trial that has the least of them."""
-    configs = [WelchConfig.for_stretches([part.samples for part in parts]) for parts in trials]
+    configs = [
+        WelchConfig.for_stretches([part.samples for part in parts], parts[0].rate)
+        for parts in trials
+    ]
     return min(configs, key=lambda config: config.segment, default=WelchConfig.for_samples(0))

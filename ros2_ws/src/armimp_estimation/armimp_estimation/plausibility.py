@@ -1,9 +1,9 @@
 """Whether matrices and angles can be those of a person's arm, whoever it is.
 
 A passive arm has a kinetic energy ``½ q̇ᵀ M q̇ > 0`` for any motion, so the symmetric part of M has
-positive eigenvalues. Torques or angles in the wrong order make the elements off the diagonal larger
-than those on it, and a wrong sign makes one on it negative; both show there. What all joints have in
-common, such as a unit, shows in the size alone.
+positive eigenvalues. Torques or angles in the wrong order make the elements off the diagonal
+larger than those on it, and a wrong sign makes one on it negative; both show there. What all joints
+have in common, such as a unit, shows in the size alone.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RANGES: Final = {"M": (1e-4, 10.0), "B": (0.0, 150.0), "K": (0.0, 1500.0)}
 LARGEST_POSTURE = 2.0 * np.pi
 """Angle beyond which a posture isn't in radians, rad."""
 LARGEST_MOTION = 1.5
-"""Peak to peak motion under perturbation beyond which it isn't, rad: linear models end far below."""
+"""Peak to peak motion beyond which it isn't, rad: linear models end far below."""
 _ERRORS = 5.0
 
 

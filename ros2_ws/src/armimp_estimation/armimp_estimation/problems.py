@@ -1,4 +1,4 @@
-"""What is wrong with a result, as data: a code with values; words are made here and nowhere else."""
+"""What is wrong with a result, as data: a code with values. Words are made here alone."""
 
 from __future__ import annotations
 

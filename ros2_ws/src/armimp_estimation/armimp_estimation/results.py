@@ -245,6 +245,13 @@ class Summary(JsonModel):
     torque_reading: ReadingSummary | None = None
     """What is known of the torque readings, and so was corrected."""
 
+    def judged(self, problems: Sequence[str]) -> "Summary":
+        """Return the same with these problems in the place of its own, and verdicts to match."""
+        lesser = {one.sentence for one in self.findings if one.concern == Concern.PARAMETERS.value}
+        verdict = VerdictSummary(impedance=lesser.issuperset(problems), parameters=not problems)
+        update = {"valid": not problems, "problems": list(problems), "verdict": verdict}
+        return self.model_copy(update=update)
+
     @model_validator(mode="after")
     def _check_shapes(self) -> "Summary":
         for name, estimator in self.estimators.items():

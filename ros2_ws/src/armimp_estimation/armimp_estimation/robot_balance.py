@@ -5,11 +5,11 @@ Between the robot's drives and the arm nothing but the robot itself takes torque
     H T_u - T_τ = (M_r s² + B_r s + K_r) R,    H = (1 - exp(-jωL))/jωL
 
 with the responses T_u of the commands, T_τ of the transducers and R of the angles to the
-perturbation, and the hold H of the commands. A robot in the plane has no stiffness beyond that of its
-friction, and its inertia is symmetric with positive eigenvalues. If the transducer of a joint shows g
-times the torque, then ``K_r = (1 - g)/g · K̂`` in its row, with the stiffness K̂ of the estimate. So
-wrong signs, units, gains and orders show without knowing arm or robot. What is wrong with commands,
-torques and angles in the same proportion doesn't.
+perturbation, and the hold H of the commands. A robot in the plane has no stiffness beyond that of
+its friction, and its inertia is symmetric with positive eigenvalues. If the transducer of a joint
+shows g times the torque, then ``K_r = (1 - g)/g · K̂`` in its row, with the stiffness K̂ of the
+estimate. So wrong signs, units, gains and orders show without knowing arm or robot. What is wrong
+with commands, torques and angles in the same proportion doesn't.
 """
 
 from __future__ import annotations
@@ -143,9 +143,7 @@ def transducer_gains(robot: MBKFit, arm: MBKFit) -> tuple[FloatArray, FloatArray
     return 1.0 / (1.0 + share), slope * error
 
 
-def judge_balance(
-    names: Sequence[str], balance: RobotBalance, arm: MBKFit
-) -> list[Problem]:
+def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> list[Problem]:
     """Find what doesn't balance.
 
     Parameters

@@ -21,6 +21,7 @@ TOLERANCE = 5e-4
 _DRIFT = 1e-3
 _SCATTER = 0.1
 _LARGEST = 0.45
+_MISSING = 1.85
 
 
 def sampling_period(streams: Mapping[str, Stamps]) -> float:
@@ -55,15 +56,11 @@ def sampling_period(streams: Mapping[str, Stamps]) -> float:
 def is_customary(rate: float) -> bool:
     """Whether a rig may well have this sampling rate, Hz.
 
-    Customary are multiples of 50 Hz, powers of two, and periods of whole quarters of a
-    millisecond.
+    Customary are powers of two, and 1 kHz times a ratio of whole numbers up to 5.
     """
-    nearest = [
-        50.0 * max(1, round(rate / 50.0)),
-        2.0 ** round(np.log2(rate)),
-        4000.0 / max(1, round(4000.0 / rate)),
-    ]
-    return any(abs(rate / one - 1.0) <= TOLERANCE for one in nearest)
+    ratios = {1000.0 * p / q for p in range(1, 6) for q in range(1, 6)}
+    customary = ratios | {2.0**power for power in range(7, 13)}
+    return any(abs(rate / one - 1.0) <= TOLERANCE for one in customary)
 
 
 def judge_stamps(
@@ -90,9 +87,7 @@ def judge_stamps(
     problems = []
     if planned is not None:
         if abs(rate / planned - 1.0) > TOLERANCE:
-            problems.append(
-                _problem(ProblemCode.RATE_UNPLANNED, trial, rate=rate, planned=planned)
-            )
+            problems.append(_problem(ProblemCode.RATE_UNPLANNED, trial, rate=rate, planned=planned))
     elif not is_customary(rate):
         problems.append(_problem(ProblemCode.RATE_UNCUSTOMARY, trial, rate=rate))
     for topic, stamps in streams.items():
@@ -157,8 +152,9 @@ class Grid:
         period = _period(stamps)
         if stamps.size < 20 or period is None:
             return None
-        steps = np.diff(stamps)
-        numbers = np.concatenate(([0.0], np.cumsum(np.rint(steps / period))))
+        steps = np.diff(stamps) / period
+        whole = np.where(steps < _MISSING, 1.0, np.rint(steps))
+        numbers = np.concatenate(([0.0], np.cumsum(whole)))
         times = (stamps - stamps[0]) / period
         half = stamps.size // 2
         slopes = [
@@ -177,10 +173,10 @@ def _period(stamps: Stamps) -> float | None:
     steps = np.diff(np.unique(stamps))
     if steps.size == 0:
         return None
-    median = float(np.median(steps))
-    whole = np.rint(steps / median)
-    counted = whole > 0
-    return float(np.sum(steps[counted]) / np.sum(whole[counted]))
+    relative = steps / float(np.median(steps))
+    # A step that is only a little longer or shorter is jitter, not a sample that is missing.
+    whole = np.where(relative < _MISSING, 1.0, np.rint(relative))
+    return float(np.sum(steps) / np.sum(whole))
 
 
 def _problem(code: ProblemCode, trial: int, **values: float | str) -> Problem:

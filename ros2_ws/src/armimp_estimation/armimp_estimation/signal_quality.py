@@ -66,9 +66,9 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
 def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     """Values at which a signal is clipped, and in how many samples.
 
-    A signal that turns where it likes has fewer samples at its extreme value than at the next ones.
-    One that is clipped heaps them up there: it is taken as clipped if the extreme value has at least
-    8 samples and 4 times as many as each of the 8 distinct values next to it.
+    A signal that turns where it likes has fewer samples at its extreme value than at the next
+    ones. One that is clipped heaps them up there: it is taken as clipped if the extreme value has
+    at least 8 samples and 4 times as many as each of the 8 distinct values next to it.
 
     Parameters
     ----------

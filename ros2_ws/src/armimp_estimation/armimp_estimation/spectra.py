@@ -56,22 +56,24 @@ class WelchConfig:
             )
 
     @classmethod
-    def for_samples(cls, samples: int) -> "WelchConfig":
-        """Segments that suit a record of so many samples.
+    def for_samples(cls, samples: int, rate: float = 1000.0) -> "WelchConfig":
+        """Segments that suit a record of so many samples at a rate in Hz.
 
         The default from four segments' length on; a shorter record takes the largest power of two
         that fits four times, so that there is something to average, down to 1024 samples.
         """
-        return cls.for_stretches([samples])
+        return cls.for_stretches([samples], rate)
 
     @classmethod
-    def for_stretches(cls, lengths: Sequence[int]) -> "WelchConfig":
+    def for_stretches(cls, lengths: Sequence[int], rate: float = 1000.0) -> "WelchConfig":
         """Segments that suit a record in several stretches of these lengths.
 
-        As `for_samples`, but counting only stretches that hold a whole segment.
+        As `for_samples`, but counting only stretches that hold a whole segment. At other rates than
+        1 kHz segments are of about the same time.
         """
-        segment = cls.segment
-        while segment > _SHORTEST_SEGMENT:
+        scale = 2.0 ** round(np.log2(rate / 1000.0))
+        segment = int(cls.segment * scale)
+        while segment > _SHORTEST_SEGMENT * scale:
             if 4 * segment <= sum(length for length in lengths if length >= segment):
                 break
             segment //= 2

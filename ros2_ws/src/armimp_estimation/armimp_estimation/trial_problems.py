@@ -93,7 +93,9 @@ def _gaps(
         ticks = np.flatnonzero(one.present(span) & ~one.finite(span))
         if ticks.size:
             verb = "is" if ticks.size == 1 else "are"
-            parts.append(f"{_samples(ticks.size)} of {topic} {verb} not finite {_where(ticks, period)}")
+            parts.append(
+                f"{_samples(ticks.size)} of {topic} {verb} not finite {_where(ticks, period)}"
+            )
         if count.duplicated:
             parts.append(f"{_samples(count.duplicated)} of {topic} came more than once")
         if count.reordered:

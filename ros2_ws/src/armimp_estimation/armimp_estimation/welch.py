@@ -7,7 +7,7 @@ disturbance also moves the joints through the loop, but that only has an effect 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,13 @@ class WelchSiso:
         DataError
             If a joint has no trial, or as :meth:`column`.
         """
-        return estimate_by_columns(self.name, trials, self.column)
+        estimate = estimate_by_columns(self.name, trials, self.column)
+        n = estimate.joints
+        locked = estimate.R * (1.0 - np.eye(n))[:, :, None]
+        still = estimate.R * np.eye(n)[:, :, None]
+        inverse = invert(still, estimate.f)
+        biases = known_biases(estimate, still, inverse, trials[0].record.rate)
+        return with_biases(estimate, (*biases, multiply(multiply(estimate.Z, locked), inverse)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +115,44 @@ class WelchFull:
                 coefficients[trial.torque_channel(i)] = 1.0
                 disturbance = gain * residual_power(trial, coefficients)
                 variance[i] += disturbance * np.abs(inverse[k]) ** 2
-        return matrix_estimate(self.name, spectra, frf, impedance, variance)
+        estimate = matrix_estimate(self.name, spectra, frf, impedance, variance)
+        return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record.rate))
+
+
+def known_biases(
+    estimate: ImpedanceEstimate, R: ComplexArray, inverse: ComplexArray, rate: float
+) -> tuple[ComplexArray, ...]:
+    """Biases that averaged spectra are known to have, as standard errors of the impedance.
+
+    Leakage: a Hann window takes the mean of a response over its neighbours with weights 1/6, 2/3,
+    1/6, which adds a sixth of the second difference: ``(ΔΔT - Z ΔΔR) R⁻¹ / 6``. Skew: torques that
+    are read before the update of the command are late by half a sample, ``jωL/2 Z``.
+
+    Parameters
+    ----------
+    estimate : ImpedanceEstimate
+        Impedance and its T.
+    R, inverse : ndarray, shape (n, n, n_freq)
+        Responses of the angles that it takes into account, and their inverse.
+    rate : float
+        Samples per second, Hz.
+    """
+    if estimate.f.size < 3:
+        return ()
+    change = _second_difference(estimate.T) - multiply(estimate.Z, _second_difference(R))
+    leakage = multiply(change, inverse) / 6.0
+    return leakage, 1j * np.pi * estimate.f / rate * estimate.Z
+
+
+def with_biases(estimate: ImpedanceEstimate, biases: tuple[ComplexArray, ...]) -> ImpedanceEstimate:
+    """Add standard errors of known biases to an estimate."""
+    variance = estimate.variance + sum(np.abs(bias) ** 2 for bias in biases)
+    return replace(estimate, variance=variance, systematics=(*estimate.systematics, *biases))
+
+
+def _second_difference(values: ComplexArray) -> ComplexArray:
+    inner = values[..., 2:] - 2.0 * values[..., 1:-1] + values[..., :-2]
+    return np.concatenate([inner[..., :1], inner, inner[..., -1:]], axis=-1)
 
 
 def estimate_by_columns(

@@ -1,0 +1,47 @@
+"""What is wrong with single signals, and what isn't."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfilt
+
+from armimp_estimation.signal_quality import clipping, counts_of, sticking
+
+RATE = 1000.0
+
+
+def motion(seed: int, step: float, size: float = 1.0) -> np.ndarray:
+    """Slow noise in steps of a resolution."""
+    raw = np.random.default_rng(seed).standard_normal(50_000)
+    smooth = sosfilt(butter(2, 4.0, fs=RATE, output="sos"), raw)
+    return np.round(size * smooth / smooth.std() / step) * step
+
+
+@pytest.mark.parametrize("step", [1e-9, 1e-4, 1e-2, 0.1])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_signal_that_turns_where_it_likes_is_neither_clipped_nor_stuck(
+    seed: int, step: float
+) -> None:
+    signal = motion(seed, step)
+    assert clipping(signal) == []
+    assert sticking(signal, RATE)[1] == 0
+
+
+@pytest.mark.parametrize("limit", [1.5, 2.5])
+@pytest.mark.parametrize("step", [1e-9, 1e-2])
+def test_a_clipped_signal_tells_where(limit: float, step: float) -> None:
+    found = clipping(np.clip(motion(1, step), -10.0, limit))
+    assert [value for value, _ in found] == [pytest.approx(limit)]
+
+
+@pytest.mark.parametrize("seconds", [0.3, 1.0])
+def test_a_signal_that_keeps_its_value_for_too_long_is_stuck(seconds: float) -> None:
+    signal = motion(1, 1e-3)
+    signal[9000 : 9000 + int(seconds * RATE)] = signal[9000]
+    longest, count, limit = sticking(signal, RATE)
+    assert count == 1
+    assert limit < longest == pytest.approx(seconds, abs=0.05)
+
+
+def test_counts_are_steps_of_the_resolution() -> None:
+    assert counts_of(np.array([0.0, 0.1, 0.3, 0.2])) == pytest.approx(3.0)
+    assert counts_of(np.ones(5)) == 0.0
