@@ -35,7 +35,6 @@ class ProblemCode(str, Enum):
     STAMPS_IRREGULAR = "stamps_irregular"
     STREAM_RATES_DIFFER = "stream_rates_differ"
     COMMANDS_PERMUTED = "commands_permuted"
-    COMMANDS_SHIFTED = "commands_shifted"
     DELAY_CORRECTED = "delay_corrected"
     TIMING_REFUTED = "timing_refuted"
     LACK_OF_FIT = "lack_of_fit"
@@ -44,11 +43,9 @@ class ProblemCode(str, Enum):
     IMPLAUSIBLE_ANGLE = "implausible_angle"
     TORQUE_UNBALANCED = "torque_unbalanced"
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"
-    ROBOT_INERTIA_WRONG = "robot_inertia_wrong"
     CLIPPED = "clipped"
     STUCK = "stuck"
     UNRESOLVED = "unresolved"
-    SPIKES = "spikes"
     LOCK_RATIO = "lock_ratio"
     LOCK_BIAS = "lock_bias"
     NO_RESPONSE = "no_response"
@@ -75,9 +72,6 @@ SENTENCES: Final[Mapping[ProblemCode, str]] = {
     ),
     ProblemCode.COMMANDS_PERMUTED: (
         "commands are in another order than the joints: {order}; they were put in order"
-    ),
-    ProblemCode.COMMANDS_SHIFTED: (
-        "commands take effect {periods:d} periods later than expected; they were shifted"
     ),
     ProblemCode.DELAY_CORRECTED: (
         "torques are late against angles by {delay_ms:.4g} ± {error_ms:.2g} ms; this was corrected"
@@ -109,10 +103,6 @@ SENTENCES: Final[Mapping[ProblemCode, str]] = {
         "commands less torques move a robot of the inertia {inertia}, which is impossible: "
         "check sign, unit, gain and order of commands, torques and angles of {name}"
     ),
-    ProblemCode.ROBOT_INERTIA_WRONG: (
-        "commands less torques move {name} as if its inertia were {share:.3g} times the known one: "
-        "check sign, unit, gain and order of its command, torque and angle"
-    ),
     ProblemCode.CLIPPED: (
         "{stream} of {name} is clipped at {value:.4g} {unit} in {count:d} samples"
     ),
@@ -124,7 +114,6 @@ SENTENCES: Final[Mapping[ProblemCode, str]] = {
         "{stream} of {name} moves by {counts:.2g} counts of its resolution only: "
         "what depends on it isn't resolved"
     ),
-    ProblemCode.SPIKES: "{stream} of {name} has {count:d} spikes of up to {value:.3g} {unit}",
     ProblemCode.LOCK_RATIO: (
         "{estimator}: {name} was not held still while {perturbed} was perturbed: within the band "
         "it moved by {percent:.3g} % of it (limit {limit:.3g} %)"

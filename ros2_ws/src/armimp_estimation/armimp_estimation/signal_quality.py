@@ -21,7 +21,7 @@ _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}
 _CLIPPED = 8
 _HEAPED = 4.0
 _NEIGHBOURS = 8
-STUCK = 0.04
+STUCK = 0.1
 """Time for which a signal that moves may keep one value, s; longer where it moves slowly."""
 _STUCK_TIMES = 6.0
 _TELLING_COUNTS = 50.0
@@ -101,7 +101,7 @@ def sticking(signal: FloatArray, rate: float) -> tuple[float, int, float]:
     """Longest time for which a signal keeps one value, how often it does so for too long, and that.
 
     What is too long follows from the signal: 6 times the time for which it keeps a value but in one
-    of a hundred moments, and no less than 40 ms. Signals of fewer than 50 counts may rest as they
+    of a hundred moments, and no less than 100 ms. Signals of fewer than 50 counts may rest as they
     like.
 
     Parameters

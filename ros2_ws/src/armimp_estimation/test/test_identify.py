@@ -8,11 +8,12 @@ from armimp_estimation import scores
 from armimp_estimation.frf import frf_matrix
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import ProblemCode
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialAccumulator, TrialData
-from armimp_estimation.verdict import Limits, judge_coherence, judge_estimate, judge_locking
+from armimp_estimation.verdict import Limits, judge_coherence, judge_locking
 from armimp_estimation.welch import WelchSiso
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
@@ -98,11 +99,19 @@ def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is
     result = identify(
         trials(dataclasses.replace(LOOP, lock_stiffness=100.0)), ESTIMATORS, None, CONFIG
     )
+    codes = {problem.code for problem in result.problems if problem.estimator == "welch_siso"}
+    assert {ProblemCode.LOCK_RATIO, ProblemCode.LOCK_BIAS} <= codes
     assert not result.valid
     assert (result.estimators["welch_siso"].coherence_derived > 0.9).all()
-    said = "\n".join(result.problems)
-    assert "joint_2 was not held still while joint_1 was perturbed: it moved by " in said
-    assert "joint_1 was not held still while joint_2 was perturbed: it moved by " in said
+    said = "\n".join(map(str, result.problems))
+    assert (
+        "joint_2 was not held still while joint_1 was perturbed: within the band it moved by "
+        in said
+    )
+    assert (
+        "joint_1 was not held still while joint_2 was perturbed: within the band it moved by "
+        in said
+    )
     assert "element (1, 2) may be biased" in said
 
 
@@ -110,7 +119,7 @@ def test_when_a_stiff_joint_still_biases_its_neighbour_expect_the_bias_bound_to_
     loop = dataclasses.replace(LOOP, lock_stiffness=3000.0)
     result = identify(trials(loop), ["welch_siso"], TWO_JOINT_ARM, CONFIG)
     assert max(trial.lock_ratio.min() for trial in result.trials) < 0.02
-    assert any("motion of joint_1 while joint_2 was perturbed" in p for p in result.problems)
+    assert any("motion of joint_1 while joint_2 was" in str(p) for p in result.problems)
     vaf = result.estimators["welch_siso"].vaf
     assert vaf is not None
     assert vaf[0, 1] < 60.0
@@ -120,10 +129,8 @@ def test_when_torque_sensors_are_drowned_in_noise_expect_incoherence_in_the_verd
     result = identify(
         trials(dataclasses.replace(LOOP, torque_noise=1e3)), ["welch_full"], None, CONFIG
     )
-    said = "\n".join(result.problems)
-    assert "torque of joint_2 does not follow the perturbation of joint_1" in said
-    assert "welch_full: element (1, 1) has a mean derived coherence of" in said
-    assert "welch_full: element (1, 1) does not look like M s² + B s + K" in said
+    said = "\n".join(map(str, result.problems))
+    assert "torque of joint_2 does not follow the perturbation of joint_2" in said
 
 
 def test_truth_has_no_part_in_the_verdict() -> None:
@@ -179,35 +186,31 @@ def test_scores_that_are_not_numbers_fail_the_verdict() -> None:
     nan = np.full((2, 2), np.nan)
     # Two locked joints, and four elements whose bias is unknown.
     assert len(judge_locking(names, nan, nan, Limits())) == 6
-    assert len(judge_coherence(names, nan[0], nan, 0.25)) == 6
-    assert len(judge_estimate("x", nan, nan, Limits())) == 8
+    assert len(judge_coherence(names, nan[0], nan, 0.25)) == 4
 
 
 def test_a_single_bad_score_is_told_of_the_right_element() -> None:
     names = ("a", "b")
-    lock, bound, torque, derived, r2 = (
-        np.full((2, 2), value) for value in (0.0, 0.0, 1.0, 1.0, 1.0)
-    )
+    lock, bound, torque = (np.full((2, 2), value) for value in (0.0, 0.0, 1.0))
     lock[1, 0] = bound[1, 0] = 0.5
-    torque[1, 0] = derived[1, 0] = r2[1, 0] = 0.1
+    torque[1, 1] = 0.1
     locking = judge_locking(names, lock, bound, Limits())
-    assert [text.split(":")[0] for text in locking] == [
-        "b was not held still while a was perturbed",
-        "motion of b while a was perturbed explains 50 % of the torque of b (limit 10 %)",
+    assert [(one.code, one.values["name"], one.values["perturbed"]) for one in locking] == [
+        (ProblemCode.LOCK_RATIO, "b", "a"),
+        (ProblemCode.LOCK_BIAS, "b", "a"),
     ]
-    (text,) = judge_coherence(names, np.ones(2), torque, 0.25)
-    assert text.startswith("torque of b does not follow the perturbation of a")
-    one, other = judge_estimate("x", derived, r2, Limits())
-    assert one.startswith("x: element (2, 1) has a mean derived coherence of 0.1 ")
-    assert other.startswith("x: element (2, 1) does not look like")
+    (problem,) = judge_coherence(names, np.ones(2), torque, 0.25)
+    assert (problem.values["stream"], problem.values["name"]) == ("torque", "b")
 
 
 def test_each_trial_has_the_scores_of_its_own_record() -> None:
     data = trials(dataclasses.replace(LOOP, lock_stiffness=3000.0))
     result = identify(data[::-1], ["welch_siso"], None, CONFIG)
-    bounds = scores.bias_bound(frf_matrix([trial.spectra for trial in data]))
+    spectra = [trial.spectra for trial in data]
+    bounds = scores.bias_bound(frf_matrix(spectra))
+    locks = scores.lock_ratio(spectra, frf_matrix(spectra))
     for k, trial in enumerate(result.trials):
-        np.testing.assert_array_equal(trial.lock_ratio, scores.lock_ratio(data[k].record))
+        np.testing.assert_array_equal(trial.lock_ratio, locks[:, k])
         np.testing.assert_array_equal(trial.bias_bound, bounds[:, k])
 
 
@@ -216,7 +219,6 @@ def test_values_at_their_limits_pass_the_verdict() -> None:
     limits = Limits()
     same = np.ones((2, 2))
     assert judge_locking(names, limits.lock_ratio * same, limits.bias_bound * same, limits) == []
-    assert judge_estimate("x", limits.coherence_derived * same, limits.r2 * same, limits) == []
 
 
 @pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Limits)])

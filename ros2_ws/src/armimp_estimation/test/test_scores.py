@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation import scores
 from armimp_estimation.estimate import ImpedanceEstimate
-from armimp_estimation.frf import FrfMatrix
+from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
@@ -124,14 +124,26 @@ def test_when_alpha_is_no_probability_expect_configuration_error(alpha: float) -
         scores.coherence_significance(11.0, alpha)
 
 
-def test_lock_ratio_compares_deviations_from_the_mean() -> None:
-    np.testing.assert_allclose(scores.lock_ratio(moving_record()), [0.02, 1.0, 0.0], atol=1e-12)
+def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a_dither() -> None:
+    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.01)
+    ratios = []
+    for dither in (0.0, 0.02):
+        records = [synthetic_trial(TWO_JOINT_ARM, k, loop, 1) for k in range(2)]
+        t = np.arange(6144) / 125.0
+        for record in records:
+            locked = 1 - record.perturbed_joint
+            record.position[locked] = 0.01 * record.position[1 - locked]
+            record.position[locked] += dither * np.sin(2.0 * np.pi * 40.0 * t)
+        spectra = [TrialData.from_record(one, WELCH).spectra for one in records]
+        ratios.append(scores.lock_ratio(spectra, frf_matrix(spectra)))
+    np.testing.assert_allclose(ratios[0], [[1.0, 0.01], [0.01, 1.0]], rtol=1e-6)
+    np.testing.assert_allclose(ratios[1], ratios[0], rtol=0.05)
 
 
 def test_when_the_perturbed_joint_stands_still_expect_data_error() -> None:
     record = dataclasses.replace(moving_record(), perturbed_joint=2)
     with pytest.raises(DataError, match="trial 4: c is perturbed but does not move"):
-        scores.lock_ratio(record)
+        scores.require_motion(record)
 
 
 def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
@@ -141,7 +153,7 @@ def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
         f=F[:2],
         R=np.repeat(R[:, :, None], 2, axis=2) + 0j,
         T=np.repeat(T[:, :, None], 2, axis=2) + 0j,
-        R_variance=np.ones((2, 2, 2)),
+        R_variance=np.zeros((2, 2, 2)),
         T_variance=np.ones((2, 2, 2)),
     )
     expected = [

@@ -33,7 +33,7 @@ class Advice:
 ADVICE = (
     Advice(
         title="Joints that should have been held still moved",
-        pattern=r"was not held still|^motion of .* explains",
+        pattern=r"was not held still|motion of .* explains",
         text=(
             "The method needs all joints but one at rest: what they move leaks into the elements "
             "of their row. Make the robot hold them harder (target.lock_frequency), check that "
@@ -53,28 +53,49 @@ ADVICE = (
         ),
     ),
     Advice(
-        title="The torque is not explained by the motion",
-        pattern=r"mean derived coherence",
+        title="A channel is wrong",
+        pattern=(
+            r"not that of a passive arm|outside of what an arm|can't be radians|its command "
+            r"disagree|commands less torques move"
+        ),
         text=(
-            "Noise or voluntary torque hides the answer of the arm. Ask for a relaxed arm, perturb "
-            "harder, or record for longer; the coherence curves below show at which frequencies it "
-            "is missing."
+            "Numbers like these come from a sign, a unit, a gain or an order of channels. Push "
+            "each joint by hand and compare the signs of angle and torque, hang a known weight on "
+            "each transducer, and compare the names of joints in all streams. "
+            "armimp check-driver moves one joint after the other and tells which one answers."
+        ),
+    ),
+    Advice(
+        title="A signal is clipped, stuck or too coarse",
+        pattern=r"is clipped at|is stuck: |counts of its resolution",
+        text=(
+            "What a transducer can't follow biases the estimate. Perturb less where it is clipped, "
+            "more where it isn't resolved; look for loose contacts and for a driver that repeats "
+            "its last reading."
+        ),
+    ),
+    Advice(
+        title="The sampling rate is in doubt",
+        pattern=r"stamps give|sampling rate drifts|stamps are irregular|^trial \d+: stamps of ",
+        text=(
+            "All frequencies, and with them M and B, follow from the rate that the stamps give. "
+            "Stamp samples when they are taken, by one clock. Declare an unusual rate (--rate)."
         ),
     ),
     Advice(
         title="The impedance is not that of inertia, viscosity and stiffness",
-        pattern=r"does not look like M s²",
+        pattern=r"is not of the form M s²",
         text=(
-            "M, B and K do not describe this arm over the whole band. Compare the Bode plots with "
-            "their bands: large scatter means noise, a smooth departure means an arm that is not "
-            "linear (smaller perturbations help), joints that were not held, or a loose strap."
+            "The impedance may be right, but M, B and K do not describe it over the whole band. "
+            "Reflexes, a soft cuff or a loose strap, and stiffness that depends on amplitude do "
+            "that. Compare the Bode plots with the fit to see at which frequencies."
         ),
     ),
     Advice(
         title="Samples are missing or in disorder",
         pattern=(
             r"(is|are) missing (at|in|between) |came (more than once|out of order)|"
-            r"stamps do not agree|did not arrive|no sensor sample|must move forward|ms apart|"
+            r"stamps do not agree|did not arrive|no sensor sample|must move forward|"
             r"malformed"
         ),
         text=(

@@ -145,27 +145,33 @@ def _coherence(result: Result) -> Iterator[_Check]:
 
 
 def _fits(result: Result) -> Iterator[_Check]:
-    limits, estimators = Limits(), result.summary.estimators
+    estimators = result.summary.estimators
     names = looks(estimators)
     derived: list[_Found] = []
     fits: list[_Found] = []
+    lacks: list[_Found] = []
+    limit = math.nan
     accounted: list[_Found] = []
     for name, one in estimators.items():
         derived += _elements(one.coherence_derived, names[name].label)
         fits += _elements(one.r2, names[name].label)
+        # Of the others, bias is known to be part of the misfit.
+        if name == "lpm_full":
+            lacks += _elements(one.lack_of_fit, names[name].label)
+            limit = one.lack_limit
         accounted += [] if one.vaf is None else _elements(one.vaf, names[name].label)
-    for title, values, limit in (
-        ("derived coherence", derived, limits.coherence_derived),
-        ("R² of the fit", fits, limits.r2),
-    ):
-        worst, where = _smallest(values)
+    if lacks:
+        worst, where = _largest(lacks)
         yield _Check(
-            name=title,
-            worst=number(worst, ".4f"),
+            name="lack of fit",
+            worst=number(worst, ".2f"),
             where=where,
-            limit=f"≥ {number(limit)}",
-            met=worst >= limit,
+            limit=f"≤ {number(limit)}",
+            met=worst <= limit,
         )
+    for title, values in (("derived coherence", derived), ("R² of the fit", fits)):
+        worst, where = _smallest(values)
+        yield _Check(name=title, worst=number(worst, ".4f"), where=where)
     if accounted:
         worst, where = _smallest(accounted)
         yield _Check(name="VAF (simulation)", worst=number(worst, ".2f", "%"), where=where)
