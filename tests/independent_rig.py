@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -97,7 +98,7 @@ def arm_of(mismatch: Mismatch) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @njit(cache=True)
-def _run(  # noqa: PLR0912, PLR0917 (one compiled loop)
+def _run(  # type: ignore[no-untyped-def] # noqa: PLR0912, PLR0917 (one compiled loop)
     A,
     G,
     torque_of,
@@ -285,7 +286,7 @@ def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
     return [simulate_trial(mismatch, joint, seed) for joint in (0, 1)]
 
 
-def _readings(mismatch: Mismatch, before: FloatArray, fine: FloatArray, step: float) -> FloatArray:
+def _readings(mismatch: Mismatch, before: FloatArray, fine: FloatArray, step: float) -> Any:
     late = round(mismatch.torque_delay / step)
     places = np.arange(before.shape[1]) * SUBSTEPS
     if mismatch.mean:
@@ -399,12 +400,11 @@ def write_bag(
                     bag.write(to_drive, stamp, raw)
 
 
-def changed(**change: Callable[[FloatArray], FloatArray]) -> Callable[[Recording], Recording]:
+def changed(**change: Callable[[Any], Any]) -> Callable[[Recording], Recording]:
     """Return what changes arrays of a recording, by name."""
 
     def change_all(recording: Recording) -> Recording:
-        return replace(
-            recording, **{name: f(getattr(recording, name)) for name, f in change.items()}
-        )
+        arrays: dict[str, Any] = {name: f(getattr(recording, name)) for name, f in change.items()}
+        return replace(recording, **arrays)
 
     return change_all

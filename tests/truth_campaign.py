@@ -8,7 +8,9 @@ from __future__ import annotations
 import argparse
 import re
 import time
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +23,12 @@ from armimp_estimation.trial_streams import Stream, TrialStreams
 from independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
 
 FloatArray = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+Change = Callable[[FloatArray], FloatArray]
 MILLI = 1e-3
 
 
-def _clipped(share: float):
+def _clipped(share: float) -> Change:
     def clip(torque: FloatArray) -> FloatArray:
         limit = np.quantile(np.abs(torque), 1.0 - share, axis=1, keepdims=True)
         limit = np.round(limit, 2)
@@ -33,7 +37,7 @@ def _clipped(share: float):
     return clip
 
 
-def _stuck(seconds: float):
+def _stuck(seconds: float) -> Change:
     def hold(torque: FloatArray) -> FloatArray:
         torque = torque.copy()
         for start in (9000, 23000, 37000):
@@ -44,7 +48,7 @@ def _stuck(seconds: float):
     return hold
 
 
-def _spikes(size: float):
+def _spikes(size: float) -> Change:
     def hit(torque: FloatArray) -> FloatArray:
         torque = torque.copy()
         places = np.random.default_rng(5).integers(600, torque.shape[1] - 600, 40)
@@ -54,7 +58,7 @@ def _spikes(size: float):
     return hit
 
 
-def _hum(size: float):
+def _hum(size: float) -> Change:
     def add(torque: FloatArray) -> FloatArray:
         t = np.arange(torque.shape[1]) / 1000.0
         return torque + size * np.sin(2 * np.pi * 50.0 * t + 0.3)
@@ -62,38 +66,38 @@ def _hum(size: float):
     return add
 
 
-def _coarse(step: float):
+def _coarse(step: float) -> Change:
     return lambda values: np.round(values / step) * step
 
 
-def _drift(slope: float):
+def _drift(slope: float) -> Change:
     return lambda torque: torque + slope * np.arange(torque.shape[1]) / 1000.0
 
 
-def _restamped(rate: float):
-    def stamp(stamps):
+def _restamped(rate: float) -> Callable[[Stamps], Stamps]:
+    def stamp(stamps: Stamps) -> Stamps:
         return stamps[0] + np.rint(np.arange(stamps.size) * (1e9 / rate)).astype(np.int64)
 
     return stamp
 
 
-def _jittered(share: float):
-    def stamp(stamps):
+def _jittered(share: float) -> Callable[[Stamps], Stamps]:
+    def stamp(stamps: Stamps) -> Stamps:
         noise = np.random.default_rng(3).normal(scale=share * 1e6, size=stamps.size)
         return stamps + np.rint(np.clip(noise, -4e5, 4e5)).astype(np.int64)
 
     return stamp
 
 
-def _warped(share: float):
-    def stamp(stamps):
+def _warped(share: float) -> Callable[[Stamps], Stamps]:
+    def stamp(stamps: Stamps) -> Stamps:
         x = np.arange(stamps.size)
         return stamps + np.rint(share * 1e6 * x**2 / x.size).astype(np.int64)
 
     return stamp
 
 
-def _row(row: int, factor: float):
+def _row(row: int, factor: float) -> Change:
     def scale(values: FloatArray) -> FloatArray:
         values = values.copy()
         values[row] *= factor
@@ -102,7 +106,7 @@ def _row(row: int, factor: float):
     return scale
 
 
-def _cross(share: float):
+def _cross(share: float) -> Change:
     return lambda torque: torque + share * torque[::-1]
 
 
@@ -110,11 +114,17 @@ def _without_commands(recording: Recording) -> Recording:
     return replace(recording, command=None)
 
 
+def _then_without_commands(
+    change: Callable[[Recording], Recording],
+) -> Callable[[Recording], Recording]:
+    return lambda recording: _without_commands(change(recording))
+
+
 def _first_lost(recording: Recording) -> Recording:
     return replace(recording, command_shift=1)
 
 
-def _shifted(by: int):
+def _shifted(by: int) -> Callable[[Recording], Recording]:
     return changed(command=lambda command: np.roll(command, by, axis=1))
 
 
@@ -126,15 +136,15 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: PLR0912 (a table)
     """Everything that is tried: kind and mismatch by name (class, magnitude)."""
     found: dict[str, tuple[str, Mismatch]] = {"ideal": (NOISE, Mismatch())}
 
-    def add(kind: str, name: str, *variants: tuple[str, dict]) -> None:
+    def add(kind: str, name: str, *variants: tuple[str, dict[str, Any]]) -> None:
         for label, options in variants:
             found[f"{name} {label}".strip()] = (kind, Mismatch(**options))
 
     for rate in (500.0, 800.0, 2000.0):
         add(NOISE, "rate", (f"{rate:g}", {"rate": rate}))
         add(RIGHT, f"rate {rate:g} after", ("", {"rate": rate, "after": True}))
-        late = {"rate": rate, "torque_delay": 0.5 / rate}
-        add(RIGHT, f"rate {rate:g} mid", ("", late))
+        amid = {"rate": rate, "torque_delay": 0.5 / rate}
+        add(RIGHT, f"rate {rate:g} mid", ("", amid))
         add(RIGHT, f"rate {rate:g} mean", ("", {"rate": rate, "mean": True}))
     for rate in (999.9, 980.0, 1020.0, 900.0):
         add(MUST, "stamped", (f"{rate:g}", {"readings": changed(stamps=_restamped(rate))}))
@@ -176,13 +186,16 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: PLR0912 (a table)
     for label, gone in (("", False), (", no commands", True)):
         for name in ("torque", "position"):
             swap = changed(**{name: lambda values: values[::-1].copy()})
-            both = (lambda r, s=swap: _without_commands(s(r))) if gone else swap
+            both = _then_without_commands(swap) if gone else swap
             add(MUST, f"{name} swapped{label}", ("", {"readings": both}))
     for label, factor in (("sign", -1.0), ("N·mm", 1000.0), ("degrees", 57.29578)):
         for name in ("torque", "position"):
             wrong = changed(**{name: _times(factor)})
-            gone = lambda r, w=wrong: _without_commands(w(r))  # noqa: E731
-            add(MUST, f"{name} {label}, no commands", ("", {"readings": gone}))
+            add(
+                MUST,
+                f"{name} {label}, no commands",
+                ("", {"readings": _then_without_commands(wrong)}),
+            )
     for share in (0.002, 0.02, 0.1):
         add(MUST, "clipped", (f"{share:g}", {"readings": changed(torque=_clipped(share))}))
         add(MUST, "angle clipped", (f"{share:g}", {"readings": changed(position=_clip(share))}))
@@ -234,11 +247,11 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: PLR0912 (a table)
     return found
 
 
-def _times(factor: float):
+def _times(factor: float) -> Change:
     return lambda values: values * factor
 
 
-def _clip(share: float):
+def _clip(share: float) -> Change:
     def clip(values: FloatArray) -> FloatArray:
         low = np.quantile(values, share / 2, axis=1, keepdims=True)
         high = np.quantile(values, 1 - share / 2, axis=1, keepdims=True)
@@ -296,9 +309,9 @@ def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str
     found = summary.estimators["lpm_full"]
     worst, relative = 0.0, 0.0
     for name, truth in zip("MBK", arm_of(mismatch), strict=True):
-        error = np.abs(np.array(getattr(found, name)) - truth)
-        worst = max(worst, float(np.max(error / np.array(getattr(found, f"{name}_se")))))
-        relative = max(relative, float(np.max(error / np.abs(truth))))
+        off = np.abs(np.array(getattr(found, name)) - truth)
+        worst = max(worst, float(np.max(off / np.array(getattr(found, f"{name}_se")))))
+        relative = max(relative, float(np.max(off / np.abs(truth))))
     return summary.valid, worst, 100 * relative, [str(one) for one in summary.problems]
 
 

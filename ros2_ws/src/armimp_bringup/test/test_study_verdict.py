@@ -52,6 +52,7 @@ def _estimator(joints: int = 2) -> EstimatorSummary:
         M_se=zeros,
         B_se=zeros,
         K_se=zeros,
+        lack_of_fit=_square(1.0, joints),
         vaf=_square(GOOD["vaf"], joints),
         r2=_square(GOOD["r2"], joints),
         coherence_derived=_square(GOOD["coherence_derived"], joints),

@@ -1,7 +1,7 @@
 """What an estimator of the impedance matrix takes and gives."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -125,6 +125,13 @@ class ImpedanceEstimate:
     def joints(self) -> int:
         """Number of joints n."""
         return int(self.Z.shape[0])
+
+    def without_systematics(self) -> "ImpedanceEstimate":
+        """Return the same with the variance of noise alone."""
+        variance = self.variance.copy()
+        for common in self.systematics:
+            variance -= np.abs(common) ** 2
+        return replace(self, variance=np.maximum(variance, 0.0), systematics=())
 
     def confidence_radius(self, level: float = 0.95) -> FloatArray:
         """Radius of the confidence circle of each value, N·m/rad, shape (n, n, n_freq)."""

@@ -117,6 +117,7 @@ _LACK_CHANCE = 5.0
 _REFUTED = 4.0
 _NOTICED = 2.0
 _ITERATIONS = 3
+_ROUNDING = 1e-9
 
 
 def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
@@ -191,13 +192,10 @@ def fit_impedance(
     if estimate.weight_floor is not None:
         options = replace(options, weight_floor=estimate.weight_floor)
     n = estimate.joints
-    noise = estimate.variance.copy()
-    for common in estimate.systematics:
-        noise -= np.abs(common) ** 2
     problem = _Elements(
         f=estimate.f,
         Z=estimate.Z.reshape(n * n, -1),
-        noise=np.maximum(noise, 0.0).reshape(n * n, -1),
+        noise=estimate.without_systematics().variance.reshape(n * n, -1),
         systematics=tuple(common.reshape(n * n, -1) for common in estimate.systematics),
         correlation=estimate.bin_correlation,
         freedom=estimate.averages - 1.0,
@@ -338,7 +336,9 @@ class _Elements:
             error = self.functional_error(row, functional)
             if abs(value) > _NOTICED * error:
                 squares += (value * _apply(coefficients, term)) ** 2
-        return squares
+        # What rounding leaves is no change.
+        least = _ROUNDING * np.abs(_apply(coefficients, self.Z[row]))
+        return np.where(squares > least**2, squares, 0.0)
 
     def functional_error(self, row: int, functional: ComplexArray) -> float:
         """Standard error of ``Re Σ_f conj(b_f) Z_f``."""

@@ -12,6 +12,7 @@ from armimp_estimation.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
+from armimp_estimation.nonlinearity import judge_stiffness
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Concern, Problem, spoiled
 from armimp_estimation.registry import make_estimator
@@ -197,8 +198,11 @@ def identify(
         )
         declared = options.lpm.reading.sentence
         problems += verdict.judge_estimate(names, estimate, fit, declared)
+    best = next((r for r in results.values() if r.estimate.unbiased), None)
+    if best is not None:
+        for trial in ordered:
+            problems += judge_stiffness(trial.record, best.fit.mbk)
     if balance is not None:
-        best = next((r for r in results.values() if r.estimate.unbiased), None)
         arm = best if best is not None else next(iter(results.values()))
         problems += judge_balance(names, balance, arm.fit)
     return Identification(

@@ -46,6 +46,8 @@ class ProblemCode(str, Enum):
     CLIPPED = "clipped"
     STUCK = "stuck"
     UNRESOLVED = "unresolved"
+    DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
+    CHANGES_OVER_TIME = "changes_over_time"
     LOCK_RATIO = "lock_ratio"
     LOCK_BIAS = "lock_bias"
     NO_RESPONSE = "no_response"
@@ -113,6 +115,14 @@ SENTENCES: Final[Mapping[ProblemCode, str]] = {
     ProblemCode.UNRESOLVED: (
         "{stream} of {name} moves by {counts:.2g} counts of its resolution only: "
         "what depends on it isn't resolved"
+    ),
+    ProblemCode.DEPENDS_ON_AMPLITUDE: (
+        "the stiffness of {name} depends on the amplitude: it changes by {percent:.3g} ± "
+        "{error:.2g} % from rest to the rms angle; the estimate is the best linear one there"
+    ),
+    ProblemCode.CHANGES_OVER_TIME: (
+        "the stiffness of {name} changes by {percent:.3g} ± {error:.2g} % over the trial; "
+        "the estimate is its mean"
     ),
     ProblemCode.LOCK_RATIO: (
         "{estimator}: {name} was not held still while {perturbed} was perturbed: within the band "

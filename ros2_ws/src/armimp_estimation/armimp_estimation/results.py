@@ -50,7 +50,7 @@ class FindingSummary(JsonModel):
     @classmethod
     def of(cls, problem: Problem) -> "FindingSummary":
         """Summary of one problem."""
-        values = {
+        values: dict[str, JsonValue] = {
             name: None if isinstance(value, float) and not math.isfinite(value) else value
             for name, value in problem.values.items()
         }

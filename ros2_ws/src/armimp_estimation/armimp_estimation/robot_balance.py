@@ -34,12 +34,12 @@ from armimp_estimation.welch import invert, multiply
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-BAND = (0.5, 12.0)
+BAND = (0.25, 12.0)
 """Where inertia and stiffness are seen, Hz: below, friction is most of it."""
-GAIN_TOLERANCE = 0.25
-"""Share by which the torque of a transducer may differ from that of the command.
+GAIN_TOLERANCE = 0.08
+"""Share by which the torque of a transducer may differ from that of the command, beside chance.
 
-Friction looks like stiffness of the robot, by as much.
+A spring at the robot is no fault, nor is friction, which looks like one.
 """
 ASYMMETRY = 0.5
 """Share by which elements of the robot's inertia off the diagonal may differ from each other."""
@@ -134,13 +134,18 @@ def robot_balance(records: Sequence[TrialRecord]) -> RobotBalance | None:
 def transducer_gains(robot: MBKFit, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
     """Gain g of each transducer against the commands, and its standard error.
 
-    With ``ρ = Σ_j K_r,ij K̂_ij / Σ_j K̂_ij²`` it is ``1/(1 + ρ)``.
+    With ``ρ = Σ_j K_r,ij K̂_ij / Σ_j K̂_ij²`` over the other joints j it is ``1/(1 + ρ)``. A spring
+    or friction in the joint i itself is in ``K_r,ii`` alone, so that is left out where it can be.
     """
-    K, size = arm.mbk.K, np.sum(arm.mbk.K**2, axis=1)
+    K = arm.mbk.K if len(arm.mbk.K) == 1 else arm.mbk.K * (1.0 - np.eye(len(arm.mbk.K)))
+    size = np.maximum(np.sum(K**2, axis=1), np.finfo(np.float64).tiny)
     share = np.sum(robot.mbk.K * K, axis=1) / size
-    error = np.sqrt(np.sum((robot.K_se * K) ** 2, axis=1)) / size
-    slope = 1.0 / (1.0 + share) ** 2
-    return 1.0 / (1.0 + share), slope * error
+    error = np.hypot(
+        np.sqrt(np.sum((robot.K_se * K) ** 2, axis=1)) / size,
+        # Where the arm hardly couples the joints its own errors count.
+        share * np.sqrt(np.sum((arm.K_se * K) ** 2, axis=1)) / size,
+    )
+    return 1.0 / (1.0 + share), error / (1.0 + share) ** 2
 
 
 def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> list[Problem]:

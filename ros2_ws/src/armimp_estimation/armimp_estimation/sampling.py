@@ -152,7 +152,7 @@ class Grid:
         period = _period(stamps)
         if stamps.size < 20 or period is None:
             return None
-        steps = np.diff(stamps) / period
+        steps = np.asarray(np.diff(stamps) / period, dtype=np.float64)
         whole = np.where(steps < _MISSING, 1.0, np.rint(steps))
         numbers = np.concatenate(([0.0], np.cumsum(whole)))
         times = (stamps - stamps[0]) / period
@@ -173,7 +173,7 @@ def _period(stamps: Stamps) -> float | None:
     steps = np.diff(np.unique(stamps))
     if steps.size == 0:
         return None
-    relative = steps / float(np.median(steps))
+    relative = np.asarray(steps / float(np.median(steps)), dtype=np.float64)
     # A step that is only a little longer or shorter is jitter, not a sample that is missing.
     whole = np.where(relative < _MISSING, 1.0, np.rint(relative))
     return float(np.sum(steps) / np.sum(whole))

@@ -16,6 +16,7 @@ from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 
 FloatArray = NDArray[np.float64]
+Values = dict[str, float | int | str]
 
 _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}
 _CLIPPED = 8
@@ -25,7 +26,7 @@ STUCK = 0.1
 """Time for which a signal that moves may keep one value, s; longer where it moves slowly."""
 _STUCK_TIMES = 6.0
 _TELLING_COUNTS = 50.0
-RESOLVED = 3.0
+RESOLVED = 8.0
 """Peak to peak motion, in counts of the resolution, below which nothing is resolved."""
 
 
@@ -41,9 +42,9 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
     streams = {JOINT_STATES: record.position, TORQUE_SENSORS: record.torque}
     for stream, signals in streams.items():
         for joint, (name, signal) in enumerate(zip(record.joint_names, signals, strict=True)):
-            found: list[tuple[ProblemCode, dict[str, float | int | str]]] = []
+            found: list[tuple[ProblemCode, Values]] = []
             for value, count in clipping(signal):
-                about = {"value": value, "unit": _UNITS[stream], "count": count}
+                about: Values = {"value": value, "unit": _UNITS[stream], "count": count}
                 found.append((ProblemCode.CLIPPED, about))
             moves = stream == TORQUE_SENSORS or joint == record.perturbed_joint
             if moves:

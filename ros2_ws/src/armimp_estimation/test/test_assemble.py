@@ -15,6 +15,7 @@ from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trial, assemble_trials
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
+from armimp_estimation.problems import ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial_streams import decode_streams
 from armimp_estimation.trial_windows import (
@@ -270,7 +271,9 @@ class TestLedger:
         topics = RECORDING.by_topic()
         for topic in STAMPED:
             topics[topic] = topics[topic][::2]
-        assert assemble(topics).problem == "samples are 2 ms apart, not 1 ms"
+        (finding,) = assemble(topics).findings
+        assert finding.code is ProblemCode.RATE_UNPLANNED
+        assert (finding.values["rate"], finding.values["planned"]) == (500.0, 1000.0)
 
     def test_perturbation_of_zero_is_refused(self) -> None:
         topics = RECORDING.by_topic()

@@ -237,5 +237,5 @@ def test_torques_are_taken_as_read_before_the_update_unless_the_metadata_say_oth
 
 @pytest.mark.parametrize("told", ['"later"', "7", "null", "[1]"])
 def test_when_the_timing_makes_no_sense_expect_an_error_that_names_what_there_is(told: str) -> None:
-    with pytest.raises(DataError, match=r"torque_timing is .*known are before_update"):
+    with pytest.raises(DataError, match=r"torque_timing is .*known are unknown, before_update"):
         reading_of({"torque_timing": told})

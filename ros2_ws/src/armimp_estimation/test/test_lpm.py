@@ -161,10 +161,17 @@ def test_a_delay_of_all_torques_is_corrected() -> None:
         torque = np.fft.irfft(np.fft.rfft(trial.record.torque, axis=1) * late, samples, axis=1)
         delayed += with_records([trial], torque=torque)
     arm = TWO_JOINT_ARM
-    corrected = stacked(fit_mbk(LpmFull().estimate(delayed)))
-    np.testing.assert_allclose(corrected, np.stack((arm.M, arm.B, arm.K)), rtol=0.005)
-    neglected = stacked(fit_mbk(LPM.estimate(delayed)))
-    assert (neglected[1] > 1.2 * arm.B).all()
+    truth = np.stack((arm.M, arm.B, arm.K))
+    told = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
+    corrected = stacked(fit_mbk(LpmFull(config=told).estimate(delayed)))
+    np.testing.assert_allclose(corrected, truth, rtol=0.005)
+    fit = fit_mbk(LpmFull().estimate(delayed))
+    assert fit.delay is not None
+    assert fit.delay.delay == pytest.approx(0.004, rel=0.02)
+    errors = np.stack((fit.M_se, fit.B_se, fit.K_se))
+    assert (np.abs(stacked(fit) - truth) < 3.5 * errors).all()
+    raw = dataclasses.replace(LPM.estimate(delayed), delay_uncertainty=None)
+    assert (stacked(fit_mbk(raw))[1] > 1.2 * arm.B).all()
 
 
 def test_when_everything_is_late_commands_are_of_no_concern() -> None:
@@ -173,8 +180,8 @@ def test_when_everything_is_late_commands_are_of_no_concern() -> None:
     commanded = with_records(data, command=np.random.default_rng(1).standard_normal((2, 6144)))
     one = LpmFull(config=config).estimate(data)
     assert one.Z.tobytes() == LpmFull(config=config).estimate(commanded).Z.tobytes()
-    # So it is if commands do not explain the torques.
-    assert one.Z.tobytes() == LpmFull().estimate(commanded).Z.tobytes()
+    # If commands do not explain the torques, nothing is corrected.
+    assert LpmFull().estimate(commanded).Z.tobytes() == LPM.estimate(data).Z.tobytes()
 
 
 def test_in_short_records_fewer_bins_take_part() -> None:
@@ -232,9 +239,11 @@ def locked(record: TrialRecord) -> TrialRecord:
 def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_locked() -> None:
     data = trials(dataclasses.replace(LOOP, voluntary=0.3))
     data = [dataclasses.replace(trial, record=locked(trial.record)) for trial in data]
-    whole = fit_mbk(LPM.estimate(data))
+    # Without a delay, which each trial alone would tell another way.
+    exact = LpmFull(config=dataclasses.replace(LPM.config, timing_uncertainty=0.0))
+    whole = fit_mbk(exact.estimate(data))
     for k, trial in enumerate(data):
-        column = LPM.column(trial.record)
+        column = exact.column(trial.record)
         assert column.joint == k
         for row, name in enumerate("MBK"):
             np.testing.assert_allclose(column.values[row], getattr(whole.mbk, name)[:, k])

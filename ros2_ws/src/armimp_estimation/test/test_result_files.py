@@ -15,6 +15,7 @@ from armimp_estimation.results import (
     Summary,
     TrialLedger,
     TruthSummary,
+    VerdictSummary,
     read_frf,
     read_summary,
     summarise,
@@ -51,7 +52,8 @@ def summary(identification: Identification) -> Summary:
 def test_summary_has_the_keys_of_schema_1(summary: Summary, tmp_path: Path) -> None:
     write_summary(tmp_path / "summary.json", summary)
     content = json.loads((tmp_path / "summary.json").read_text())
-    keys = ["schema", "config", "joints", "seed", "valid", "problems", "trials", "estimators"]
+    keys = ["schema", "config", "joints", "seed", "valid", "problems"]
+    keys += ["verdict", "findings", "trials", "estimators"]
     assert list(content) == [*keys, "truth", "timing", "wall", "torque_reading"]
     assert content["schema"] == 1
     assert content["config"] == {"duration": 50.0, "a": [None]}
@@ -125,7 +127,8 @@ def test_without_truth_vaf_and_truth_are_null(identification: Identification) ->
             coherence_derived=result.coherence_derived,
             coherence_torque=result.coherence_torque,
             coherence_motion=result.coherence_motion,
-        )
+        ),
+        VerdictSummary(impedance=True, parameters=False),
     )
     assert json.loads(one.model_dump_json())["vaf"] is None
 

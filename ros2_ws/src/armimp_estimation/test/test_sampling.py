@@ -11,7 +11,8 @@ START = 1_700_000_000_000_000_000
 
 
 def stamps(rate: float, count: int = 4000) -> np.ndarray:
-    return START + np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
+    made: np.ndarray = START + np.rint(np.arange(count) * (1e9 / rate)).astype(np.int64)
+    return made
 
 
 def codes(values: np.ndarray, planned: float | None = None) -> list[ProblemCode]:

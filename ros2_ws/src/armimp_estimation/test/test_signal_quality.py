@@ -13,7 +13,8 @@ def motion(seed: int, step: float, size: float = 1.0) -> np.ndarray:
     """Slow noise in steps of a resolution."""
     raw = np.random.default_rng(seed).standard_normal(50_000)
     smooth = sosfilt(butter(2, 4.0, fs=RATE, output="sos"), raw)
-    return np.round(size * smooth / smooth.std() / step) * step
+    steps: np.ndarray = np.round(size * smooth / smooth.std() / step) * step
+    return steps
 
 
 @pytest.mark.parametrize("step", [1e-9, 1e-4, 1e-2, 0.1])

@@ -207,11 +207,16 @@ def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None
 @late
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = [rig_record(joint, reading) for joint in range(2)]
-    told, not_told = errors(fitted(records, reading)), errors(fitted(records, TorqueReading()))
+    told = errors(fitted(records, reading))
     assert told["M"] < 0.002
     assert told["B"] < 0.005
     assert told["K"] < 0.015
-    assert not_told["B"] > 5.0 * told["B"]
+    # What nobody told is found as a common delay, or in the standard errors.
+    data = [TrialData.from_record(record) for record in records]
+    fit = fit_mbk(LpmFull().estimate(data))
+    for name in "MBK":
+        error = np.abs(getattr(fit.mbk, name) - getattr(ARM, name))
+        assert (error < 3.5 * getattr(fit, f"{name}_se")).all() or (fit.lack > 2.0).any()
 
 
 @late
@@ -283,7 +288,7 @@ def test_metadata_tell_all_of_it_and_parameters_prevail() -> None:
         ({"torque_delay": '"long"'}, "torque_delay is not a number: 'long'"),
         ({"torque_delay": "true"}, "torque_delay is not a number: True"),
         ({"torque_order": "1.5"}, "torque_order is not an integer: 1.5"),
-        ({"torque_delay": "-0.001"}, "delay must be finite and not negative, got -0.001 s"),
+        ({"torque_delay": "-2"}, "delay must be within ± 1 s, got -2 s"),
         ({"torque_cutoff": "NaN"}, "cutoff must be finite"),
         ({"torque_order": "9"}, "order must be 1 to 4, got 9"),
     ],
@@ -294,7 +299,7 @@ def test_metadata_that_make_no_sense_are_refused(metadata: dict[str, str], words
 
 
 @pytest.mark.parametrize(
-    "values", [{"delay": -1.0}, {"cutoff": float("inf")}, {"order": 0}, {"actuator_lag": -1e-3}]
+    "values", [{"delay": -1.5}, {"cutoff": float("inf")}, {"order": 0}, {"actuator_lag": -1e-3}]
 )
 def test_impossible_values_are_refused(values: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError, match="torque reading"):
@@ -302,7 +307,8 @@ def test_impossible_values_are_refused(values: dict[str, Any]) -> None:
 
 
 def test_summary_and_sentence_tell_what_was_corrected() -> None:
-    reading = TorqueReading(delay=0.0023, cutoff=200.0, order=2)
+    timing = TorqueTiming.BEFORE_UPDATE
+    reading = TorqueReading(timing=timing, delay=0.0023, cutoff=200.0, order=2)
     assert ReadingSummary.of(reading).reading() == reading
     assert reading.sentence == (
         "just before each command takes effect, 2.3 ms late, "

@@ -115,21 +115,16 @@ def test_midway_between_before_and_after_the_jump_there_is_no_skew(
 
 
 @pytest.mark.parametrize("rig", ["chattering", "smooth"])
-def test_viscosity_is_right_with_commands_and_off_by_half_a_sample_of_stiffness_without(
+def test_viscosity_is_right_with_commands_and_nearly_so_without(
     rig: str, request: pytest.FixtureRequest
 ) -> None:
     records: list[TrialRecord] = request.getfixturevalue(rig)
-    known = viscosity(records)
-    np.testing.assert_allclose(known, 1.0, atol=0.004)
-    without = viscosity([dataclasses.replace(record, command=None) for record in records])
-    # Delaying everything overcorrects stiffness and undercorrects the friction of the robot.
-    of_stiffness = 0.5 * PERIOD * (ARM.K - TRANSMISSION @ ARM.K) / ARM.B
-    np.testing.assert_allclose(without - 1.0, of_stiffness, atol=0.004)
-    assert np.max(without) > 1.005
-    neglected = viscosity(
-        records, LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
-    )
-    assert (neglected > 1.02).all()
+    np.testing.assert_allclose(viscosity(records), 1.0, atol=0.004)
+    without = [dataclasses.replace(record, command=None) for record in records]
+    np.testing.assert_allclose(viscosity(without), 1.0, atol=0.02)
+    # Where the records refute what is declared, it is not believed.
+    simultaneous = LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
+    np.testing.assert_allclose(viscosity(without, simultaneous), 1.0, atol=0.02)
 
 
 def test_commands_are_not_used_for_readings_that_are_means(smooth: list[TrialRecord]) -> None:

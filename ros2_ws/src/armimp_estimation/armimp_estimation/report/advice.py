@@ -84,7 +84,7 @@ ADVICE = (
     ),
     Advice(
         title="The impedance is not that of inertia, viscosity and stiffness",
-        pattern=r"is not of the form M s²",
+        pattern=r"is not of the form M s²|the stiffness of ",
         text=(
             "The impedance may be right, but M, B and K do not describe it over the whole band. "
             "Reflexes, a soft cuff or a loose strap, and stiffness that depends on amplitude do "

@@ -1,0 +1,117 @@
+"""Stiffness that depends on amplitude or changes over time, from what a linear arm leaves over.
+
+With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
+perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if it
+changes over the trial, e follows ``θ t``. Both regressors are taken without what is proportional to
+θ, so that a linear arm gives zero on average, whatever the person does beside. The trial is cut
+into parts, in each of which the coefficient is found anew: its scatter is its error, with no
+assumption about the spectrum of e.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity
+from armimp_estimation.record import TrialRecord
+
+FloatArray = NDArray[np.float64]
+
+BAND = (0.3, 15.0)
+"""Part of the spectrum that is looked at, Hz: below, a person's own torque is most of it."""
+SIGNIFICANT = 6.0
+LARGE = 0.05
+"""Share of the stiffness beyond which M, B and K are those at this amplitude alone."""
+_PARTS = 20
+_LEAST = 10.0
+
+
+def unexplained_torque(record: TrialRecord, arm: MBK) -> tuple[FloatArray, FloatArray]:
+    """Angle of the perturbed joint and what the arm leaves of its torque, both within the band.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        One trial.
+    arm : MBK
+        What was fitted.
+
+    Returns
+    -------
+    angle, torque : ndarray, shape (N,)
+        rad and N·m.
+    """
+    k, samples = record.perturbed_joint, record.samples
+    f = np.fft.rfftfreq(samples, 1.0 / record.rate)
+    inside = (f >= BAND[0]) & (f <= BAND[1])
+    angle = np.fft.rfft(record.position - record.position.mean(axis=1, keepdims=True))
+    torque = np.fft.rfft(record.torque[k] - record.torque[k].mean())
+    rest = torque - np.einsum("jf,jf->f", arm.impedance(f)[k], angle)
+    whole: FloatArray = np.fft.irfft(np.where(inside, rest, 0.0), samples)
+    moved: FloatArray = np.fft.irfft(np.where(inside, angle[k], 0.0), samples)
+    return moved, whole
+
+
+def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float, float]]:
+    """Change of the stiffness of the perturbed joint, and its standard error.
+
+    Returns
+    -------
+    dict of str to (float, float)
+        ``"amplitude"``: from rest to the rms angle; ``"time"``: from begin to end; as shares of the
+        stiffness. Empty for trials of less than 10 s.
+    """
+    if record.duration < _LEAST:
+        return {}
+    angle, rest = unexplained_torque(record, arm)
+    size, stiffness = (
+        float(np.std(angle)),
+        float(arm.K[record.perturbed_joint][record.perturbed_joint]),
+    )
+    if not (size > 0.0 and stiffness > 0.0):
+        return {}
+    x = angle / size
+    t = np.linspace(-0.5, 0.5, x.size)
+    found = {}
+    for name, bent in (("amplitude", x**3), ("time", x * t)):
+        regressor = bent - x * float(np.mean(bent * x))
+        products = np.array([np.sum(p * q) for p, q in _pairs(regressor, rest)])
+        squares = np.array([np.sum(p * p) for p, _ in _pairs(regressor, rest)])
+        slope = float(np.sum(products) / np.sum(squares))
+        scatter = products - slope * squares
+        error = float(np.sqrt(np.sum(scatter**2)) / np.sum(squares))
+        # The slope of the torque over the angle: 3 x² of a cube, which is 3 at one rms.
+        factor = 3.0 if name == "amplitude" else 1.0
+        scale = factor / (stiffness * size)
+        found[name] = (scale * slope, scale * error)
+    return found
+
+
+def judge_stiffness(record: TrialRecord, arm: MBK) -> list[Problem]:
+    """Find stiffness that isn't constant."""
+    problems = []
+    codes = {"amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE, "time": ProblemCode.CHANGES_OVER_TIME}
+    for name, (share, error) in change_of_stiffness(record, arm).items():
+        if not abs(share) > SIGNIFICANT * error or abs(share) < 0.01:
+            continue
+        severity = Severity.ERROR if abs(share) > LARGE else Severity.NOTE
+        problems.append(
+            Problem(
+                code=codes[name],
+                concern=Concern.PARAMETERS,
+                severity=severity,
+                trial=record.trial,
+                values={
+                    "name": record.joint_names[record.perturbed_joint],
+                    "percent": 100.0 * share,
+                    "error": 100.0 * error,
+                },
+            )
+        )
+    return problems
+
+
+def _pairs(left: FloatArray, right: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+    return list(zip(np.array_split(left, _PARTS), np.array_split(right, _PARTS), strict=True))
