@@ -3,6 +3,7 @@
 A small part of ``tests/truth_campaign.py``, with fixed seeds.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ def test_what_is_valid_is_right_in_each_class(name: str, seed: int) -> None:
 def test_bags_of_another_rig_at_other_rates_are_right_with_joints_in_any_order(
     tmp_path: Path, rate: float, options: dict[str, bool], commands: bool
 ) -> None:
-    mismatch = Mismatch(rate=rate, duration=10.0, **options)
+    mismatch = replace(Mismatch(rate=rate, duration=10.0), **options)  # type: ignore[arg-type]
     path = tmp_path / "bag"
     write_bag(path, simulate(mismatch, 3), orders=((1, 0), (0, 1), (0, 1)), commands=commands)
     conclusion, _ = estimate_bags([path], ("lpm_full",))

@@ -74,23 +74,23 @@ def _drift(slope: float) -> Change:
     return lambda torque: torque + slope * np.arange(torque.shape[1]) / 1000.0
 
 
-def _restamped(rate: float) -> Callable[[Stamps], Stamps]:
-    def stamp(stamps: Stamps) -> Stamps:
+def _restamped(rate: float) -> Callable[[Any], Any]:
+    def stamp(stamps: Stamps) -> Any:
         return stamps[0] + np.rint(np.arange(stamps.size) * (1e9 / rate)).astype(np.int64)
 
     return stamp
 
 
-def _jittered(share: float) -> Callable[[Stamps], Stamps]:
-    def stamp(stamps: Stamps) -> Stamps:
+def _jittered(share: float) -> Callable[[Any], Any]:
+    def stamp(stamps: Stamps) -> Any:
         noise = np.random.default_rng(3).normal(scale=share * 1e6, size=stamps.size)
         return stamps + np.rint(np.clip(noise, -4e5, 4e5)).astype(np.int64)
 
     return stamp
 
 
-def _warped(share: float) -> Callable[[Stamps], Stamps]:
-    def stamp(stamps: Stamps) -> Stamps:
+def _warped(share: float) -> Callable[[Any], Any]:
+    def stamp(stamps: Stamps) -> Any:
         x = np.arange(stamps.size)
         return stamps + np.rint(share * 1e6 * x**2 / x.size).astype(np.int64)
 

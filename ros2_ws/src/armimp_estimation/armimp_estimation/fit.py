@@ -118,6 +118,8 @@ _REFUTED = 4.0
 _NOTICED = 2.0
 _ITERATIONS = 3
 _ROUNDING = 1e-9
+_EXACT = 1e-3
+"""Relative error that any estimate has without noise."""
 
 
 def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
@@ -362,9 +364,9 @@ class _Elements:
         lacks = []
         for row, Z in enumerate(self.Z):
             square = np.abs(Z - _of_mbk(values[:, row], self.omega)) ** 2
-            # Below rounding a difference means nothing.
-            least = (np.finfo(np.float64).eps * np.max(np.abs(Z))) ** 2
-            ratio = square / np.maximum(self.total[row], max(least, np.finfo(np.float64).tiny))
+            # Without any noise, what the estimator itself leaves would be lack of fit.
+            least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
+            ratio = square / (self.total[row] + least)
             lacks.append(spare * float(np.sum(ratio)) / max(self.f.size - 1.5, 1.0))
         return np.array(lacks)
 

@@ -1,8 +1,8 @@
 """Stiffness that depends on amplitude or changes over time, from what a linear arm leaves over.
 
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
-perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if it
-changes over the trial, e follows ``θ t``. Both regressors are taken without what is proportional to
+perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
+spring of short range yields, ``θ̇³``, too; if stiffness changes over the trial, ``θ t``. The regressors are taken without what is proportional to
 θ, so that a linear arm gives zero on average, whatever the person does beside. The trial is cut
 into parts, in each of which the coefficient is found anew: its scatter is its error, with no
 assumption about the spectrum of e.
@@ -22,8 +22,8 @@ FloatArray = NDArray[np.float64]
 BAND = (0.3, 15.0)
 """Part of the spectrum that is looked at, Hz: below, a person's own torque is most of it."""
 SIGNIFICANT = 6.0
-LARGE = 0.05
-"""Share of the stiffness beyond which M, B and K are those at this amplitude alone."""
+LARGE = {"amplitude": 0.02, "speed": 0.02, "time": 0.05}
+"""Shares of the stiffness beyond which M, B and K are those of this amplitude, or time, alone."""
 _PARTS = 20
 _LEAST = 10.0
 
@@ -44,11 +44,11 @@ def unexplained_torque(record: TrialRecord, arm: MBK) -> tuple[FloatArray, Float
         rad and N·m.
     """
     k, samples = record.perturbed_joint, record.samples
-    f = np.fft.rfftfreq(samples, 1.0 / record.rate)
+    f = np.asarray(np.fft.rfftfreq(samples, 1.0 / record.rate), dtype=np.float64)
     inside = (f >= BAND[0]) & (f <= BAND[1])
     angle = np.fft.rfft(record.position - record.position.mean(axis=1, keepdims=True))
     torque = np.fft.rfft(record.torque[k] - record.torque[k].mean())
-    rest = torque - np.einsum("jf,jf->f", arm.impedance(f)[k], angle)
+    rest = torque - np.sum(arm.impedance(f)[k] * angle, axis=0)
     whole: FloatArray = np.fft.irfft(np.where(inside, rest, 0.0), samples)
     moved: FloatArray = np.fft.irfft(np.where(inside, angle[k], 0.0), samples)
     return moved, whole
@@ -60,8 +60,8 @@ def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float,
     Returns
     -------
     dict of str to (float, float)
-        ``"amplitude"``: from rest to the rms angle; ``"time"``: from begin to end; as shares of the
-        stiffness. Empty for trials of less than 10 s.
+        ``"amplitude"``: from rest to the rms angle; ``"speed"``: of the torque, from rest to the rms
+        velocity; ``"time"``: from begin to end; as shares of the stiffness. Empty for trials of less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
@@ -74,16 +74,18 @@ def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float,
         return {}
     x = angle / size
     t = np.linspace(-0.5, 0.5, x.size)
+    v = np.gradient(x)
+    v /= np.std(v)
     found = {}
-    for name, bent in (("amplitude", x**3), ("time", x * t)):
-        regressor = bent - x * float(np.mean(bent * x))
+    for name, bent, plain in (("amplitude", x**3, x), ("speed", v**3, v), ("time", x * t, x)):
+        regressor = bent - plain * float(np.mean(bent * plain))
         products = np.array([np.sum(p * q) for p, q in _pairs(regressor, rest)])
         squares = np.array([np.sum(p * p) for p, _ in _pairs(regressor, rest)])
         slope = float(np.sum(products) / np.sum(squares))
         scatter = products - slope * squares
         error = float(np.sqrt(np.sum(scatter**2)) / np.sum(squares))
         # The slope of the torque over the angle: 3 x² of a cube, which is 3 at one rms.
-        factor = 3.0 if name == "amplitude" else 1.0
+        factor = 1.0 if name == "time" else 3.0
         scale = factor / (stiffness * size)
         found[name] = (scale * slope, scale * error)
     return found
@@ -92,11 +94,15 @@ def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float,
 def judge_stiffness(record: TrialRecord, arm: MBK) -> list[Problem]:
     """Find stiffness that isn't constant."""
     problems = []
-    codes = {"amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE, "time": ProblemCode.CHANGES_OVER_TIME}
+    codes = {
+        "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
+        "speed": ProblemCode.DEPENDS_ON_SPEED,
+        "time": ProblemCode.CHANGES_OVER_TIME,
+    }
     for name, (share, error) in change_of_stiffness(record, arm).items():
         if not abs(share) > SIGNIFICANT * error or abs(share) < 0.01:
             continue
-        severity = Severity.ERROR if abs(share) > LARGE else Severity.NOTE
+        severity = Severity.ERROR if abs(share) > LARGE[name] else Severity.NOTE
         problems.append(
             Problem(
                 code=codes[name],

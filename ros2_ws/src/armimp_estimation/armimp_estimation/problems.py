@@ -47,6 +47,7 @@ class ProblemCode(str, Enum):
     STUCK = "stuck"
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
+    DEPENDS_ON_SPEED = "depends_on_speed"
     CHANGES_OVER_TIME = "changes_over_time"
     LOCK_RATIO = "lock_ratio"
     LOCK_BIAS = "lock_bias"
@@ -119,6 +120,11 @@ SENTENCES: Final[Mapping[ProblemCode, str]] = {
     ProblemCode.DEPENDS_ON_AMPLITUDE: (
         "the stiffness of {name} depends on the amplitude: it changes by {percent:.3g} ± "
         "{error:.2g} % from rest to the rms angle; the estimate is the best linear one there"
+    ),
+    ProblemCode.DEPENDS_ON_SPEED: (
+        "the torque of {name} isn't in proportion to its speed, as of a spring that yields: it "
+        "changes by {percent:.3g} ± {error:.2g} % of the stiffness from rest to the rms speed; the "
+        "estimate is the best linear one there"
     ),
     ProblemCode.CHANGES_OVER_TIME: (
         "the stiffness of {name} changes by {percent:.3g} ± {error:.2g} % over the trial; "

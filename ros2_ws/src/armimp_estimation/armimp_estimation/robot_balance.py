@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.fit import FitConfig, MBKFit, fit_impedance
-from armimp_estimation.local_polynomial import LocalPolynomialConfig, LocalResponse, local_response
+from armimp_estimation.local_polynomial import LocalResponse, local_response
+from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
@@ -46,6 +47,7 @@ ASYMMETRY = 0.5
 _ERRORS = 5.0
 _MOST_ORDERS = 4
 _CLEARLY = 0.3
+_NOT_ALL = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,6 +174,10 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
             )
         )
     wrong = []
+    # Where locked joints are held by something else than commands, nothing has to balance.
+    shares, doubts = 1.0 / gains - 1.0, errors / gains**2
+    if (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * doubts).any():
+        return problems
     for name, gain, error in zip(names, gains, errors, strict=True):
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
         if not abs(1.0 / gain - 1.0) <= GAIN_TOLERANCE + _ERRORS * error / gain**2:
@@ -213,13 +219,12 @@ def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
     found = []
     for record in (shortest, *(one for one in records if one is not shortest)):
         command = record.position[:0] if record.command is None else record.command
-        half = max(6, min(24, int(0.5 * record.duration)))
         response = local_response(
             record.perturbation[record.perturbed_joint],
             np.concatenate([record.position, record.torque, command]),
             record.rate,
             BAND,
-            LocalPolynomialConfig(half_width=half),
+            LpmConfig().local_for(record.duration),
             f,
         )
         f = response.f

@@ -66,6 +66,7 @@ def test_summary_has_the_keys_of_schema_1(summary: Summary, tmp_path: Path) -> N
     assert (second["bag"], second["lost"], second["rtf"]) == (None, 2, None)
     assert len(first["lock_ratio"]) == len(first["bias_bound"]) == 2
     wanted = {"M", "B", "K", "M_se", "B_se", "K_se", "vaf", "r2"}
+    wanted |= {"lack_of_fit", "lack_limit", "verdict", "delay"}
     wanted |= {"coherence_derived", "coherence_torque", "coherence_motion"}
     assert set(content["estimators"]) == {"welch_siso", "welch_full"}
     assert set(content["estimators"]["welch_siso"]) == wanted

@@ -76,7 +76,7 @@ ADVICE = (
     ),
     Advice(
         title="The sampling rate is in doubt",
-        pattern=r"stamps give|sampling rate drifts|stamps are irregular|^trial \d+: stamps of ",
+        pattern=r"stamps give|sampling rate drifts|stamps are irregular|stamps of .* give",
         text=(
             "All frequencies, and with them M and B, follow from the rate that the stamps give. "
             "Stamp samples when they are taken, by one clock. Declare an unusual rate (--rate)."
@@ -84,7 +84,7 @@ ADVICE = (
     ),
     Advice(
         title="The impedance is not that of inertia, viscosity and stiffness",
-        pattern=r"is not of the form M s²|the stiffness of ",
+        pattern=r"is not of the form M s²|the stiffness of |proportion to its speed",
         text=(
             "The impedance may be right, but M, B and K do not describe it over the whole band. "
             "Reflexes, a soft cuff or a loose strap, and stiffness that depends on amplitude do "
