@@ -2,10 +2,10 @@
 
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
 perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
-spring of short range yields, ``θ̇³``, too; if stiffness changes over the trial, ``θ t``. The regressors are taken without what is proportional to
-θ, so that a linear arm gives zero on average, whatever the person does beside. The trial is cut
-into parts, in each of which the coefficient is found anew: its scatter is its error, with no
-assumption about the spectrum of e.
+spring of short range yields, ``θ̇³``, too; if stiffness changes over the trial, ``θ t``. The
+regressors are taken without what is proportional to θ or θ̇, so that a linear arm gives zero on
+average, whatever the person does beside. The trial is cut into parts, in each of which the
+coefficient is found anew: its scatter is its error, with no assumption about the spectrum of e.
 """
 
 from __future__ import annotations
@@ -21,10 +21,11 @@ FloatArray = NDArray[np.float64]
 
 BAND = (0.3, 15.0)
 """Part of the spectrum that is looked at, Hz: below, a person's own torque is most of it."""
-SIGNIFICANT = 6.0
-LARGE = {"amplitude": 0.02, "speed": 0.02, "time": 0.05}
+SIGNIFICANT = 4.5
+LARGE = {"amplitude": 0.01, "speed": 0.01, "time": 0.05}
 """Shares of the stiffness beyond which M, B and K are those of this amplitude, or time, alone."""
 _PARTS = 20
+_NEGLIGIBLE = 0.003
 _LEAST = 10.0
 
 
@@ -60,8 +61,9 @@ def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float,
     Returns
     -------
     dict of str to (float, float)
-        ``"amplitude"``: from rest to the rms angle; ``"speed"``: of the torque, from rest to the rms
-        velocity; ``"time"``: from begin to end; as shares of the stiffness. Empty for trials of less than 10 s.
+        ``"amplitude"``: from rest to the rms angle; ``"speed"``: of the torque, from rest to the
+        rms velocity; ``"time"``: from begin to end; as shares of the stiffness. Empty for trials of
+        less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
@@ -100,7 +102,7 @@ def judge_stiffness(record: TrialRecord, arm: MBK) -> list[Problem]:
         "time": ProblemCode.CHANGES_OVER_TIME,
     }
     for name, (share, error) in change_of_stiffness(record, arm).items():
-        if not abs(share) > SIGNIFICANT * error or abs(share) < 0.01:
+        if not abs(share) > SIGNIFICANT * error or abs(share) < _NEGLIGIBLE:
             continue
         severity = Severity.ERROR if abs(share) > LARGE[name] else Severity.NOTE
         problems.append(

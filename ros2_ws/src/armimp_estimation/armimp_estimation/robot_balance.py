@@ -37,14 +37,15 @@ ComplexArray = NDArray[np.complex128]
 
 BAND = (0.25, 12.0)
 """Where inertia and stiffness are seen, Hz: below, friction is most of it."""
-GAIN_TOLERANCE = 0.08
+GAIN_TOLERANCE = 0.03
 """Share by which the torque of a transducer may differ from that of the command, beside chance.
 
 A spring at the robot is no fault, nor is friction, which looks like one.
 """
-ASYMMETRY = 0.5
+ASYMMETRY = 0.05
 """Share by which elements of the robot's inertia off the diagonal may differ from each other."""
 _ERRORS = 5.0
+_NEGATIVE = 4.0
 _MOST_ORDERS = 4
 _CLEARLY = 0.3
 _NOT_ALL = 0.03
@@ -189,6 +190,11 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
                 )
             )
     fit = balance.fit
+    for name, least in zip(names, _negative_gains(fit, arm), strict=True):
+        if least > 1.0 and name not in wrong:
+            wrong.append(name)
+            values = {"name": name, "share": float(least), "error": 0.0}
+            problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=values))
     value, error = least_eigenvalue(fit.mbk.M, fit.M_se)
     M = fit.mbk.M
     size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
