@@ -151,6 +151,18 @@ def transducer_gains(robot: MBKFit, arm: MBKFit) -> tuple[FloatArray, FloatArray
     return 1.0 / (1.0 + share), error / (1.0 + share) ** 2
 
 
+def negative_gains(robot: MBKFit, arm: MBKFit) -> FloatArray:
+    """Gains of transducers that a negative stiffness of the robot takes at least; 1: none.
+
+    Springs and friction make that of a joint positive, so a transducer has to show too much.
+    """
+    own, own_error = np.diag(robot.mbk.K), np.diag(robot.K_se)
+    K = np.maximum(np.diag(arm.mbk.K), np.finfo(np.float64).tiny)
+    beyond = own < -GAIN_TOLERANCE * K - _NEGATIVE * own_error
+    share = np.maximum(own / K, -0.99)
+    return np.where(beyond, 1.0 / (1.0 + share), 1.0)
+
+
 def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> list[Problem]:
     """Find what doesn't balance.
 
@@ -190,7 +202,7 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
                 )
             )
     fit = balance.fit
-    for name, least in zip(names, _negative_gains(fit, arm), strict=True):
+    for name, least in zip(names, negative_gains(fit, arm), strict=True):
         if least > 1.0 and name not in wrong:
             wrong.append(name)
             values = {"name": name, "share": float(least), "error": 0.0}
