@@ -42,7 +42,7 @@ GAIN_TOLERANCE = 0.03
 
 A spring at the robot is no fault, nor is friction, which looks like one.
 """
-ASYMMETRY = 0.05
+ASYMMETRY = 0.03
 """Share by which elements of the robot's inertia off the diagonal may differ from each other."""
 _ERRORS = 5.0
 _NEGATIVE = 4.0
