@@ -157,9 +157,9 @@ def negative_gains(robot: MBKFit, arm: MBKFit) -> FloatArray:
     Springs and friction make that of a joint positive, so a transducer has to show too much.
     """
     own, own_error = np.diag(robot.mbk.K), np.diag(robot.K_se)
-    K = np.maximum(np.diag(arm.mbk.K), np.finfo(np.float64).tiny)
-    beyond = own < -GAIN_TOLERANCE * K - _NEGATIVE * own_error
-    share = np.maximum(own / K, -0.99)
+    K = np.diag(arm.mbk.K)
+    beyond = (K > 0.0) & (own < -GAIN_TOLERANCE * K - _NEGATIVE * own_error)
+    share = np.maximum(np.divide(own, K, out=np.zeros_like(own), where=beyond), -0.99)
     return np.where(beyond, 1.0 / (1.0 + share), 1.0)
 
 
