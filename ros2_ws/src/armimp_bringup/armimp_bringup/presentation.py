@@ -64,7 +64,8 @@ def present(
 
         print_summary(summary, directory)
     for finding in summary.findings:
-        if finding.severity == Severity.NOTE.value:
+        # What concerns an estimator that decides nothing makes its own numbers alone not valid.
+        if finding.severity == Severity.NOTE.value or finding.sentence not in summary.problems:
             say(f"armimp: note: {finding.sentence}")
     for problem in summary.problems:
         say(f"armimp: not valid: {problem}")

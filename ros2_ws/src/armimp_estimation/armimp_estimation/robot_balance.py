@@ -205,7 +205,11 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
     for name, least in zip(names, negative_gains(fit, arm), strict=True):
         if least > 1.0 and name not in wrong:
             wrong.append(name)
-            values = {"name": name, "share": float(least), "error": 0.0}
+            values: dict[str, float | int | str] = {
+                "name": name,
+                "share": float(least),
+                "error": 0.0,
+            }
             problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=values))
     value, error = least_eigenvalue(fit.mbk.M, fit.M_se)
     M = fit.mbk.M

@@ -144,7 +144,9 @@ def lock_ratio(trials: Sequence[TrialSpectra], frf: FrfMatrix) -> FloatArray:
     """
     power = np.stack([trial.input_power for trial in trials])
     caused = np.sum((np.abs(frf.R) ** 2 - frf.R_variance) * power[None], axis=2)
-    ratio: FloatArray = np.sqrt(np.maximum(caused, 0.0) / np.diag(caused)[None])
+    # Not a number where the perturbed joint itself moves no more than by chance.
+    own = np.where(np.diag(caused) > 0.0, np.diag(caused), np.nan)
+    ratio: FloatArray = np.sqrt(np.maximum(caused, 0.0) / own[None])
     return ratio
 
 
