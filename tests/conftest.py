@@ -22,12 +22,12 @@ from armimp_bringup.driver_check.findings import Finding
 from armimp_bringup.driver_check.judge import judge
 from armimp_bringup.driver_check.probe import CheckOptions, probe
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.domain import DomainClaim
-from armimp_common.fault_figures import figures, pytest_terminal_summary
 from armimp_common.spin import Spinner
-from armimp_common.testing import context, domain_id, interruptible, node
-from armimp_estimation.report.browser import Browser
+from support.browser import Browser
+from support.fault_figures import figures, pytest_terminal_summary
+from support.graph import context, domain_id, interruptible, node
+from support.runs import FinishedRun, Run
 
 __all__ = ["context", "domain_id", "figures", "interruptible", "node", "pytest_terminal_summary"]
 

@@ -13,7 +13,7 @@ from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
 from armimp_estimation.recording import BAGS, Recording
 from armimp_estimation.results import read_summary
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
 
 pytestmark = pytest.mark.usefixtures("environment")
 

@@ -11,13 +11,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from armimp_bringup.testing_command import Told, behaved, refused
 from armimp_common import contract
 from armimp_common.cdr import JointStateDecoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
 from armimp_estimation.bags import BagWriter
-from armimp_estimation.bags.synthetic import Message
-from armimp_estimation.testing import recorded_arm
+from support.command import Told, behaved, refused
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message
 
 SAMPLES = 1800
 MESSAGES = recorded_arm(SAMPLES).messages

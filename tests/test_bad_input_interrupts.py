@@ -13,9 +13,9 @@ from typing import NoReturn
 
 import pytest
 
-from armimp_bringup.testing_command import call
 from armimp_estimation.bags import BagWriter
-from armimp_estimation.testing import recorded_arm
+from support.command import call
+from support.recordings import recorded_arm
 
 pytestmark = pytest.mark.alone
 

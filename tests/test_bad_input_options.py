@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.testing_command import refused
+from support.command import refused
 
 LONG = "a" * 300
 

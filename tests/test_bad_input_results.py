@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.testing_command import Told, call
 from armimp_common.errors import DataError
 from armimp_estimation.results import read_frf, read_summary
+from support.command import Told, call
 
 STUDY = (
     *("reproduce", "--duration", "10", "--no-figures", "--estimator", "welch_full"),

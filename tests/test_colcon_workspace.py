@@ -15,7 +15,7 @@ from rclpy.node import Node
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE
+from support.graph import PATIENCE
 
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))

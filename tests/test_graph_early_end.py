@@ -13,10 +13,10 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
 from armimp_bringup.tables import print_summary
-from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.results import Summary
+from support.runs import FinishedRun, Run
 
 BOUND = 0.05
 LEAST = 8_000

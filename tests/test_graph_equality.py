@@ -6,7 +6,6 @@ import numpy as np
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
-from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.contract import (
     COMMANDS,
     DATA_STREAMS,
@@ -19,6 +18,7 @@ from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.results import read_frf, read_summary
+from support.runs import FinishedRun, Run
 
 TICKS = 10_000
 

@@ -22,7 +22,6 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.replay import replay_bags
 from armimp_bringup.supervisor import Progress
-from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import CONTROLLER_NODE, DATA_STREAMS, PERIOD_NS, SIM_NODE, VALUE_FIELD
 from armimp_common.errors import ConfigurationError
 from armimp_common.liveliness import Presence
@@ -31,6 +30,7 @@ from armimp_estimation.report import load_result
 from armimp_estimation.report.report import report_page
 from armimp_estimation.results import Summary, read_summary
 from armimp_estimation.timing import TimingRecord
+from support.runs import FinishedRun
 
 SECONDS = 3.0
 NO_SAMPLE, NO_COMMAND = "no sensor sample arrived any more", "no command for 5 ticks"

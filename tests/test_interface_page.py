@@ -48,7 +48,6 @@ from armimp_estimation.results import (
     write_frf,
 )
 from armimp_estimation.sample_ledger import SampleLedger
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.torque_reading import ReadingSummary
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import TrialWindow
@@ -56,6 +55,7 @@ from armimp_estimation.welch import WelchSiso
 from armimp_sim.backlog import LIMIT
 from armimp_sim.paced import RAMP_TICKS
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 Row = dict[str, str]
 Table = list[Row]

@@ -35,7 +35,6 @@ WITH_ROS = {
     "armimp_common.rig_node",
     "armimp_common.spin",
     "armimp_common.stamps",
-    "armimp_common.testing",
     "armimp_control.node",
     "armimp_driver_template.node",
     "armimp_estimation.messages",
@@ -120,3 +119,8 @@ def test_the_manifest_declares_what_the_package_imports(package: str) -> None:
 def test_no_source_file_grows_beyond_one_concern(package: str) -> None:
     lengths = {name: len(path.read_text().splitlines()) for name, path in modules(package)}
     assert {name: length for name, length in lengths.items() if length > 420} == {}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_nothing_that_is_installed_imports_pytest_or_what_tests_share(package: str) -> None:
+    assert not {name for name, path in modules(package) if imported(path) & {"pytest", "support"}}

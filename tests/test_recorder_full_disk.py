@@ -20,9 +20,9 @@ from armimp_common.errors import BagError
 from armimp_estimation.bags import BagWriter, iterate_messages
 from armimp_estimation.bags.reserve import RESERVE_FILE, reserve_bytes
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.recording import BAGS, Recording
 from armimp_estimation.results import read_summary
+from support.synthetic_bags import Message, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
 MESSAGES = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10).messages

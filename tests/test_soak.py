@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from armimp_common.fault_figures import Figures
+from support.fault_figures import Figures
 
 pytestmark = pytest.mark.alone
 

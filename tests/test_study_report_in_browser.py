@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_estimation.report.browser import Browser
+from support.browser import Browser
 
 CONDITIONS = "friction=0+3,resolution=0+3,perturbation=1+3"
 

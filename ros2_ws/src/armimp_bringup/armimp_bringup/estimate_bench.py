@@ -14,7 +14,7 @@ from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
 
 TARGET = 0.5
 """Longest time for a trial of 50 s, s."""

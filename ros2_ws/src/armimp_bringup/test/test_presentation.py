@@ -15,8 +15,8 @@ from armimp_bringup.stopwatch import Stopwatch
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase
 from armimp_estimation.figure_process import FigureProcess
-from armimp_estimation.report.testing import make_result
 from armimp_estimation.results import read_summary
+from support.results import make_result
 
 
 class NoProcess(FigureProcess):

@@ -16,8 +16,8 @@ from armimp_bringup.cli import main
 from armimp_bringup.command_run import CommandRun, run_command
 from armimp_bringup.memory import PeakMemory, descendants, peak_of
 from armimp_common.errors import GraphError
-from armimp_estimation.report.testing import make_result
 from armimp_estimation.results import Summary, WallSummary, read_summary
+from support.results import make_result
 
 HUNGRY = """
 import subprocess, sys, time

@@ -21,8 +21,8 @@ from armimp_common.diagnostics import (
 )
 from armimp_common.jitter import TimingFigures
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE
 from armimp_common.trial_status import Phase, TrialStatus
+from support.graph import PATIENCE
 
 STATUS = TrialStatus(
     phase=Phase.ABORTED,

@@ -19,7 +19,7 @@ from armimp_common.channels import wait_until_matched
 from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.processes import Life
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, a_moment, eventually
+from support.graph import PATIENCE, a_moment, eventually
 
 pytestmark = pytest.mark.alone
 

@@ -23,17 +23,17 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value, build, flatten
 from armimp_common.spin import Spinner, run_node
 from armimp_common.stamps import to_time
-from armimp_common.testing import (
+from armimp_common.trial_status import Phase
+from armimp_control.experiment import Experiment
+from armimp_control.node import ImbicControllerNode
+from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
+from support.graph import (
     PATIENCE,
     ScriptedDriver,
     a_moment,
     eventually,
     overrides,
 )
-from armimp_common.trial_status import Phase
-from armimp_control.experiment import Experiment
-from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
 
 NAMES = ("shoulder", "elbow")
 POSTURE = tuple(np.radians([62.708, 77.260]).tolist())

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.fault_figures import Figures
 from armimp_control import gate_campaign, presets
 from armimp_control.gate import RAMP, RATE, RULE_ROWS, STOPS, TORQUE
-from armimp_control.gate_campaign import PROMISES, campaign
 from armimp_control.law import Controller
 from armimp_control.safety import Action, SafetyConfig
+from support.fault_figures import Figures
+from support.gate_campaign import PROMISES, campaign
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 SENSIBLE = st.floats(-0.6, 0.6)

@@ -31,7 +31,7 @@ from armimp_estimation.bags import (
 from armimp_estimation.bags.definitions import message_definition
 from armimp_estimation.bags.mcap_file import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
 from armimp_estimation.bags.metadata import qos_profiles
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
+from support.synthetic_bags import Message, synthetic_recording
 
 METADATA = {"schema": "1", "seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
 
@@ -425,7 +425,7 @@ class TestKilledWriter:
             import os, signal, sys
             from pathlib import Path
             from armimp_estimation.bags import BagWriter
-            from armimp_estimation.bags.synthetic import synthetic_recording
+            from support.synthetic_bags import synthetic_recording
 
             writer = BagWriter(Path(sys.argv[1]), metadata={"seed": "1"})
             for topic, log_time_ns, raw in synthetic_recording(ticks=733, rest=10).messages[:-60]:

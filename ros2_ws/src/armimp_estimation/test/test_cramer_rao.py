@@ -18,7 +18,7 @@ from armimp_estimation.cramer_rao import (
 )
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

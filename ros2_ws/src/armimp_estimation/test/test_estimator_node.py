@@ -27,17 +27,17 @@ from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary
-from armimp_estimation.testing import recorded_arm
+from support.graph import PATIENCE, a_moment, eventually, overrides
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message, synthetic_recording
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from armimp_common.errors import DataError
-from armimp_estimation.bags.synthetic import synthetic_recording
 from armimp_estimation.figure_process import FigureProcess
 from armimp_estimation.figures import write_figures
 from armimp_estimation.report import load_result
-from armimp_estimation.report.testing import METADATA, make_result
+from support.results import METADATA, make_result
+from support.synthetic_bags import synthetic_recording
 
 NAMES = [
     f"{name}.{form}" for name in ("coherence", "impedance", "traces") for form in ("pdf", "png")

@@ -11,7 +11,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.mimo import MimoEstimate, estimate_mimo, input_coupling
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM
+from support.synthetic_trials import TWO_JOINT_ARM
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -14,11 +14,11 @@ from armimp_estimation import scores
 from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.progress import RunningTrial
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM as ARM
-from armimp_estimation.testing import recorded_arm
 from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_streams import decode_streams
+from support.recordings import recorded_arm
+from support.synthetic_trials import TWO_JOINT_ARM as ARM
 
 STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 SAMPLES = 10_000

@@ -15,14 +15,14 @@ from armimp_common.judgement import NOTICE_TICKS, Judgement
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.inbox import HandedInbox
 from armimp_estimation.lpm import LpmFull
 from armimp_estimation.precision import PrecisionGoal, largest_error
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recording import Recording
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message, synthetic_recording
 
 SETTLE, TICKS, REST = 10, 100, 10
 SAMPLES = 4 * (SETTLE + TICKS + REST)

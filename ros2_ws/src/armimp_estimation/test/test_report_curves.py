@@ -23,7 +23,7 @@ from armimp_estimation.report.look import COLOURS, looks
 from armimp_estimation.report.plots import packed
 from armimp_estimation.report.traces import rows_of
 from armimp_estimation.results import ImpedanceCurve
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 F = np.linspace(0.1, 15.0, 40)
 

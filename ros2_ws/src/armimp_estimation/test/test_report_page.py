@@ -17,12 +17,12 @@ from armimp_common import contract
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.report import REPORT_FILE, Result, load_result, report_page, write_report
 from armimp_estimation.report.formats import difference, uncertain
-from armimp_estimation.report.testing import METADATA, make_result
 from armimp_estimation.results import Summary, read_summary, write_summary
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
+from support.results import METADATA, make_result
+from support.synthetic_bags import Message, synthetic_recording
 
 HOSTILE = "\"'><script>alert(1)</script><img src=x onerror=alert(1)><a href='javascript:alert(1)'>"
 

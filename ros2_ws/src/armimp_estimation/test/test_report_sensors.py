@@ -10,7 +10,7 @@ import pytest
 
 from armimp_estimation.report.report import report_page
 from armimp_estimation.report.result import Result, load_result
-from armimp_estimation.report.testing import METADATA, make_result
+from support.results import METADATA, make_result
 
 
 @pytest.fixture(scope="module")

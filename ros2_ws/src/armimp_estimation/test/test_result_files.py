@@ -23,8 +23,8 @@ from armimp_estimation.results import (
 )
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
 LEDGERS = {

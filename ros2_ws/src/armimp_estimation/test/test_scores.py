@@ -11,8 +11,8 @@ from armimp_estimation.frf import FrfMatrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData, TrialSpectra
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 ComplexArray = NDArray[np.complex128]
 

@@ -15,8 +15,8 @@ from armimp_estimation.conclusion import conclude
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.report.report import report_page
 from armimp_estimation.report.result import load_result
-from armimp_estimation.report.testing import METADATA, make_result
 from armimp_estimation.timing import RECORD_KEY, TimingRecord, latest_metadata
+from support.results import METADATA, make_result
 
 GOOD = TimingFigures(
     ticks=2000,

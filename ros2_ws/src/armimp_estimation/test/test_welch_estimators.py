@@ -13,9 +13,9 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.registry import estimator_names, make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull, WelchSiso, invert, multiply
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 # As 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
 WELCH = WelchConfig(segment=1024, overlap=768)

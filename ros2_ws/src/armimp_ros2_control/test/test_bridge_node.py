@@ -20,10 +20,10 @@ from armimp_common.diagnostics import Level
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
 from armimp_common.stamps import to_time
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_ros2_control import node as node_module
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
+from support.graph import PATIENCE, a_moment, eventually, overrides
 
 pytestmark = pytest.mark.alone
 

@@ -24,10 +24,10 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
 from armimp_common.stamps import to_ns
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.rig import SimulatedRig
+from support.graph import PATIENCE, a_moment, eventually, overrides
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE

@@ -13,9 +13,9 @@ from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags.statuses import encode_trial_status
-from armimp_estimation.bags.synthetic import Message, SyntheticRecording
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_bags import Message, SyntheticRecording
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 
 def recording_of(

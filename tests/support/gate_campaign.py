@@ -181,7 +181,7 @@ def _judge_passing(
 
 
 @compiled
-def _run_sequence(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
     through_law: bool,
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
@@ -268,7 +268,7 @@ def _run_sequence(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
 
 @compiled_entry
-def _run_sequences(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+def _run_sequences(  # noqa: PLR0917 (compiled code takes no objects)
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
     tau_delta: NDArray[np.float64],

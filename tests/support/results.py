@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from armimp_estimation.bags import BagWriter, read_bag
-from armimp_estimation.bags.synthetic import Message
 from armimp_estimation.conclusion import FinishedTrial, conclude
-from armimp_estimation.synthetic import TWO_JOINT_ARM
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message
+from support.synthetic_trials import TWO_JOINT_ARM
 
 METADATA: Mapping[str, str] = {
     "config": json.dumps(
