@@ -13,7 +13,7 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test faults colcon lint format lock clean
+.PHONY: help setup run test research faults colcon lint format lock clean
 
 help:  ## list what make can do here
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ test: lint  ## set up, check style and types, then run every test
 
 faults: setup  ## the long versions of the fault tests, with a line of figures for each hazard
 	$(BIN)/pytest -m faults $(ARGS)
+
+research: setup  ## repeat a study of research/, e.g. ARGS="limits --seeds 0:8"
+	@$(BIN)/python -m research $(ARGS)
 
 colcon: setup  ## build the workspace with colcon, as a full ROS 2 does, and run all its tests
 	cd ros2_ws && ../$(BIN)/python -m colcon build --symlink-install

@@ -76,18 +76,6 @@ def test_while_it_measures_expect_one_line_and_no_figures(tmp_path: Path) -> Non
     assert not (tmp_path / "out" / "bench.json").exists()
 
 
-def test_an_investigation_does_not_wait_for_the_work_that_nobody_wants(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with program("investigate", "coverage", "--out", str(out)) as process:
-        deadline = time.monotonic() + PATIENCE
-        while not out.exists():
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        assert interrupt(process) == ["armimp: interrupted"]
-    assert not list(out.iterdir())
-
-
 def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
     bag, out = tmp_path / "bag", tmp_path / "out"
     with BagWriter(bag, metadata={}) as writer:

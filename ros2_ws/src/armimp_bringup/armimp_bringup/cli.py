@@ -17,7 +17,6 @@ from typing import Annotated, NoReturn
 import typer
 from typer.exceptions import TyperException
 
-from armimp_bringup.investigations.registry import find_investigation, investigations
 from armimp_bringup.say import say
 from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
@@ -32,7 +31,6 @@ app = typer.Typer(
     help="Measure the multi-joint mechanical impedance of a human arm.",
 )
 
-_INVESTIGATIONS = "; ".join(f"{name}: {what}" for name, what in investigations().items()) + "."
 _Bags = Annotated[list[Path], typer.Argument(help="rosbag2 directories, .mcap or .db3 files.")]
 _Estimators = Annotated[
     list[str] | None,
@@ -258,27 +256,6 @@ def bench(
 
 
 @app.command()
-def investigate(
-    name: Annotated[str, typer.Argument(metavar="NAME", help=_INVESTIGATIONS)],
-    out: _Out = None,
-    seeds: Annotated[
-        str | None, typer.Option(help="Seeds, as in 77 or 0:10; default: those of NAME.")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Threads; default: one per core.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-) -> int:
-    """Answer one question by Monte Carlo simulation; what it measured is in the documents."""
-    from armimp_bringup.investigations.options import InvestigationOptions
-    from armimp_bringup.orchestrator import prepare_directory
-
-    run_investigation = find_investigation(name)
-    directory = out if out is not None else _new_directory(name)
-    options = InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
-    prepare_directory(directory)
-    return run_investigation(options)
-
-
-@app.command()
 def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     domain_id: Annotated[
         int | None, typer.Option(help="ROS domain of the driver; default: ROS_DOMAIN_ID.")
@@ -318,10 +295,12 @@ def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; every error that a user can cause ends in one line."""
+def main(
+    arguments: Sequence[str] | None = None, program: typer.Typer = app, name: str = "armimp"
+) -> int:
+    """Run a command line; every error that a user can cause ends in one line."""
     try:
-        status = app(args=arguments, prog_name="armimp", standalone_mode=False)
+        status = program(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
         message = error.format_message()
         if message.startswith("Usage: "):
