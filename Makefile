@@ -13,7 +13,7 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test research faults colcon lint format lock clean
+.PHONY: help setup run test bench research faults colcon lint format lock clean
 
 help:  ## list what make can do here
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ test: lint  ## set up, check style and types, then run every test
 
 faults: setup  ## the long versions of the fault tests, with a line of figures for each hazard
 	$(BIN)/pytest -m faults $(ARGS)
+
+bench: setup  ## measure what a run costs here, e.g. ARGS="start --out B"
+	@PYTHONPATH=tests $(BIN)/python -m benchmarks $(ARGS)
 
 research: setup  ## repeat a study of research/, e.g. ARGS="limits --seeds 0:8"
 	@$(BIN)/python -m research $(ARGS)

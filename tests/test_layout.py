@@ -50,7 +50,6 @@ WITH_ROS = {
     "armimp_bringup.graph",
     "armimp_bringup.graph_bench",
     "armimp_bringup.health",
-    "armimp_bringup.memory_bench",
     "armimp_bringup.orchestrator",
     "armimp_bringup.ping_pong",
     "armimp_bringup.realtime_bench",
@@ -122,5 +121,11 @@ def test_no_source_file_grows_beyond_one_concern(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_nothing_that_is_installed_imports_pytest_or_what_tests_share(package: str) -> None:
-    assert not {name for name, path in modules(package) if imported(path) & {"pytest", "support"}}
+def test_nothing_that_is_installed_imports_pytest_or_the_workshop(
+    package: str,
+) -> None:
+    assert not {
+        name
+        for name, path in modules(package)
+        if imported(path) & {"pytest", "support", "research", "benchmarks"}
+    }

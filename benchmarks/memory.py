@@ -7,9 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from armimp_bringup.benchmarks import Measured
-from armimp_bringup.command_run import COMMAND, run_command
 from armimp_bringup.graph import MODULES
 from armimp_estimation.figure_process import WORKER
+from benchmarks.command_run import COMMAND, run_command
 
 DURATION = 50.0
 """Length of each trial, s."""

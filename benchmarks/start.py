@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import median
 
 from armimp_bringup.benchmarks import Measured
-from armimp_bringup.command_run import CommandRun, run_command
 from armimp_estimation.results import WallSummary
+from benchmarks.command_run import CommandRun, run_command
 
 LIMITS: Mapping[str, float | None] = {"composed": 3.0, "separate": None}
 """Longest time outside of the trials, s."""

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from armimp_bringup.memory import PeakMemory
 from armimp_common.errors import DataError, GraphError
 from armimp_estimation.conclusion import SUMMARY_FILE
 from armimp_estimation.results import Summary, read_summary
+from benchmarks.peak_memory import PeakMemory
 
 COMMAND = "armimp_bringup.cli"
 """Module behind the command ``armimp``."""

@@ -1,4 +1,4 @@
-"""`armimp bench start`, `memory` and `growth`: structure and sanity of their figures."""
+"""`make bench ARGS=start`, `memory` and `growth`: structure and sanity of their figures."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any
 
 import pytest
 
-from armimp_bringup import command_run, growth_bench, memory_bench, start_bench
-from armimp_bringup.cli import main
-from armimp_bringup.command_run import CommandRun, run_command
-from armimp_bringup.memory import PeakMemory, descendants, peak_of
 from armimp_common.errors import GraphError
 from armimp_estimation.results import Summary, WallSummary, read_summary
+from benchmarks import command_run, growth, memory, start
+from benchmarks.__main__ import main
+from benchmarks.command_run import CommandRun, run_command
+from benchmarks.peak_memory import PeakMemory, descendants, peak_of
 from support.results import make_result
 
 HUNGRY = """
@@ -56,8 +56,8 @@ def instead(summary: Summary, monkeypatch: pytest.MonkeyPatch) -> list[tuple[str
         peaks = {module: 100_000_000 + i for i, module in enumerate(modules)}
         return CommandRun(took=5.75, summary=summary, peaks=peaks if watch_memory else {})
 
-    monkeypatch.setattr(growth_bench, "_compile", lambda joints: None)
-    for bench in (start_bench, memory_bench, growth_bench):
+    monkeypatch.setattr(growth, "_compile", lambda joints: None)
+    for bench in (start, memory, growth):
         monkeypatch.setattr(bench, "run_command", run)
     return asked
 
@@ -70,7 +70,7 @@ def measure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Measure:
     """Run a benchmark; gives its status and figures."""
 
     def run(name: str) -> tuple[int, dict[str, Any]]:
-        status = main(["bench", name, "--out", str(tmp_path), "--json"])
+        status = main([name, "--out", str(tmp_path), "--json"])
         figures: dict[str, Any] = json.loads(capsys.readouterr().out)["benchmarks"][name]
         return status, figures
 
@@ -82,7 +82,7 @@ def test_start_tells_what_is_outside_of_the_trials_and_has_a_limit(
 ) -> None:
     status, figures = measure("start")
     assert status == 0
-    assert len(instead) == 1 + sum(start_bench.RUNS.values())
+    assert len(instead) == 1 + sum(start.RUNS.values())
     for processes in ("composed", "separate"):
         parts = {
             key: figures[f"{processes}_{key}"]["value"]
@@ -97,7 +97,7 @@ def test_start_tells_what_is_outside_of_the_trials_and_has_a_limit(
 def test_a_start_that_takes_too_long_makes_the_exit_status_1(
     measure: Measure, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(start_bench, "LIMITS", {"composed": 1.7})
+    monkeypatch.setattr(start, "LIMITS", {"composed": 1.7})
     status, figures = measure("start")
     assert status == 1
     assert figures["composed_outside"]["met"] is False
@@ -125,7 +125,7 @@ def test_growth_is_told_for_every_number_of_joints_and_every_length(
     _, figures = measure("growth")
     assert {option[1] for option in instead} == {"2", "3", "7"}
     assert {option[3] for option in instead} == {"10.0", "25.0", "50.0"}
-    assert len(figures) == 5 * len(growth_bench.CASES)
+    assert len(figures) == 5 * len(growth.CASES)
     case = {key: figures[f"7_joints_10_s_{key}"] for key in ("rate", "outside", "memory")}
     assert case["rate"]["value"] == pytest.approx(5000.0)
     assert case["outside"]["value"] == pytest.approx(1.75)
@@ -135,7 +135,7 @@ def test_growth_is_told_for_every_number_of_joints_and_every_length(
 
 
 def test_a_real_run_is_measured(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(growth_bench, "CASES", ((1, 10.0),))
+    monkeypatch.setattr(growth, "CASES", ((1, 10.0),))
     _, figures = measure("growth")
     values = {key.removeprefix("1_joints_10_s_"): one["value"] for key, one in figures.items()}
     assert values["rate"] > 100.0
@@ -165,10 +165,10 @@ def test_peaks_are_those_of_all_descendants_by_module(
         assert len(family) == 2
         assert family[0] == process.pid
         assert peak_of(family[1]) > 80e6 > peak_of(family[0])
-        with PeakMemory(process.pid) as memory:
-            while not memory.peaks:
+        with PeakMemory(process.pid) as peaks:
+            while not peaks.peaks:
                 pass
         process.stdin.write("\n")
         process.stdin.flush()
-    assert set(memory.peaks) == {"hungry"}
-    assert memory.peaks["hungry"] > 80e6
+    assert set(peaks.peaks) == {"hungry"}
+    assert peaks.peaks["hungry"] > 80e6
