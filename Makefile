@@ -13,10 +13,10 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test bench research faults colcon lint format lock clean
+.PHONY: help setup run test test-all bench research colcon lint format lock clean
 
 help:  ## list what make can do here
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup:  ## make or update .venv, with the command .venv/bin/armimp
 	@scripts/setup.sh
@@ -24,11 +24,11 @@ setup:  ## make or update .venv, with the command .venv/bin/armimp
 run: setup  ## set up, then run the default experiment (or as ARGS say)
 	@$(BIN)/armimp run $(ARGS)
 
-test: lint  ## set up, check style and types, then run every test
+test: lint  ## check style and types, then run the tests that a person waits for, in five minutes
 	@scripts/test.sh $(ARGS)
 
-faults: setup  ## the long versions of the fault tests, with a line of figures for each hazard
-	$(BIN)/pytest -m faults $(ARGS)
+test-all: lint  ## run every test: each page, colcon, campaigns, every kill; hours on two cores
+	@scripts/test.sh --all $(ARGS)
 
 bench: setup  ## measure what a run costs here, e.g. ARGS="start --out B"
 	@PYTHONPATH=tests $(BIN)/python -m benchmarks $(ARGS)

@@ -1,5 +1,6 @@
 """Experiments that several tests look at, each run once."""
 
+import fcntl
 import os
 import shutil
 import signal
@@ -24,6 +25,8 @@ from armimp_bringup.driver_check.probe import CheckOptions, probe
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
 from armimp_common.spin import Spinner
+from armimp_estimation.conclusion import SUMMARY_FILE
+from armimp_estimation.results import read_summary
 from support.browser import Browser
 from support.fault_figures import figures, pytest_terminal_summary
 from support.graph import context, domain_id, interruptible, node
@@ -52,21 +55,39 @@ def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.fixture(scope="session")
-def composed(run: Run) -> FinishedRun:
+def shared_run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """As `run`, but made once for all workers that ask for the same."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def run_once(**options: Any) -> FinishedRun:
+        config = ExperimentConfig.model_validate({"duration": 10.0, **options})
+        directory = base / "-".join(["shared", *(f"{k}={v}" for k, v in options.items())])
+        with (base / f"{directory.name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (directory / SUMMARY_FILE).exists():
+                run_experiment(config, directory)
+        return FinishedRun(directory=directory, summary=read_summary(directory / SUMMARY_FILE))
+
+    return run_once
+
+
+@pytest.fixture(scope="session")
+def composed(shared_run: Run) -> FinishedRun:
     """The default experiment, but short, in one process."""
-    return run()
+    return shared_run()
 
 
 @pytest.fixture(scope="session")
-def separate(run: Run) -> FinishedRun:
+def separate(shared_run: Run) -> FinishedRun:
     """The same in one process for each node."""
-    return run(processes="separate")
+    return shared_run(processes="separate")
 
 
 @pytest.fixture(scope="session")
-def other_seed(run: Run) -> FinishedRun:
+def other_seed(shared_run: Run) -> FinishedRun:
     """The default experiment, but short, with another seed."""
-    return run(seed=2)
+    return shared_run(seed=2)
 
 
 @pytest.fixture(scope="session")

@@ -368,7 +368,7 @@ def test_a_cut_bag_is_refused_by_replay_with_the_same_reason(good: Path, tmp_pat
         both_refuse(file)
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 class TestAtLength:
     def test_cut_at_two_thousand_places(self, good: Path, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from armimp_estimation.bags import BagWriter
 from support.command import call
 from support.recordings import recorded_arm
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 PATIENCE = 60.0
 

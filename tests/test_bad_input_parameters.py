@@ -274,7 +274,7 @@ def mutated(data: st.DataObject) -> bytes:
     return DEFAULTS[:start] + part + DEFAULTS[start + length :]
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 class TestAtLength:
     @LONG

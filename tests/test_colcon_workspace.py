@@ -17,6 +17,8 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
 from support.graph import PATIENCE
 
+pytestmark = pytest.mark.slow
+
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 EXECUTABLES = {

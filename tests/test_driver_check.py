@@ -68,6 +68,7 @@ def test_simulator_and_template_pass_every_check_that_lockstep_allows(
     assert names(check()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.alone
 def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=realtime")
@@ -103,6 +104,7 @@ def test_when_topics_have_wrong_types_or_are_missing_expect_them_named(
     assert {"joint_states: type", "torque_sensors: type", f"{COMMANDS}: type"} <= set(failed)
 
 
+@pytest.mark.slow
 @pytest.mark.alone
 def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: Check) -> None:
     start([DEFECTIVE, "Slow"])
@@ -210,6 +212,7 @@ class Listening(ArmSimNode):
         super()._on_command(command)
 
 
+@pytest.mark.slow
 @pytest.mark.alone
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_last(
@@ -236,6 +239,7 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
     assert Listening.heard[-5:] == [(0.0, 0.0)] * 5
 
 
+@pytest.mark.slow
 def test_the_experiment_runs_on_the_template_with_the_samples_of_the_simulator(
     start: Start, tmp_path: Path, composed: FinishedRun
 ) -> None:

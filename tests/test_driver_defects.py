@@ -10,6 +10,8 @@ import pytest
 
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
 
+pytestmark = pytest.mark.slow
+
 PACE = ("rate", "jitter", "sample to command")
 """How regular samples are, and how quick answers, depends on what else the machine does."""
 STREAMS = ("joint_states", "torque_sensors")
@@ -116,7 +118,7 @@ def test_transducers_that_are_too_coarse_are_named(host: Host, check: Check) -> 
     ("defect", "expected"),
     [
         ("NoWatchdog", ["stale commands", "stale commands: told", "stale commands: latched"]),
-        pytest.param("Relapsing", ["stale commands: latched"], marks=pytest.mark.faults),
+        pytest.param("Relapsing", ["stale commands: latched"], marks=pytest.mark.slow),
         ("ArmSimNode", []),
     ],
 )

@@ -14,6 +14,8 @@ import pytest
 from armimp_bringup.replay import replay_bags
 from armimp_common.domain import DomainClaim
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 BY_NUMBER = {path.name[:2]: path for path in EXAMPLES}

@@ -16,6 +16,8 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 from support.runs import Run
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:

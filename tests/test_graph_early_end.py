@@ -18,6 +18,8 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.results import Summary
 from support.runs import FinishedRun, Run
 
+pytestmark = pytest.mark.slow
+
 BOUND = 0.05
 LEAST = 8_000
 PLANNED = 30_000

@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
@@ -17,7 +18,7 @@ from armimp_common.contract import (
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.conclusion import FinishedTrial, conclude
-from armimp_estimation.results import read_frf, read_summary
+from armimp_estimation.results import read_frf
 from support.runs import FinishedRun, Run
 
 TICKS = 10_000
@@ -34,7 +35,6 @@ def test_default_experiment_is_valid_either_way(
     for finished in (composed, separate):
         assert finished.summary.problems == []
         assert finished.summary.valid
-        assert finished.summary == read_summary(finished.directory / "summary.json")
 
 
 def test_composed_and_separate_processes_record_the_same_bits(
@@ -122,6 +122,7 @@ def test_trials_perturb_one_joint_after_the_other(composed: FinishedRun) -> None
         assert [status.joint_name for status in trial.statuses] == [names[k]] * 3
 
 
+@pytest.mark.slow
 def test_three_joints_go_the_same_way(run: Run) -> None:
     finished = run(joints=3)
 
@@ -138,6 +139,7 @@ def test_three_joints_go_the_same_way(run: Run) -> None:
     assert perturbed == [[0], [1], [2]]
 
 
+@pytest.mark.slow
 def test_levels_and_overridden_parameters_reach_the_nodes(run: Run) -> None:
     options: dict[str, Any] = {
         "friction": 2,

@@ -83,6 +83,7 @@ def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
     assert os.environ["ROS_DOMAIN_ID"]
 
 
+@pytest.mark.slow
 def test_health_tells_who_answers_and_who_does_not(
     started: Processes, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -96,6 +97,7 @@ def test_health_tells_who_answers_and_who_does_not(
     assert health([]) == 2
 
 
+@pytest.mark.slow
 def test_when_a_node_of_others_is_killed_expect_it_named_and_the_others_left_alone(
     started: Processes, tmp_path: Path
 ) -> None:
@@ -111,6 +113,7 @@ def test_when_a_node_of_others_is_killed_expect_it_named_and_the_others_left_alo
     assert started[ESTIMATOR_NODE].poll() is None
 
 
+@pytest.mark.slow
 def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
     started: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,6 +136,7 @@ def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
     assert not (tmp_path / "again" / "bags").exists()
 
 
+@pytest.mark.slow
 def test_when_a_parameter_is_refused_expect_node_and_reason(
     started: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

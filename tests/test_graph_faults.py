@@ -67,6 +67,7 @@ def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
     assert [whole_samples(bag) for bag in finished.bags[:-1]] == [10_000] * (trial - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [0, 3, 30])
 def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: int
@@ -96,6 +97,7 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
     assert Phase.SETTLE not in phases
 
 
+@pytest.mark.slow
 def test_when_a_phase_without_recording_takes_long_expect_the_run_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

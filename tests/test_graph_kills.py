@@ -343,6 +343,7 @@ def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(
     assert_recorded(done)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("phase", "victim"),
     [("start", SIM_NODE), ("configure", CONTROLLER_NODE), ("activate", ESTIMATOR_NODE)],
@@ -364,7 +365,7 @@ LENGTH = {"start": 1.0, "perturb 1": 2.0, "perturb 2": 2.0}
 LENGTH_OF_OTHERS = 0.1
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", range(MOMENTS))
 @pytest.mark.parametrize("victim", [*NODES, SUPERVISOR_NODE])
 @pytest.mark.parametrize(

@@ -17,6 +17,8 @@ from armimp_common.sockets import Endpoint, endpoints
 from armimp_estimation.results import read_summary
 from support.runs import FinishedRun
 
+pytestmark = pytest.mark.slow
+
 COMMAND = [sys.executable, "-m", "armimp_bringup.cli", "run", "--duration", "10", "--json"]
 CHOICES = (
     "ROS_DOMAIN_ID",

@@ -19,6 +19,8 @@ from armimp_estimation.results import read_summary
 from armimp_estimation.trial import TrialData
 from support.runs import FinishedRun
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 PD = "imbic_controller:\n  law:\n    kind: pd\n"
 OFFLINE, LIVE = 35.0, 10.0  # s of each trial; the former is enough for the segments of the study

@@ -26,7 +26,7 @@ from armimp_estimation.recording import BAGS
 from support.fault_figures import Figures
 from support.recordings import recorded_arm
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 SETTLE = 60
 SAMPLES = 6000
@@ -152,7 +152,7 @@ def test_when_killed_at_random_moments_expect_little_lost_and_an_estimate(tmp_pa
     assert [assert_little_is_lost(one) for one in killed] == left
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(
     tmp_path: Path, figures: Figures

@@ -7,7 +7,7 @@ import pytest
 
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 ROBOT = str(Path(__file__).resolve().parent / "fake_ros2_control.py")
 BRIDGE = ["-m", "armimp_ros2_control.node"]

@@ -10,6 +10,8 @@ import pytest
 from armimp_bringup.cli import main
 from support.browser import Browser
 
+pytestmark = pytest.mark.slow
+
 CONDITIONS = "friction=0+3,resolution=0+3,perturbation=1+3"
 
 

@@ -8,6 +8,8 @@ import pytest
 from benchmarks import estimate
 from benchmarks.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 
 def test_reading_and_estimating_are_timed_against_the_limit(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]

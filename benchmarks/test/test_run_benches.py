@@ -19,6 +19,8 @@ from benchmarks.command_run import CommandRun, run_command
 from benchmarks.peak_memory import PeakMemory, descendants, peak_of
 from support.results import make_result
 
+pytestmark = pytest.mark.slow
+
 HUNGRY = """
 import subprocess, sys, time
 if len(sys.argv) == 1:

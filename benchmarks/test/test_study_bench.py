@@ -11,6 +11,8 @@ from armimp_bringup.benchmarks import available_cores
 from benchmarks import study
 from benchmarks.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:

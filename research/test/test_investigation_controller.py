@@ -28,6 +28,8 @@ from research.controller import (
 from research.controller_outcomes import Cell, Outcome, Place, Setting
 from research.options import InvestigationOptions
 
+pytestmark = pytest.mark.slow
+
 # Shorter trials, larger steps and fewer seeds than anyone should draw conclusions from.
 BASE = ExperimentConfig(duration=16.4, arm_sim={"substeps": 10})
 WEAK = Place(perturbation=1, voluntary=0.0)

@@ -19,6 +19,8 @@ from research.coverage_statistics import QUANTILE, TARGET, Cell, Share
 from research.coverage_tables import in_words
 from research.options import InvestigationOptions
 
+pytestmark = pytest.mark.slow
+
 BASE = ExperimentConfig(arm_sim={"substeps": 20})
 PLAN = CoveragePlan(base=BASE, levels=((3, 3, 3),), seeds="0:48", voluntary=(0.3, 0.0))
 Cells = dict[tuple[str, float], Cell]

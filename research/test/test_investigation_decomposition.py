@@ -34,6 +34,8 @@ from research.decomposition_trials import (
 )
 from research.options import InvestigationOptions
 
+pytestmark = pytest.mark.slow
+
 # Shorter trials, larger steps and fewer seeds than anyone should draw conclusions from.
 BASE = ExperimentConfig(duration=16.4, arm_sim={"substeps": 10})
 PLAN = DecompositionPlan(

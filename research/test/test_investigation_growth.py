@@ -13,6 +13,8 @@ from armimp_bringup.config import ExperimentConfig
 from research.growth import Cell, GrowthPlan, Outcome, investigate, run_growth
 from research.options import InvestigationOptions
 
+pytestmark = pytest.mark.slow
+
 BASE = ExperimentConfig(duration=16.4, arm_sim={"substeps": 10})
 PLAN = GrowthPlan(base=BASE, joints=(2, 3), seeds="0:4", voluntary=(0.0, 0.05))
 Cells = dict[tuple[int, float, str], Cell]

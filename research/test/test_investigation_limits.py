@@ -23,6 +23,8 @@ from research.limits_statistics import Cell
 from research.limits_tables import in_words
 from research.options import InvestigationOptions
 
+pytestmark = pytest.mark.slow
+
 BASE = ExperimentConfig(arm_sim={"substeps": 20})
 PLAN = LimitsPlan(
     base=BASE, levels=((3, 3, 3),), seeds="0:24", estimators=("lpm_full", "welch_siso")

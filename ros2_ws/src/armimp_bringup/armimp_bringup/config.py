@@ -38,7 +38,7 @@ class ExperimentConfig(BaseModel):
     friction: int = Field(default=3, ge=0, le=3, description="friction level")
     resolution: int = Field(default=3, ge=0, le=3, description="sensor resolution level, Table II")
     perturbation: int = Field(default=3, ge=1, le=3, description="perturbation level, Table III")
-    duration: float = Field(default=50.0, ge=10.0, le=9000.0, description="of each trial (s)")
+    duration: float = Field(default=50.0, ge=2.0, le=9000.0, description="of each trial (s)")
     seed: int = Field(default=1, ge=0, lt=2**63, description="of all random signals")
     mode: Literal["lockstep", "realtime"] = Field(default="lockstep", description="how time passes")
     processes: Literal["composed", "separate", "external"] = Field(

@@ -89,6 +89,7 @@ def test_estimator_without_targets_exits_with_0_and_prints_json_alone(
     assert "2 of 2 conditions" in told.err
 
 
+@pytest.mark.slow
 def test_three_joints_are_studied_in_the_same_way(tmp_path: Path) -> None:
     _reproduce(tmp_path / "out", *SHORT, "--joints", "3", "--estimator", "lpm_full")
     (entry,) = read_study(tmp_path / "out" / "study.json")

@@ -77,6 +77,7 @@ def test_every_figure_is_written_as_png_and_pdf_of_the_width_of_two_columns(
         assert b"CreationDate" not in document
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_alike_when_they_are_drawn_again(
     results: Results, tmp_path: Path
 ) -> None:

@@ -198,6 +198,7 @@ def coverage_accepted(inside: NDArray[np.bool_]) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("estimator", "changes"),
     [

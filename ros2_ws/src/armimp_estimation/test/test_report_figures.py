@@ -16,6 +16,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
     return load_result(make_result(tmp_path_factory.mktemp("figures") / "good"))
 
 
+@pytest.mark.slow
 def test_figures_are_written_as_png_and_pdf_the_same_each_time(
     result: Result, tmp_path: Path
 ) -> None:
