@@ -48,7 +48,11 @@ def names(findings: dict[str, Finding]) -> list[str]:
     return failures(findings.values())
 
 
-@pytest.mark.parametrize("driver", [SIMULATOR, TEMPLATE], ids=["simulator", "template"])
+@pytest.mark.parametrize(
+    "driver",
+    [SIMULATOR, pytest.param(TEMPLATE, marks=pytest.mark.slow)],
+    ids=["simulator", "template"],
+)
 def test_simulator_and_template_pass_every_check_that_lockstep_allows(
     start: Start, check: Check, driver: list[str]
 ) -> None:
@@ -91,11 +95,13 @@ def test_a_driver_in_a_namespace_is_found_there(host: Host, check: Check) -> Non
     assert names(check(namespace="/exo")) == []
 
 
+@pytest.mark.slow
 def test_when_frames_get_lost_expect_that_named(start: Start, check: Check) -> None:
     start(TEMPLATE, "-p", "mode:=lockstep", "-p", "mock.dropout:=0.05")
     assert "joint_states: stamps 1 ms apart" in names(check())
 
 
+@pytest.mark.slow
 def test_when_topics_have_wrong_types_or_are_missing_expect_them_named(
     start: Start, check: Check
 ) -> None:
@@ -120,6 +126,7 @@ def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: C
     assert findings["joint_states: joint names"].verdict is Verdict.PASS
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("defect", "words"),
     [("InUse", "the driver is in use: /arm_sim commands it"), (None, "no driver: neither")],
@@ -139,6 +146,7 @@ def test_when_there_is_nothing_to_check_expect_one_line_and_status_one(
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
     start: Start, driver_domain: int, capfd: pytest.CaptureFixture[str]
 ) -> None:
