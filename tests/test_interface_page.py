@@ -197,23 +197,17 @@ def test_the_parameters_of_the_page_are_those_of_the_node(node: str) -> None:
     assert list(_table(node, "parameter")) == list(leaves(SCHEMAS[node]))
 
 
-@pytest.mark.parametrize(
-    ("node", "name"), [(node, name) for node, model in SCHEMAS.items() for name in leaves(model)]
-)
-def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(
-    node: str, name: str
-) -> None:
-    row, model = _table(node, "parameter")[name], SCHEMAS[node]
-    assert row["type"] == leaves(model)[name].type_name
-    assert row["range"] == _range(dict(_fields(model))[name])
-    # The simulator node takes its preset where its schema has no default.
-    required = name not in defaults(model) and node != contract.SIM_NODE
-    value = _in_force(node)[name]
-    numbers = leaves(model)[name].item is float
-    assert _default(row["default"]) == (
-        required,
-        pytest.approx(value, rel=1e-5) if numbers else value,
-    )
+@pytest.mark.parametrize("node", SCHEMAS)
+def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(node: str) -> None:
+    model, rows, in_force = SCHEMAS[node], _table(node, "parameter"), _in_force(node)
+    for name, leaf in leaves(model).items():
+        row, value = rows[name], in_force[name]
+        assert row["type"] == leaf.type_name, name
+        assert row["range"] == _range(dict(_fields(model))[name]), name
+        # The simulator node takes its preset where its schema has no default.
+        required = name not in defaults(model) and node != contract.SIM_NODE
+        expected = pytest.approx(value, rel=1e-5) if leaf.item is float else value
+        assert _default(row["default"]) == (required, expected), name
 
 
 @pytest.mark.parametrize("page", ["interfaces.md", "theory.md", "realtime.md"])
