@@ -79,9 +79,15 @@ def composed(shared_run: Run) -> FinishedRun:
 
 
 @pytest.fixture(scope="session")
+def brief(shared_run: Run) -> FinishedRun:
+    """The same with trials of 2 s, for what does not depend on accuracy."""
+    return shared_run(duration=2.0)
+
+
+@pytest.fixture(scope="session")
 def separate(shared_run: Run) -> FinishedRun:
-    """The same in one process for each node."""
-    return shared_run(processes="separate")
+    """As `brief`, in one process for each node."""
+    return shared_run(duration=2.0, processes="separate")
 
 
 @pytest.fixture(scope="session")

@@ -55,6 +55,7 @@ def test_without_the_option_the_reason_is_one_line(
     ]
 
 
+@pytest.mark.slow
 def test_with_the_option_it_is_estimated_up_to_there_but_not_valid(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

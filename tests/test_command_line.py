@@ -222,7 +222,9 @@ def test_a_wrong_configuration_file_ends_in_one_line_that_names_the_parameter(
     assert not (tmp_path / "out" / "bags").exists()
 
 
-@pytest.mark.parametrize("processes", ["composed", "separate"])
+@pytest.mark.parametrize(
+    "processes", ["composed", pytest.param("separate", marks=pytest.mark.slow)]
+)
 def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     processes: str, tmp_path: Path
 ) -> None:

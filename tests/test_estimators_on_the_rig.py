@@ -25,6 +25,8 @@ from armimp_sim.plant import PlantConfig
 from armimp_sim.voluntary import VoluntaryConfig
 from research.mimo import estimate_mimo
 
+pytestmark = pytest.mark.slow
+
 FloatArray = NDArray[np.float64]
 Condition = tuple[int, int, int]
 

@@ -42,7 +42,12 @@ def whole_samples(bag: Path) -> int:
 
 
 @pytest.mark.parametrize(
-    ("processes", "trial"), [("composed", 1), ("composed", 2), ("separate", 1)]
+    ("processes", "trial"),
+    [
+        ("composed", 1),
+        pytest.param("composed", 2, marks=pytest.mark.slow),
+        pytest.param("separate", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
     tmp_path: Path, processes: str, trial: int

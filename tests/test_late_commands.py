@@ -17,6 +17,8 @@ from armimp_estimation.identify import Identification
 from armimp_sim.rig import SimulatedRig
 from support.closed_loop import assert_accurate, identified
 
+pytestmark = pytest.mark.slow
+
 DEFAULT = {"model": 1.0, "gamma": 100.0, "lock": 100.0}
 BORNE: Mapping[int, Mapping[str, float]] = {
     0: DEFAULT,

@@ -7,6 +7,7 @@ the result does not depend on the machine.
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
@@ -19,6 +20,8 @@ from armimp_estimation.identify import Identification
 from armimp_sim.paced import PacedRig
 from armimp_sim.rig import SimulatedRig
 from support.closed_loop import assert_accurate, identified
+
+pytestmark = pytest.mark.slow
 
 Vector = NDArray[np.float64]
 LONGEST = 3

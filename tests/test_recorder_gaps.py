@@ -49,6 +49,7 @@ def test_without_the_option_the_reason_is_one_line(
     ]
 
 
+@pytest.mark.slow
 def test_with_the_option_replayed_and_offline_results_are_the_same_to_the_bit(
     bags: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

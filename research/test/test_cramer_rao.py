@@ -20,6 +20,8 @@ from research.cramer_rao import (
 )
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
+pytestmark = pytest.mark.slow
+
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 

@@ -13,6 +13,8 @@ from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
 from research.mimo import MimoEstimate, estimate_mimo, input_coupling
 from support.synthetic_trials import TWO_JOINT_ARM
 
+pytestmark = pytest.mark.slow
+
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 

@@ -8,6 +8,8 @@ import pytest
 
 from research.__main__ import main
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     ("arguments", "quoted"),

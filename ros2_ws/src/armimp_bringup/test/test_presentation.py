@@ -47,6 +47,7 @@ def names(directory: Path) -> set[str]:
     return {path.name for path in directory.iterdir() if path.is_file()}
 
 
+@pytest.mark.slow
 def test_when_the_process_for_figures_is_gone_expect_them_to_be_drawn_all_the_same(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -67,6 +68,7 @@ def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     assert "report.html" in names(directory)
 
 
+@pytest.mark.slow
 def test_when_the_report_cannot_be_written_expect_the_figures_all_the_same(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

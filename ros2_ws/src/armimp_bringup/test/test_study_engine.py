@@ -60,6 +60,7 @@ def test_condition_gives_the_same_bits_alone_and_beside_others(
         _assert_same(alone, together[number])
 
 
+@pytest.mark.slow
 def test_order_in_the_batch_makes_no_difference(together: list[ConditionResult]) -> None:
     for one, other in zip(_run(CONDITIONS[::-1]), together[::-1], strict=True):
         _assert_same(one, other)

@@ -60,6 +60,7 @@ def _labels(figure: Any) -> set[str]:
     return {text.get_text() for text in legend.get_texts()}
 
 
+@pytest.mark.slow
 def test_every_figure_is_written_as_png_and_pdf_of_the_width_of_two_columns(
     results: Results, tmp_path: Path
 ) -> None:

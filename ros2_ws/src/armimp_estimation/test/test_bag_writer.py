@@ -1,4 +1,5 @@
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -433,7 +434,11 @@ class TestKilledWriter:
             os.kill(os.getpid(), signal.SIGKILL)
             """
         )
-        done = subprocess.run([sys.executable, "-c", program, str(path)], check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(path)],
+            check=False,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
         assert done.returncode == -signal.SIGKILL
         content = read_bag(path)
         (record,) = content.records()

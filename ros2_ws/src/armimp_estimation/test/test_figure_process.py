@@ -67,6 +67,7 @@ def ended(number: int) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_figures_are_to_the_byte_those_that_are_drawn_here(
     process: FigureProcess, directory: Path, tmp_path: Path
 ) -> None:

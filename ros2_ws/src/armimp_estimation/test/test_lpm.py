@@ -134,6 +134,7 @@ def coverage_accepted(inside: NDArray[np.bool_]) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{"voluntary": 1.0}, {"voluntary": 0.5, "torque_noise": 0.5, "lock_stiffness": 300.0}],

@@ -129,6 +129,7 @@ def test_variance_is_that_of_repeated_experiments(estimator: Estimator) -> None:
     assert 0.48 < inside < 0.53
 
 
+@pytest.mark.slow
 def test_variance_of_responses_is_that_of_repeated_experiments() -> None:
     loop = dataclasses.replace(LOOP, torque_noise=0.5, position_noise=0.1)
     s = 2j * np.pi * WELCH.frequencies(125.0)
