@@ -115,12 +115,6 @@ def test_the_manifest_declares_what_the_package_imports(package: str) -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_no_source_file_grows_beyond_one_concern(package: str) -> None:
-    lengths = {name: len(path.read_text().splitlines()) for name, path in modules(package)}
-    assert {name: length for name, length in lengths.items() if length > 420} == {}
-
-
-@pytest.mark.parametrize("package", PACKAGES)
 def test_nothing_that_is_installed_imports_pytest_or_the_workshop(
     package: str,
 ) -> None:
