@@ -39,6 +39,9 @@ _Estimators = Annotated[
 _AllowGaps = Annotated[
     bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
 ]
+_Trust = Annotated[
+    bool, typer.Option("--trust", help="Lift the limits on what a bag may hold for its size.")
+]
 _TorqueDelay = Annotated[
     float | None,
     typer.Option(help="How late torque readings are, s, for the estimates to correct."),
@@ -133,6 +136,7 @@ def estimate(
     ] = None,
     allow_gaps: _AllowGaps = False,
     torque_delay: _TorqueDelay = None,
+    trust: _Trust = False,
     out: _Out = None,
     json: _Json = False,
 ) -> int:
@@ -154,6 +158,7 @@ def estimate(
             namespace=namespace,
             allow_gaps=allow_gaps,
             torque_delay=torque_delay,
+            trust=trust,
         )
         for note in notes:
             say(f"note: {note}")
@@ -169,6 +174,7 @@ def replay(
     bags: _Bags,
     estimator: _Estimators = None,
     allow_gaps: _AllowGaps = False,
+    trust: _Trust = False,
     out: _Out = None,
     domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
     json: _Json = False,
@@ -186,6 +192,7 @@ def replay(
             tuple(estimator or ()),
             out,
             allow_gaps=allow_gaps,
+            trust=trust,
             domain_id=domain_id,
             on_progress=display.show,
             interrupted=stopped,

@@ -17,12 +17,15 @@ from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, explain, flatten
 from armimp_common.versions import git_revision, versions
+from armimp_common.yaml_text import Loader, load_yaml
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.conclusion import TIMING_KEY
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
+from armimp_estimation.whole_files import read_text, require_text
 from armimp_sim.parameters import SimulatorParameters
 
 Overrides = dict[str, JsonValue]
+_MOST_BYTES = 1 << 18
 _LARGEST = 1e20
 """Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
 
@@ -77,13 +80,13 @@ class ExperimentConfig(BaseModel):
         return values
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(Loader):  # type: ignore[misc]
     """The safe one, which lets errors of Python through where a text is not what it looks like."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
             return super().construct_object(node, deep=deep)
-        except (ValueError, LookupError, AttributeError):
+        except (ValueError, ArithmeticError, LookupError, AttributeError):
             kind = str(node.tag).rpartition(":")[2]
             raise yaml.constructor.ConstructorError(
                 None, None, f"{node.value!r:.60} is no {kind}", node.start_mark
@@ -108,16 +111,15 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
     values: dict[str, Any] = {}
     if path is not None:
         try:
-            loaded = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+            require_text(path)
+            loaded = load_yaml(read_text(path, _MOST_BYTES), _Loader)
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror}") from None
         except UnicodeDecodeError:
             raise ConfigurationError(f"{path}: is not a text file") from None
         except yaml.YAMLError as error:
             reason = " ".join(str(error).split())
-            raise ConfigurationError(f"{path}: is not YAML: {reason}") from None
-        except RecursionError:
-            raise ConfigurationError(f"{path}: is nested too deeply") from None
+            raise ConfigurationError(f"{path}: is not YAML: {reason:.300}") from None
         if loaded is not None and not isinstance(loaded, dict):
             raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
         values.update(loaded or {})

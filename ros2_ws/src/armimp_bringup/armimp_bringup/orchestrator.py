@@ -29,6 +29,7 @@ from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary, write_summary
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
+from armimp_estimation.whole_files import require_text
 
 PARAMETERS_FILE = "parameters.yaml"
 GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)
@@ -152,6 +153,7 @@ def prepare_directory(directory: Path) -> None:
         If it exists and is not an empty directory, or can't be made.
     """
     try:
+        require_text(directory)
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
@@ -167,6 +169,7 @@ def require_unused(directory: Path) -> None:
         If it exists and is not an empty directory.
     """
     try:
+        require_text(directory)
         used = directory.exists() and any(directory.iterdir())
     except OSError as error:
         raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None

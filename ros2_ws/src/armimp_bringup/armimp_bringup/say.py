@@ -1,6 +1,10 @@
 """Lines on standard error."""
 
 import sys
+from typing import Final
+
+_LONGEST: Final = 1200
+"""Letters of a line: files of unknown origin may hold names of any length."""
 
 
 def say(line: str) -> None:
@@ -9,4 +13,6 @@ def say(line: str) -> None:
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in line
     )
+    if len(shown) > _LONGEST:
+        shown = f"{shown[:_LONGEST]} ..."
     print(shown, file=sys.stderr)

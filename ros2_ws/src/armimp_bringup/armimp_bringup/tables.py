@@ -12,7 +12,7 @@ from rich.table import Table
 
 from armimp_estimation.results import EstimatorSummary, Summary, TimingSummary, WallSummary
 
-_COUNTS = ("duplicated", "reordered", "late", "clipped", "excluded")
+_COUNTS = ("duplicated", "contradictory", "reordered", "late", "clipped", "excluded")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 
 

@@ -25,8 +25,10 @@ from armimp_estimation.sample_ledger import SampleLedger, StreamCount
 from armimp_estimation.trial_problems import TrialProblems, find_problems
 from armimp_estimation.trial_streams import TrialStreams, decode_streams
 from armimp_estimation.trial_windows import (
+    MOST_TICKS,
     TrialWindow,
     infer_windows,
+    require_few_trials,
     tick_numbers,
     windows_from_statuses,
 )
@@ -45,11 +47,12 @@ class AssembledTrial:
         What the trial was meant to be.
     record : TrialRecord or None
         The samples, if there is a usable one for every control period. Duplicates are dropped
-        (the first one stays) and the order is that of the stamps.
+        (the first one stays, if all say the same) and the order is that of the stamps.
     segments : tuple of TrialRecord
         The longest runs of usable periods, in their order; the record is the only one where
-        there is a record. Periods are not usable if a stream with stamps has no sample of them or
-        one that is not finite, nor while the controller clipped its command.
+        there is a record. Periods are not usable if a stream with stamps has no sample of them,
+        one that is not finite, or several that contradict each other, nor while the controller
+        clipped its command.
     ledger : SampleLedger
         The account of the samples.
     problem : str
@@ -170,13 +173,21 @@ def assemble_trials(
     else:
         perturbation = streams.stamped[contract.PERTURBATION]
         windows = infer_windows(perturbation.stamps, perturbation.values)
+    require_few_trials(len(windows))
+    received = streams.stamped[contract.PERTURBATION].stamps.size
+    if (announced := sum(window.ticks for window in windows)) > MOST_TICKS + 2 * received:
+        raise DataError(f"trials of {announced} samples are announced, and there are {received}")
     began_ns = min(int(stream.stamps.min()) for stream in streams.stamped.values())
-    return tuple(
-        assemble_trial(window, streams, source=source)
-        for window in windows
+    trials: list[AssembledTrial] = []
+    used = 0
+    for window in windows:
         # A latched topic repeats the statuses of trials that were over before the recording.
-        if window.start_ns + window.ticks * PERIOD_NS > began_ns
-    )
+        if window.start_ns + window.ticks * PERIOD_NS > began_ns:
+            trials.append(assemble_trial(window, streams, source=source))
+            used += sum(segment.samples for segment in trials[-1].segments)
+            if used > received:
+                raise DataError(f"trial {window.trial} overlaps with others: they share samples")
+    return tuple(trials)
 
 
 def assemble_trial(
@@ -206,7 +217,7 @@ def assemble_trial(
 
     usable = np.ones(span, np.bool_)
     for one in kept.values():
-        usable &= one.finite(span)
+        usable &= one.finite(span) & ~one.contradicted(span)
     counts = {topic: one.count(span, last_ns) for topic, one in kept.items()}
     problems = find_problems(window, kept, counts, stamps[:inside], numbers[:inside], usable)
     for first, last in window.clipped_intervals:

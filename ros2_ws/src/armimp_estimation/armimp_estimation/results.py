@@ -24,6 +24,9 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+_COUNTS = ("duplicated", "contradictory", "reordered", "late")
+
+
 class StreamSummary(JsonModel):
     """The messages of one stream within a trial, see `armimp_estimation.sample_ledger`."""
 
@@ -31,6 +34,7 @@ class StreamSummary(JsonModel):
     received: int
     lost: int
     duplicated: int
+    contradictory: int
     reordered: int
     late: int
 
@@ -47,6 +51,7 @@ class TrialSummary(JsonModel):
     rtf: Number = math.nan
     """Times real time at which the trial ran; null if it was not run live."""
     duplicated: int = 0
+    contradictory: int = 0
     reordered: int = 0
     late: int = 0
     clipped: int = 0
@@ -67,7 +72,7 @@ class TrialSummary(JsonModel):
         about = {}
         if (samples := ledger.samples) is not None:
             about = {
-                **{kind: samples.total(kind) for kind in ("duplicated", "reordered", "late")},
+                **{kind: samples.total(kind) for kind in _COUNTS},
                 "clipped": samples.clipped,
                 "excluded": samples.excluded_share,
                 "stretches": samples.stretches,

@@ -96,6 +96,10 @@ def _gaps(
         if ticks.size:
             verb = "is" if ticks.size == 1 else "are"
             parts.append(f"{_samples(ticks.size)} of {topic} {verb} not finite {_where(ticks)}")
+        ticks = np.flatnonzero(one.contradicted(span))
+        if ticks.size:
+            verb = "contradicts itself" if ticks.size == 1 else "contradict themselves"
+            parts.append(f"{_samples(ticks.size)} of {topic} {verb} {_where(ticks)}")
         if count.duplicated:
             parts.append(f"{_samples(count.duplicated)} of {topic} came more than once")
         if count.reordered:

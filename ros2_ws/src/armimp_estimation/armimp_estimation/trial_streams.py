@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,29 @@ class Stream:
     values: NDArray[np.float64]
     malformed: int = 0
     defect: str = ""
+
+    @cached_property
+    def ordered(self) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.bool_]]:
+        """The messages in the order of their stamps, without repetitions.
+
+        Returns
+        -------
+        stamps : ndarray, shape (M,)
+            Ascending, ns.
+        order : ndarray, shape (M,)
+            Index of the first message with each stamp.
+        contradicted : ndarray, shape (M,)
+            Whether another one with the same stamp has other numbers.
+        """
+        if (np.diff(self.stamps) > 0).all():
+            count = self.stamps.size
+            return self.stamps, np.arange(count), np.zeros(count, np.bool_)
+        stamps, order, place = np.unique(self.stamps, return_index=True, return_inverse=True)
+        first = self.values[:, order[place]]
+        same = (self.values == first) | (np.isnan(self.values) & np.isnan(first))
+        contradicted = np.zeros(stamps.size, np.bool_)
+        contradicted[place[~same.all(axis=0)]] = True
+        return stamps, order, contradicted
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

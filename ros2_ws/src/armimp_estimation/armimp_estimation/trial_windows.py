@@ -21,6 +21,8 @@ MOST_TICKS: Final = 10_000_000
 
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
 
+_MOST_TRIALS: Final = 1000
+
 _ABORTED: Final = "aborted: "
 _NOT_VALID: Final = "not valid: "
 # What the controller says of a trial in which it only missed samples, which the ledger shows too.
@@ -111,6 +113,7 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
         One for every trial whose perturbation began, in their order.
     """
     windows: list[TrialWindow] = []
+    known: set[tuple[int, int]] = set()
     current: TrialWindow | None = None
     for status in statuses:
         if status.phase is Phase.SETTLE:
@@ -122,8 +125,9 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
         ):
             _close(current, windows)
             current = None
-            if any((w.trial, w.start_ns) == (status.trial, status.start_ns) for w in windows):
+            if (status.trial, status.start_ns) in known:
                 continue  # the last status again, as a latched topic may repeat it
+            known.add((status.trial, status.start_ns))
             current = TrialWindow(
                 trial=status.trial,
                 joint=status.joint,
@@ -207,8 +211,9 @@ def infer_windows(
     if not samples.size:
         raise DataError("no joint is perturbed and there is no trial status")
     joint = active.argmax(axis=0)[samples]
-    apart = (np.diff(stamps[samples]) > PAUSE_NS) | (np.diff(joint) != 0)
-    runs = np.split(np.arange(samples.size), np.flatnonzero(apart) + 1)
+    apart = np.flatnonzero((np.diff(stamps[samples]) > PAUSE_NS) | (np.diff(joint) != 0))
+    require_few_trials(apart.size + 1)
+    runs = np.split(np.arange(samples.size), apart + 1)
     return tuple(
         TrialWindow(
             trial=number,
@@ -242,6 +247,18 @@ def tick_numbers(stamps: NDArray[np.int64]) -> NDArray[np.int64]:
     numbers = np.zeros(stamps.size, np.int64)
     np.cumsum((np.diff(stamps) + PERIOD_NS // 2) // PERIOD_NS, out=numbers[1:])
     return numbers
+
+
+def require_few_trials(trials: int) -> None:
+    """Refuse a recording with more trials than anyone makes without a pause.
+
+    Raises
+    ------
+    DataError
+        If there are so many.
+    """
+    if trials > _MOST_TRIALS:
+        raise DataError(f"{trials} trials are more than the {_MOST_TRIALS} of one recording")
 
 
 def _close(current: TrialWindow | None, windows: list[TrialWindow]) -> None:

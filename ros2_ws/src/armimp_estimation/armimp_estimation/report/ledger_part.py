@@ -30,7 +30,16 @@ def ledger_section(result: Result) -> Html:
         "Sample ledger",
         table(
             "Messages of each stream",
-            ["stream", "expected", "received", "lost", "duplicated", "reordered", "late"],
+            [
+                "stream",
+                "expected",
+                "received",
+                "lost",
+                "duplicated",
+                "contradictory",
+                "reordered",
+                "late",
+            ],
             [
                 Group(title=trial_title(result, one), rows=list(_streams(one)))
                 for one in result.trials
@@ -54,7 +63,7 @@ def _streams(one: TrialEvidence) -> Iterator[list[object]]:
             _noted(count.lost),
             *(
                 _noted(number) if stamped else NONE
-                for number in (count.duplicated, count.reordered, count.late)
+                for number in (count.duplicated, count.contradictory, count.reordered, count.late)
             ),
         ]
 
