@@ -194,6 +194,49 @@ class TestStamps:
         assert told.status == 1 or numbers(told) != numbers(told_of_good)
 
 
+class TestContradictions:
+    """Two messages with one stamp, the torques of the first being twice those of the second."""
+
+    @staticmethod
+    def doubled(path: Path, ticks: range) -> Path:
+        stamps = {1_000_000 * tick for tick in ticks}
+        decoder = JointStateDecoder(NAMES, "effort")
+        encoder = JointStateEncoder(NAMES, "effort")
+        messages: list[Message] = []
+        for topic, log_time_ns, raw in MESSAGES:
+            if topic == contract.TORQUE_SENSORS and log_time_ns in stamps:
+                stamp_ns, values = decoder.decode(raw)
+                twice = encoder.encode(stamp_ns, [2.0 * value for value in values])
+                messages.append((topic, log_time_ns, twice))
+            messages.append((topic, log_time_ns, raw))
+        return write(path, messages)
+
+    def test_some_are_left_out_like_gaps(self, tmp_path: Path) -> None:
+        ticks = range(700, 730)
+        contradictory = self.doubled(tmp_path / "bag", ticks)
+        assert "30 samples of torque_sensors contradict themselves" in both_refuse(contradictory)
+        lost = write(
+            tmp_path / "lost",
+            changed(
+                lambda m: (
+                    None if m[0] == contract.TORQUE_SENSORS and m[1] // PERIOD_NS in ticks else m
+                )
+            ),
+        )
+        told = behaved("estimate", str(contradictory), "--allow-gaps", "--json")
+        assert numbers(told) == numbers(behaved("estimate", str(lost), "--allow-gaps", "--json"))
+        trial = json.loads(told.out)["trials"][0]
+        assert trial["contradictory"] == trial["streams"][contract.TORQUE_SENSORS]["contradictory"]
+        assert trial["contradictory"] == 30
+        assert trial["excluded"] > 0.0
+
+    def test_where_all_are_there_is_no_result(self, tmp_path: Path) -> None:
+        bag = self.doubled(tmp_path / "bag", range(10_000))
+        told = refused("estimate", str(bag), "--allow-gaps")
+        assert told.status == 1
+        assert "contradict themselves" in told.err
+
+
 # What may stand in the metadata of a bag, and what is said of it.
 METADATA = [
     ("config", "x", "config is not JSON: 'x'"),

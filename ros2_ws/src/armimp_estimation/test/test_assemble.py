@@ -76,6 +76,7 @@ class TestWholeTrials:
                 "received": TICKS,
                 "lost": 0,
                 "duplicated": 0,
+                "contradictory": 0,
                 "reordered": 0,
                 "late": 0,
             }
@@ -182,13 +183,32 @@ class TestLedger:
         count = assemble(topics).ledger.streams[contract.TORQUE_SENSORS]
         assert (count.received, count.duplicated, count.reordered) == (TICKS + 1, 1, 0)
 
-    def test_first_of_two_messages_with_one_stamp_is_kept(self) -> None:
+    def test_a_message_that_came_twice_is_used_once(self) -> None:
         topics = RECORDING.by_topic()
-        stamp = START + 3 * PERIOD_NS
-        topics[contract.TORQUE_SENSORS].insert(FIRST + 4, effort(stamp, (99.0, 99.0)))
+        raws = topics[contract.TORQUE_SENSORS]
+        raws.insert(FIRST + 4, raws[FIRST + 3])
         trial = assemble(topics)
+        assert trial.ledger.total("contradictory") == 0
         assert trial.record is not None
         assert_part(trial.record, RECORDING.records[0], 0, TICKS)
+
+    @pytest.mark.parametrize("after", [0, 1, 9])
+    @pytest.mark.parametrize("value", [99.0, np.nan])
+    def test_of_two_messages_that_contradict_each_other_none_is_used(
+        self, after: int, value: float
+    ) -> None:
+        topics = RECORDING.by_topic()
+        other = effort(START + 3 * PERIOD_NS, (99.0, value))
+        topics[contract.TORQUE_SENSORS].insert(FIRST + 3 + after, other)
+        trial = assemble(topics)
+        assert trial.record is None
+        assert [segment.samples for segment in trial.segments] == [3, TICKS - 4]
+        assert_part(trial.segments[1], RECORDING.records[0], 4, TICKS)
+        count = trial.ledger.streams[contract.TORQUE_SENSORS]
+        assert (count.lost, count.duplicated, count.contradictory) == (0, 1, 1)
+        assert trial.ledger.excluded == 1
+        assert "1 sample of torque_sensors contradicts itself at 0.003 s" in trial.problem
+        assert trial.fault == ""
 
     def test_period_lost_by_all_streams_is_counted(self) -> None:
         topics = RECORDING.by_topic()

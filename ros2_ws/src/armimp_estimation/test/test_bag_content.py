@@ -240,7 +240,7 @@ class TestRefusals:
         with sqlite3.connect(path) as database:
             database.execute("CREATE TABLE birds(name TEXT)")
         database.close()
-        assert error_of(path) == f"{path}: not a readable SQLite3 bag: no such table: topics"
+        assert error_of(path) == f"{path}: not a readable SQLite3 bag: no plain table topics"
 
     def test_bag_without_messages(self, tmp_path: Path) -> None:
         path = write(tmp_path / "bag", ())

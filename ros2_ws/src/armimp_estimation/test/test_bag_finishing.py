@@ -162,10 +162,10 @@ def test_bag_that_cannot_be_written_is_named_and_still_read(
     path = unfinished(tmp_path / "bag")
     before = content_of(path)
 
-    def refuse(self: Path, mode: int = 0o777, **_: object) -> None:
-        raise OSError(30, "Read-only file system", str(self))
+    def refuse(**_: object) -> None:
+        raise OSError(30, "Read-only file system", str(path))
 
-    monkeypatch.setattr(Path, "mkdir", refuse)
+    monkeypatch.setattr("tempfile.mkdtemp", refuse)
     note = finish_bag(path)
     assert note.startswith(f"{path}: its recorder did not finish it, and it cannot be finished now")
     assert note.endswith("Read-only file system")

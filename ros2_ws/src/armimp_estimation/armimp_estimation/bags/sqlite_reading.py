@@ -94,7 +94,7 @@ def _read(
             database.set_progress_handler(lambda: next(steps, None) is None, _STEPS)
             for table in ("topics", "messages"):
                 if not _is_plain(database, table):
-                    raise BagError(f"{name}: {table} is not a plain table of a bag")
+                    raise BagError(f"{name}: not a readable SQLite3 bag: no plain table {table}")
             topics = _topics(database, name, wanted, into)
             with suppress(*_DAMAGE):
                 if _is_plain(database, "metadata"):  # from version 4 of the schema on

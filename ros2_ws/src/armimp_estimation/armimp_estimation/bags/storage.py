@@ -59,7 +59,8 @@ def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> Raw
         _decompress_messages(messages)
         messages.sort()
     except OSError as error:
-        raise BagError(f"{error.filename or path}: cannot be read: {error.strerror}") from None
+        prefix = "cannot be read: " if error.errno else ""  # else the reason is ours
+        raise BagError(f"{error.filename or path}: {prefix}{error.strerror}") from None
     except (zstandard.ZstdError, OverflowError, MemoryError) as error:
         raise BagError(f"{path}: damaged: {one_line(error)}") from None
     messages.metadata.update(custom)
