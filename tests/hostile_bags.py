@@ -1,26 +1,33 @@
-"""Files made to harm whoever reads them: each function writes one and returns the arguments.
+"""Files made to harm whoever reads them; ``hostile_bags.py DIRECTORY NAME...`` tries the command.
 
-Every one takes an empty directory and returns what stands after ``armimp``. What must stay as it
-was is in ``witness`` beside the directory. All but the links are below 10 MB.
+Every function takes an empty directory and returns what stands after ``armimp``. What must stay as
+it was is in ``witness`` beside the directory. All but the links are below 10 MB.
 """
 
 from __future__ import annotations
 
+import json
 import os
+import resource
+import signal
 import sqlite3
 import struct
+import sys
+import time
+import traceback
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import Final, TypeAlias
+from typing import Final, NoReturn, TypeAlias
 
 import lz4.frame
 import numpy as np
 import yaml
 import zstandard
 
+from armimp_bringup.cli import program
 from armimp_common import contract
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
@@ -771,3 +778,81 @@ def config_whose_name_is_not_text(directory: Path) -> Arguments:
     file = directory / os.fsdecode(b"\xff.yaml")
     file.write_text("mode: nonsense")
     return "run", "--config", str(file), "--out", str(directory / "out")
+
+
+# --- trying them ------------------------------------------------------------------------------
+
+_KILLED_AFTER: Final = 60.0
+_ADDRESS_SPACE: Final = 8 << 30
+"""Bytes, so that what fails does not take the machine with it."""
+
+
+def forked(work: Callable[[], object], said: Path) -> tuple[int, resource.struct_rusage]:
+    """Run something in a process of its own with its output in a file; status and usage.
+
+    A fork has everything imported already, and its memory counts from nothing.
+    """
+    pid = os.fork()
+    if not pid:
+        try:
+            os.setsid()
+            limits = (_ADDRESS_SPACE, _ADDRESS_SPACE)
+            resource.setrlimit(resource.RLIMIT_AS, limits)
+            nothing = os.open(os.devnull, os.O_RDWR)
+            text_file = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            for number, file in enumerate((nothing, nothing, text_file)):
+                os.dup2(file, number)
+            work()
+            os._exit(0)
+        except BaseException:
+            traceback.print_exc()
+            sys.stderr.flush()
+            os._exit(99)
+    end = time.monotonic() + _KILLED_AFTER
+    while True:
+        found, status, usage = os.wait4(pid, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status), usage
+        if time.monotonic() > end:
+            os.killpg(pid, signal.SIGKILL)
+        time.sleep(0.02)
+
+
+def tried(name: str, directory: Path) -> dict[str, object]:
+    """Let the command read the file of an attack in an empty directory, and measure."""
+    inside = directory / "inside"
+    inside.mkdir(parents=True)
+    (directory / WITNESS).mkdir()
+    (directory / WITNESS / "canary").write_bytes(b"ten years of work")
+    arguments, said = directory / "arguments", directory / "err"
+
+    def make() -> None:
+        arguments.write_text(json.dumps(ATTACKS[name](inside)))
+
+    def read() -> NoReturn:
+        os.chdir(directory)
+        sys.argv = ["armimp", *json.loads(arguments.read_text())]
+        program()
+
+    status, _ = forked(make, said)
+    if status:
+        raise RuntimeError(f"{name}: {said.read_text()}")
+    status, usage = forked(read, said)
+    return {
+        "name": name,
+        "status": status,
+        "err": said.read_bytes().decode(errors="replace")[-20_000:],
+        "seconds": usage.ru_utime + usage.ru_stime,
+        "memory": usage.ru_maxrss * 1024.0,
+        "untouched": (directory / WITNESS / "canary").read_bytes() == b"ten years of work"
+        if (directory / WITNESS / "canary").is_file()
+        else False,
+    }
+
+
+if __name__ == "__main__":
+    # What the command imports when it is needed, once for all of them.
+
+    for one in sys.argv[2:]:
+        outcome = tried(one, Path(sys.argv[1]) / one.replace(" ", "_"))
+        print(json.dumps(outcome), flush=True)
