@@ -6,6 +6,7 @@ it was is in ``witness`` beside the directory. All but the links are below 10 MB
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import resource
@@ -804,7 +805,7 @@ def forked(work: Callable[[], object], said: Path) -> tuple[int, resource.struct
                 os.dup2(file, number)
             work()
             os._exit(0)
-        except BaseException:
+        except BaseException:  # noqa: BLE001 (all that would end the interpreter)
             traceback.print_exc()
             sys.stderr.flush()
             os._exit(99)
@@ -852,6 +853,8 @@ def tried(name: str, directory: Path) -> dict[str, object]:
 
 if __name__ == "__main__":
     # What the command imports when it is needed, once for all of them.
+    for module in ("display", "offline_estimate", "orchestrator", "presentation"):
+        importlib.import_module(f"armimp_bringup.{module}")
 
     for one in sys.argv[2:]:
         outcome = tried(one, Path(sys.argv[1]) / one.replace(" ", "_"))
