@@ -18,6 +18,8 @@ from armimp_common.fault_figures import Figures
 _MOST_MEMORY: Final = 1.5e9
 _MOST_TIME: Final = 30.0
 _LONGEST_LINE: Final = 1300
+NAMED: Final = ("/dev/zero", "parameter '", "not valid: ")
+"""What a line may name in the place of the file: a device, a parameter, a verdict."""
 PROGRAM: Final = Path(__file__).resolve().parent / "hostile_bags.py"
 
 
@@ -54,10 +56,7 @@ def faults_of(outcome: dict[str, Any], directory: Path) -> list[str]:
         (any(not line.startswith("armimp: ") for line in complaints), "no line of ours"),
         (any(len(line) > _LONGEST_LINE for line in complaints), "a line beyond reading"),
         (
-            not all(
-                any(name in line for name in (str(directory), "/dev/zero", "arm_sim: "))
-                for line in complaints
-            ),
+            not all(any(name in line for name in (str(directory), *NAMED)) for line in complaints),
             "file not named",
         ),
         (outcome["seconds"] > _MOST_TIME, f"{outcome['seconds']:.0f} s"),
