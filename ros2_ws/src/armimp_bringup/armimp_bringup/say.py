@@ -14,5 +14,5 @@ def say(line: str) -> None:
         for letter in line
     )
     if len(shown) > _LONGEST:
-        shown = f"{shown[:_LONGEST]} ..."
+        shown = f"{shown[: _LONGEST // 2]} ... {shown[-_LONGEST // 2 :]}"
     print(shown, file=sys.stderr)
