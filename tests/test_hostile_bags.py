@@ -2,44 +2,31 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any, Final
 
 import pytest
 
-from armimp_common.fault_figures import Figures
+from support.fault_figures import Figures
+from support.hostile_bags import ATTACKS, QUICK
 
 _MOST_MEMORY: Final = 1.5e9
 _MOST_TIME: Final = 30.0
 _LONGEST_LINE: Final = 1300
 NAMED: Final = ("/dev/zero", "parameter '", "not valid: ")
 """What a line may name in the place of the file: a device, a parameter, a verdict."""
-PROGRAM: Final = Path(__file__).resolve().parent / "hostile_bags.py"
-
-
-def _hostile() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("hostile_bags", PROGRAM)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-HOSTILE: Final = _hostile()
-REST: Final = sorted(set(HOSTILE.ATTACKS) - set(HOSTILE.QUICK))
+REST: Final = sorted(set(ATTACKS) - set(QUICK))
 
 
 def outcomes(names: Sequence[str], directory: Path) -> Iterator[dict[str, Any]]:
     """What the command made of the files of these attacks, all from one process."""
-    command = [sys.executable, str(PROGRAM), str(directory), *names]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+    command = [sys.executable, "-m", "support.hostile_bags", str(directory), *names]
+    here = Path(__file__).resolve().parent
+    with subprocess.Popen(command, cwd=here, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         yield from map(json.loads, process.stdout)
     assert process.returncode == 0
@@ -85,10 +72,10 @@ def withstood(names: Sequence[str], directory: Path, figures: Figures) -> None:
 def test_a_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(
     tmp_path: Path, figures: Figures
 ) -> None:
-    withstood(HOSTILE.QUICK, tmp_path, figures)
+    withstood(QUICK, tmp_path, figures)
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_every_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(
     tmp_path: Path, figures: Figures

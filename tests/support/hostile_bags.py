@@ -1,4 +1,4 @@
-"""Files made to harm whoever reads them; ``hostile_bags.py DIRECTORY NAME...`` tries the command.
+"""Files made to harm whoever reads them; ``python -m`` tries the command.
 
 Every function takes an empty directory and returns what stands after ``armimp``. What must stay as
 it was is in ``witness`` beside the directory. All but the links are below 10 MB.
@@ -36,7 +36,7 @@ from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags.mcap_file import LIBRARY, MAGIC
 from armimp_estimation.bags.metadata import BagSummary, bag_information, dump
 from armimp_estimation.bags.statuses import encode_trial_status
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
 
 Arguments: TypeAlias = tuple[str, ...]
 Attack: TypeAlias = Callable[[Path], Arguments]
