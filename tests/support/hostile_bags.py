@@ -796,7 +796,7 @@ def config_whose_name_is_not_text(directory: Path) -> Arguments:
 
 # --- trying them ------------------------------------------------------------------------------
 
-_KILLED_AFTER: Final = 60.0
+_KILLED_AFTER: Final = 240.0
 _ADDRESS_SPACE: Final = 8 << 30
 """Bytes, so that what fails does not take the machine with it."""
 
