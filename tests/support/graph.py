@@ -6,12 +6,14 @@ A ``conftest.py`` takes the fixtures over by importing them.
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from pydantic import BaseModel
 from rclpy.context import Context
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
@@ -35,6 +37,9 @@ PATIENCE = 30.0
 
 MOMENT = 0.2
 """How long to wait for what must not happen (s)."""
+
+CLOCK_STEPS = (-600.0, -20.0, 3600.0)
+"""By how much somebody sets the clock (s)."""
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -119,6 +124,17 @@ def overrides(model: BaseModel, changes: Mapping[str, Value] | None = None) -> l
     """
     values = {**flatten(model), **(changes or {})}
     return [Parameter(name, value=value) for name, value in values.items()]
+
+
+def set_clock(node: Node, step: float) -> None:
+    """Set the clock of a node forward (s), or back, and have it stand still from then on.
+
+    That is what a step of the wall clock looks like to a timer, without one.
+    """
+    clock: Any = node.get_clock()
+    now = clock.now()
+    clock._set_ros_time_is_active(True)
+    clock.set_ros_time_override(now + Duration(nanoseconds=round(step * contract.NS_PER_S)))
 
 
 class ScriptedDriver:

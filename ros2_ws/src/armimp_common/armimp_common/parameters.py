@@ -18,6 +18,7 @@ from armimp_common import schema
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Leaf, Schema, build, leaves, to_params_yaml
 from armimp_common.schema import flatten as to_ros_parameters
+from armimp_common.steady import refuse_simulated_time
 
 __all__ = [
     "Schema",
@@ -68,10 +69,11 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
     Raises
     ------
     ConfigurationError
-        If a value from outside has no such parameter (misspelt, or meant for another node: do
-        not put parameters of one node under ``/**``), has a wrong type, or is refused by the
-        schema. Integers may stand for doubles.
+        If ``use_sim_time`` is true; or if a value from outside has no such parameter (misspelt, or
+        meant for another node: do not put parameters of one node under ``/**``), has a wrong type,
+        or is refused by the schema. Integers may stand for doubles.
     """
+    refuse_simulated_time(node)
     known = leaves(model)
     # rclpy ignores overrides without a parameter, and has no public list of them.
     overrides: dict[str, Parameter] = node._parameter_overrides

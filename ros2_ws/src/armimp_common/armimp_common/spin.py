@@ -28,6 +28,7 @@ from rclpy.utilities import remove_ros_args
 
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.lifeline import follow_lifeline
+from armimp_common.steady import refuse_simulated_time, steady_timer
 from armimp_common.transports import avoid_shared_memory
 
 if TYPE_CHECKING:
@@ -75,7 +76,14 @@ class Spinner:
             self.add_node(node)
 
     def add_node(self, node: Node) -> None:
-        """Execute the callbacks of this node too."""
+        """Execute the callbacks of this node too.
+
+        Raises
+        ------
+        ConfigurationError
+            If it was started with ``use_sim_time``, which is refused from now on, too.
+        """
+        refuse_simulated_time(node)
         self.executor.add_node(node)
         self._nodes.append(node)
         self._keep_time()
@@ -127,7 +135,7 @@ class Spinner:
     def _keep_time(self) -> None:
         """Have the timer that ends a spin at its deadline on the first node there is."""
         if self._timer is None and self._nodes:
-            self._timer = self._nodes[0].create_timer(_RESOLUTION, self._on_timer)
+            self._timer = steady_timer(self._nodes[0], _RESOLUTION, self._on_timer)
 
     def _on_timer(self) -> None:
         if time.monotonic() >= self._deadline and not self._gate.done():

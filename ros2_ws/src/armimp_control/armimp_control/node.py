@@ -34,6 +34,7 @@ from armimp_common.lifecycle import reported
 from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_common.urgency import Urgency
 from armimp_control.experiment import Experiment
@@ -113,8 +114,8 @@ class ImbicControllerNode(LifecycleNode):
             on_malformed=self._on_malformed,
         )
         period = _WATCHDOG_PERIODS[parameters.mode]
-        self._timer = self.create_timer(period, self._on_watchdog, autostart=False)
-        self._ramp = self.create_timer(PERIOD, self._on_watchdog, autostart=False)
+        self._timer = steady_timer(self, period, self._on_watchdog, autostart=False)
+        self._ramp = steady_timer(self, PERIOD, self._on_watchdog, autostart=False)
         return TransitionCallbackReturn.SUCCESS
 
     @reported

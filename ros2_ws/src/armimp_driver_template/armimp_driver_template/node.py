@@ -25,6 +25,7 @@ from armimp_common.parameters import load
 from armimp_common.protection import Protection
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.urgency import wake_up_exactly
 from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Device, Frame
@@ -72,8 +73,8 @@ class ExoDriver(RigNode[Protection]):
         self._backlog = Backlog()
         self.own(
             self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED),
-            self.create_timer(_REPORT_PERIOD, self.report),
-            self.create_timer(_LOOK_PERIOD, self.report_news),
+            steady_timer(self, _REPORT_PERIOD, self.report),
+            steady_timer(self, _LOOK_PERIOD, self.report_news),
         )
         return TransitionCallbackReturn.SUCCESS
 

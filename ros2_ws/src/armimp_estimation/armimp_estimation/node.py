@@ -34,6 +34,7 @@ from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load
 from armimp_common.polled_subscription import PolledSubscription, PollingNode, take_all
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
@@ -98,7 +99,7 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             topic: PolledSubscription(self, topic, _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]])
             for topic in FETCHED
         }
-        self._late = self.create_timer(_LATE_PERIOD, self._on_late, autostart=False)
+        self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
         self._inbox = Inbox(
             {topic: stream.take for topic, stream in fetched.items()},
             self._on_samples,
@@ -119,8 +120,8 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             )
             for topic, kind in _RECORDED_BESIDE.items()
         ]
-        self._timer = self.create_timer(
-            self._settings.progress_period, self._on_timer, autostart=False
+        self._timer = steady_timer(
+            self, self._settings.progress_period, self._on_timer, autostart=False
         )
         return TransitionCallbackReturn.SUCCESS
 

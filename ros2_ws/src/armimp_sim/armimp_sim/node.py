@@ -19,6 +19,7 @@ from armimp_common.pacing import Pacer
 from armimp_common.parameters import load
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.urgency import Urgency
 from armimp_sim.backlog import Backlog
 from armimp_sim.paced import PacedRig
@@ -61,9 +62,9 @@ class ArmSimNode(RigNode[SimulatedRig]):
             self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
         )
         self.own(self._clock_publisher.publisher, received.subscription)
-        self.own(self.create_timer(_FAULT_PERIOD, self._on_fault_timer))
+        self.own(steady_timer(self, _FAULT_PERIOD, self._on_fault_timer))
         if parameters.mode == "realtime":
-            self.own(self.create_timer(_LOOK_PERIOD, self._on_look_timer))
+            self.own(steady_timer(self, _LOOK_PERIOD, self._on_look_timer))
         return TransitionCallbackReturn.SUCCESS
 
     @reported
