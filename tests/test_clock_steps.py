@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -42,8 +44,10 @@ from armimp_sim.node import ArmSimNode
 
 pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("environment")]
 stepped = pytest.mark.parametrize("step", CLOCK_STEPS)
-LIMIT = 0.2
-"""Within which the others are safe (s), as for a process that was killed."""
+PATIENCE = 100
+"""Periods until watchdogs take the torque away, so that no stall of a busy machine wakes them."""
+LIMIT = PATIENCE * 1e-3 + 0.05 + 0.2
+"""After that, the longest ramp, and the time that others have to be safe, torque must be zero (s)."""
 SHORT: dict[str, Any] = {"joints": 1, "imbic_controller": {"sequence.duration": 2.0}}
 Popen = subprocess.Popen
 
@@ -84,18 +88,16 @@ def assert_same(finished: FinishedRun, untouched: FinishedRun) -> None:
 def test_when_clocks_of_nodes_are_set_in_a_trial_expect_the_same_bits(
     untouched: FinishedRun, nodes: list[Node], tmp_path: Path, step: float
 ) -> None:
-    set_at: list[Phase] = []
+    names: set[str] = set()
 
     def on_phase(phase: Phase) -> None:
         if phase is Phase.PERTURB:
-            set_at.append(phase)
             for node in nodes:
+                names.add(node.get_name())
                 set_clock(node, step)
 
     finished = run(tmp_path / "out", on_phase=on_phase)
 
-    assert set_at == [Phase.PERTURB]
-    names = {node.get_name() for node in nodes}
     assert names == {SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE, SUPERVISOR_NODE}
     assert_same(finished, untouched)
 
@@ -119,7 +121,7 @@ def test_a_node_that_is_started_with_simulated_time_ends_with_one_line(
     assert line.startswith("node: parameter 'use_sim_time' cannot be true: watchdogs and ramps")
 
 
-# The attack itself: clocks of whole processes, set by libfaketime (Debian package libfaketime).
+# The attack itself: clocks of whole processes are set, as far as these can see.
 
 
 class WallClock:
@@ -127,26 +129,32 @@ class WallClock:
 
     def __init__(self, library: Path, file: Path) -> None:
         self._file = file
-        self.set(0.0)
-        self.variables = {
-            "LD_PRELOAD": str(library),
-            "DONT_FAKE_MONOTONIC": "1",
-            "FAKETIME_NO_CACHE": "1",
-            "FAKETIME_TIMESTAMP_FILE": str(file),
-        }
+        file.write_bytes(struct.pack("q", 0))
+        self.variables = {"LD_PRELOAD": str(library), "WALL_CLOCK": str(file)}
 
     def set(self, step: float) -> None:
         """Set it forward (s) of what it really is, or back."""
-        new = self._file.with_suffix(".new")
-        new.write_text(f"{step:+g}\n")
-        new.replace(self._file)
+        with self._file.open("r+b") as file:
+            file.write(struct.pack("q", round(step)))
 
 
 @pytest.fixture
 def wall_clock(tmp_path: Path) -> WallClock:
-    for library in Path("/usr/lib").glob("*/faketime/libfaketimeMT.so.1"):
-        return WallClock(library, tmp_path / "clock")
-    pytest.skip("there is no libfaketime to set clocks with (apt-get install libfaketime)")
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("there is no C compiler to make a wall clock with that can be set")
+    library = tmp_path / "wall_clock.so"
+    source = Path(__file__).with_name("wall_clock.c")
+    command = [compiler, "-shared", "-fPIC", "-o", str(library), str(source), "-ldl"]
+    subprocess.run(command, check=True)
+    clock = WallClock(library, tmp_path / "clock")
+    clock.set(-600.0)
+    look = [sys.executable, "-c", "import time; print(time.time())"]
+    environment = {**os.environ, **clock.variables}
+    told = subprocess.run(look, env=environment, capture_output=True, text=True, check=True)
+    assert time.time() - float(told.stdout) > 590.0
+    clock.set(0.0)
+    return clock
 
 
 @pytest.fixture
@@ -164,13 +172,16 @@ def give_to(
     """Gives the clock to one of the nodes, where each has a process."""
 
     def give(victim: str) -> None:
-        def popen(command: list[str], env: dict[str, str], **options: Any) -> Any:
-            (name,) = (name for name, module in graph.MODULES.items() if module[0] in command)
-            env = {**env, **wall_clock.variables} if name == victim else env
-            processes[name] = Popen(command, env=env, **options)
-            return processes[name]
+        def popen_node(command: list[str], **options: Any) -> Any:
+            for name, (module,) in graph.MODULES.items():
+                if module in command:
+                    if name == victim:
+                        options["env"] = {**options["env"], **wall_clock.variables}
+                    processes[name] = Popen(command, **options)
+                    return processes[name]
+            return Popen(command, **options)
 
-        monkeypatch.setattr(subprocess, "Popen", popen)
+        monkeypatch.setattr(subprocess, "Popen", popen_node)
 
     return give
 
@@ -253,18 +264,18 @@ def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in
             heard.append(CommandSubscription(nodes[0], COMMANDS, 1, on_command))
             threading.Thread(target=attack).start()
 
-    patient = {"sequence.duration": 5.0, "safety.watchdog_ticks": 20}
+    patient = {"sequence.duration": 5.0, "safety.watchdog_ticks": PATIENCE}
     finished = run(
         tmp_path / "out",
         mode="realtime",
         imbic_controller=patient,
-        arm_sim={"watchdog_ticks": 100},
+        arm_sim={"watchdog_ticks": PATIENCE},
         on_progress=on_progress,
     )
 
     assert not finished.summary.valid
-    assert torques
-    assert silent
+    assert silent, finished.summary.problems
+    assert torques, finished.summary.problems
     last = torques[-1] - silent[0]
     figures.add(f"clock of {victim} set, then the rig silent", last_torque=(1e3 * last, "ms"))
     assert last < LIMIT
