@@ -47,7 +47,7 @@ stepped = pytest.mark.parametrize("step", CLOCK_STEPS)
 PATIENCE = 100
 """Periods until watchdogs take the torque away, so that no stall of a busy machine wakes them."""
 LIMIT = PATIENCE * 1e-3 + 0.05 + 0.2
-"""After that, the longest ramp, and the time that others have to be safe, torque must be zero (s)."""
+"""After that, the longest ramp and the time that others have to be safe, torque is zero (s)."""
 SHORT: dict[str, Any] = {"joints": 1, "imbic_controller": {"sequence.duration": 2.0}}
 Popen = subprocess.Popen
 
