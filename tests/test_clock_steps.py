@@ -22,7 +22,6 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.ping_pong import PingNode
 from armimp_bringup.supervisor import Progress
-from support.runs import FinishedRun
 from armimp_common.channels import CommandSubscription
 from armimp_common.contract import (
     COMMANDS,
@@ -31,9 +30,7 @@ from armimp_common.contract import (
     SIM_NODE,
     SUPERVISOR_NODE,
 )
-from armimp_common.fault_figures import Figures
 from armimp_common.spin import Spinner, run_node
-from armimp_common.testing import CLOCK_STEPS, set_clock
 from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_driver_template.node import ExoDriver
@@ -41,6 +38,9 @@ from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.results import read_summary
 from armimp_ros2_control.node import Ros2ControlBridge
 from armimp_sim.node import ArmSimNode
+from support.fault_figures import Figures
+from support.graph import CLOCK_STEPS, set_clock
+from support.runs import FinishedRun
 
 pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("environment")]
 stepped = pytest.mark.parametrize("step", CLOCK_STEPS)
@@ -186,7 +186,7 @@ def give_to(
     return give
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", [SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE])
 @stepped
 def test_when_the_clock_of_one_process_is_set_in_lockstep_expect_the_same_bits(
@@ -206,7 +206,7 @@ def test_when_the_clock_of_one_process_is_set_in_lockstep_expect_the_same_bits(
     assert_same(finished, untouched)
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.parametrize("arrangement", ["composed", "separate"])
 @stepped
 def test_when_the_clock_of_the_whole_run_is_set_expect_the_same_bits(
@@ -226,7 +226,7 @@ def test_when_the_clock_of_the_whole_run_is_set_expect_the_same_bits(
     assert_same(finished, untouched)
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", [CONTROLLER_NODE, SUPERVISOR_NODE])
 @stepped
 def test_when_the_rig_falls_silent_after_the_clock_was_set_expect_zero_torque_in_time(

@@ -29,7 +29,6 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.replay import replay_bags
 from armimp_bringup.supervisor import Progress
-from support.runs import FinishedRun
 from armimp_common.contract import (
     CONTROLLER_NODE,
     DATA_STREAMS,
@@ -48,6 +47,7 @@ from armimp_estimation.results import Summary, read_summary
 from armimp_estimation.timing import TimingRecord
 from armimp_sim.paced import PacedRig
 from armimp_sim.rig import SimulatedRig
+from support.runs import FinishedRun
 
 SECONDS = 3.0
 PATIENCE = 100

@@ -4,6 +4,7 @@ import ast
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from rclpy.clock_type import ClockType
@@ -141,7 +142,8 @@ def test_when_simulated_time_is_set_later_expect_a_refusal_and_the_clock_as_it_w
         assert "cannot be true: watchdogs" in setting.reason
     assert node.get_parameter("use_sim_time").value is False
     assert node.get_parameter("gain").value == 1.0
-    assert not node.get_clock().ros_time_is_active
+    clock: Any = node.get_clock()
+    assert not clock.ros_time_is_active
     assert node.set_parameters([Parameter("use_sim_time", value=False)])[0].successful
 
 
