@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -31,6 +32,7 @@ from support.browser import Browser
 from support.fault_figures import figures, pytest_terminal_summary
 from support.graph import context, domain_id, interruptible, node
 from support.runs import FinishedRun, Run
+from support.stalls import StallWitness
 
 __all__ = ["context", "domain_id", "figures", "interruptible", "node", "pytest_terminal_summary"]
 
@@ -114,6 +116,13 @@ def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
     with DomainClaim() as claim:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
         return claim.domain_id
+
+
+@pytest.fixture
+def witness(tmp_path: Path) -> Iterator[StallWitness]:
+    """Measures stalls of the machine during the test."""
+    with StallWitness(tmp_path / "stalls") as witness:
+        yield witness
 
 
 @pytest.fixture

@@ -27,6 +27,7 @@ from armimp_estimation.bags import read_bag
 from armimp_sim.node import ArmSimNode
 from support.graph import PATIENCE
 from support.runs import FinishedRun
+from support.stalls import StallWitness
 
 TESTS = Path(__file__).resolve().parent
 JOINTS = ("shoulder", "elbow")
@@ -36,6 +37,8 @@ DEFECTIVE = str(TESTS / "defective_driver.py")
 Start: TypeAlias = Callable[..., None]
 Host: TypeAlias = Start
 Check = Callable[..., dict[str, Finding]]
+STALL = 0.005
+"""What the watchdog of a driver in real time does not bear (s)."""
 
 
 def but_for_pace(names: list[str]) -> list[str]:
@@ -74,7 +77,9 @@ def test_simulator_and_template_pass_every_check_that_lockstep_allows(
 
 @pytest.mark.slow
 @pytest.mark.alone
-def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, check: Check) -> None:
+def test_in_real_time_all_but_the_pace_of_the_template_passes(
+    start: Start, check: Check, witness: StallWitness
+) -> None:
     start(TEMPLATE, "-p", "mode:=realtime")
 
     for _ in range(4):
@@ -83,7 +88,8 @@ def test_in_real_time_all_but_the_pace_of_the_template_passes(start: Start, chec
         if not but_for_pace(open_questions(findings.values())):
             break
     else:
-        pytest.skip("the machine is too busy: commands were held up in each of four checks")
+        if witness.longest > STALL:
+            pytest.skip(f"the machine stood still for {1e3 * witness.longest:.0f} ms")
 
     assert but_for_pace(names(findings)) == []
     for name in ("stale commands", "stale commands: latched", "emergency stop", "torque: delay"):
