@@ -21,15 +21,18 @@ from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandSubscription, JointStatePublisher
+from armimp_common.channels import CommandSubscription, JointStatePublisher, publisher_count
 from armimp_common.diagnostics import Level, make_array, make_status, timing_status
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TimingFigures
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard
+from armimp_common.protection import CommandSequence
 
 _STOPPED = "emergency stop"
+_LOOK_PERIOD = 0.02
+"""How often it is looked whether something has happened (s)."""
 
 
 class Gate(Protocol):
@@ -92,6 +95,7 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
         self.active = self._stopped = False
         self.gate: GateT | None = None
         self._owned: list[Publisher | Subscription | Timer] = []
+        self._sequence = CommandSequence()
         self._sign = SignOfLife(self, contract.SIM_NODE)
         self.controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
         self.create_service(Trigger, contract.SIM_STOP_SERVICE, self._on_stop)
@@ -116,10 +120,15 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
             DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
         )
         self.commands = CommandSubscription(
-            self, contract.COMMANDS, len(joints), on_command, on_malformed=on_malformed
+            self,
+            contract.COMMANDS,
+            len(joints),
+            on_command,
+            on_number=self._on_number,
+            on_malformed=on_malformed,
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
-        self.own(self.commands.subscription)
+        self.own(self.commands.subscription, self.create_timer(_LOOK_PERIOD, self.look))
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Have these destroyed when the node is cleaned up."""
@@ -161,6 +170,40 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
     def timing(self) -> TimingFigures | None:
         """Timing for reports, in real time."""
         return None
+
+    # One command for one sample, from one publisher.
+
+    def look(self) -> None:
+        """See whether somebody else commands, and tell what is new; called every 20 ms."""
+        if self.active:
+            publishers = publisher_count(self, self.commands.subscription)
+            if publishers > 1:
+                self.accuse(f"{publishers} publishers")
+            elif not publishers:
+                self._sequence.restart()
+        self.report_news()
+
+    def accuse(self, reason: str) -> None:
+        """Latch a fault of whoever commands, with the names of all who do."""
+        gate = self.gate
+        if gate is None or gate.fault:
+            return
+        when = self.stamp_ns() / contract.NS_PER_S
+        told = f"{contract.COMMANDS}: {reason} at {when:.3f} s"
+        self.latch(told)
+        # Torque first, names afterwards: the middleware takes its time to look them up.
+        found = self.get_publishers_info_by_topic(self.commands.subscription.topic_name)
+        names = sorted(f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found)
+        with self.alone:
+            if gate.fault == told:
+                gate.fault += f"; published by {', '.join(names) or 'nobody any more'}"
+        self.report_news()
+
+    def _on_number(self, number: int) -> None:
+        if not self.active:
+            self._sequence.restart()
+        elif reason := self._sequence.check(number):
+            self.accuse(reason)
 
     # Faults: one latch for all of them.
 
@@ -217,6 +260,7 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
             response.success, response.message = False, str(error)
             return response
         self._stopped = False
+        self._sequence.restart()
         self.report()
         response.success, response.message = True, "commands are obeyed"
         return response

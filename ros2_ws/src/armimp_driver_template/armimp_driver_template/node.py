@@ -36,8 +36,8 @@ from armimp_sim.backlog import Backlog
 _FRAME_TIMEOUT, _PATIENCE = 0.002, 0.1
 """How long a frame is waited for (s): two periods on a bus, longer where commands set the pace."""
 _LOST_FRAMES = 5
-_REPORT_PERIOD, _LOOK_PERIOD = 1.0, 0.02
-"""How often it is reported how things are, and looked whether something has happened (s)."""
+_REPORT_PERIOD = 1.0
+"""How often it is reported how things are (s)."""
 
 
 def make_device(parameters: DriverParameters) -> Device:
@@ -74,7 +74,6 @@ class ExoDriver(RigNode[Protection]):
         self.own(
             self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED),
             steady_timer(self, _REPORT_PERIOD, self.report),
-            steady_timer(self, _LOOK_PERIOD, self.report_news),
         )
         return TransitionCallbackReturn.SUCCESS
 
