@@ -128,7 +128,7 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
             on_malformed=on_malformed,
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
-        self.own(self.commands.subscription, self.create_timer(_LOOK_PERIOD, self.look))
+        self.own(self.commands.subscription, steady_timer(self, _LOOK_PERIOD, self.look))
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Have these destroyed when the node is cleaned up."""

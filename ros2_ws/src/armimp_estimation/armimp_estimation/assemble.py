@@ -224,7 +224,10 @@ def assemble_trial(
         # A command acts until the next sample, which is the first to show it.
         usable[first : last + 2] = False
     runs = _runs(usable)
-    counts[contract.COMMANDS] = _count_commands(streams, kept[contract.PERTURBATION], span)
+    counts[contract.COMMANDS], wrong = _count_commands(streams, kept[contract.PERTURBATION], span)
+    problems = problems.and_commands(
+        wrong, counts[contract.COMMANDS], cut=not window.ended or bool(window.fault)
+    )
     ledger = SampleLedger(
         streams={topic: counts[topic] for topic in contract.DATA_STREAMS if topic in counts},
         clipped=window.clipped,
@@ -279,11 +282,28 @@ def _span(window: TrialWindow, kept: Mapping[str, KeptStream]) -> int:
     return span
 
 
-def _count_commands(streams: TrialStreams, perturbation: KeptStream, span: int) -> StreamCount:
-    """Count commands by their ordinal number, as every one goes with one perturbation."""
-    before = int((streams.stamped[contract.PERTURBATION].stamps < perturbation.start_ns).sum())
+def _count_commands(
+    streams: TrialStreams, perturbation: KeptStream, span: int
+) -> tuple[StreamCount, int]:
+    """Count commands by their place, as every one goes with one perturbation.
+
+    Returns
+    -------
+    StreamCount
+    int
+        Those that nobody asked for: that do not follow the one before by their numbers or, where
+        they have none, that are more than perturbations in the whole recording.
+    """
+    stamps = streams.stamped[contract.PERTURBATION].stamps
+    before = int((stamps < perturbation.start_ns).sum())
     received = min(max(streams.commands - before, 0), span)
-    return StreamCount(expected=span, received=received, lost=span - received)
+    numbers = streams.command_numbers[before : before + span]
+    if numbers.any():
+        wrong = int((np.diff(numbers) != 1).sum())
+    else:
+        # A recording may end between the two messages of a tick.
+        wrong = max(streams.commands - stamps.size - 1, 0)
+    return StreamCount(expected=span, received=received, lost=span - received), wrong
 
 
 def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:

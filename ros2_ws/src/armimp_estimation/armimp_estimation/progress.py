@@ -22,7 +22,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialAccumulator
-from armimp_estimation.trial_streams import Stream, TrialStreams
+from armimp_estimation.trial_streams import Stream, TrialStreams, numbers_of
 
 _STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
@@ -165,6 +165,7 @@ class RunningTrial:
             },
             commands=taken[COMMANDS],
             command_values=values[COMMANDS],
+            command_numbers=numbers_of(messages[COMMANDS]),
         )
 
     def _take(self, messages: Messages) -> None:

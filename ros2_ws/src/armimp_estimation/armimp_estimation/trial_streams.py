@@ -1,14 +1,14 @@
 """The streams of a recording, decoded in the order in which their messages arrived."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common import contract
-from armimp_common.cdr import CommandDecoder, JointStateDecoder
+from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number
 from armimp_common.errors import DataError, MalformedMessageError
 
 
@@ -72,12 +72,15 @@ class TrialStreams:
     command_values : ndarray, shape (n, commands), or None
         Commands in order of arrival, N·m; None unless all can be decoded. They have no stamps, and
         are taken to be in the order of `joint_names`.
+    command_numbers : ndarray, shape (commands,)
+        The number that each of them carries, 0 for none.
     """
 
     joint_names: tuple[str, ...]
     stamped: Mapping[str, Stream]
     commands: int
     command_values: NDArray[np.float64] | None = None
+    command_numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 def decode_streams(
@@ -107,7 +110,13 @@ def decode_streams(
         },
         commands=len(commands),
         command_values=_decode_commands(len(joint_names), commands),
+        command_numbers=numbers_of(commands),
     )
+
+
+def numbers_of(commands: Sequence[bytes]) -> NDArray[np.int64]:
+    """Return the number that each command carries, 0 for none."""
+    return np.fromiter(map(command_number, commands), np.int64, len(commands))
 
 
 def _decode_commands(joints: int, messages: Sequence[bytes]) -> NDArray[np.float64] | None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from armimp_common import contract
 from armimp_common.cdr import JointStateEncoder
+from armimp_common.cdr import CommandEncoder
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase, TrialStatus
@@ -234,15 +235,38 @@ class TestLedger:
         assert segment.samples == TICKS - 1
         assert segment.start_ns == START + (PERIOD_NS if lost == 0 else 0)
 
-    def test_lost_command_is_counted_but_spoils_nothing(self) -> None:
+    def test_fewer_commands_than_samples_are_a_problem_that_gaps_may_heal(self) -> None:
         recording = synthetic_recording(ticks=TICKS)
         topics = recording.by_topic()
         del topics[contract.COMMANDS][7:9]
         trial = assemble(topics, statuses_of(recording))
         assert trial.ledger.streams[contract.COMMANDS].lost == 2
         assert trial.ledger.lost == 2
-        assert trial.ledger.clean
-        assert_part(trial.require(), recording.records[0], 0, TICKS)
+        assert (trial.problem, trial.fault) == ("2 commands fewer than samples", "")
+        assert_part(trial.intact(allow_gaps=True)[0], recording.records[0], 0, TICKS)
+
+    def test_more_commands_than_samples_are_a_problem_that_nothing_heals(self) -> None:
+        recording = synthetic_recording(ticks=TICKS)
+        topics = recording.by_topic()
+        topics[contract.COMMANDS][7:7] = topics[contract.COMMANDS][:3]
+        trial = assemble(topics, statuses_of(recording))
+        assert trial.fault == trial.problem
+        assert "of effort_controller/commands too many" in trial.fault
+        with pytest.raises(DataError, match="somebody else commanded"):
+            trial.intact(allow_gaps=True)
+
+    @pytest.mark.parametrize("number", [0, 1, 7, 8])
+    def test_a_numbered_command_of_somebody_else_is_found_though_as_many_are_left(
+        self, number: int
+    ) -> None:
+        recording = synthetic_recording(ticks=TICKS)
+        topics = recording.by_topic()
+        encode = CommandEncoder(len(recording.records[0].joint_names)).encode
+        commands = [encode((0.0, 0.0), one) for one in range(1, TICKS + 1)]
+        topics[contract.COMMANDS] = commands
+        assert not assemble(topics, statuses_of(recording)).problem
+        topics[contract.COMMANDS] = [*commands[:7], encode((0.0, 0.0), number), *commands[7:-1]]
+        assert "somebody else commanded" in assemble(topics, statuses_of(recording)).fault
 
     def test_malformed_messages_count_as_lost_and_are_named(self) -> None:
         topics = RECORDING.by_topic()
