@@ -89,6 +89,7 @@ def test_a_defect_that_shows_without_torque_is_named_and_nothing_else(
         ("Wraps", ["joint_states: jumps", "torque: motion"]),
         ("Strong", ["torque: motion"]),
         ("Moody", ["torque: no stop"]),
+        ("Gullible", ["second publisher: told"]),
         ("DeafStop", ["emergency stop", "emergency stop: told"]),
     ],
 )

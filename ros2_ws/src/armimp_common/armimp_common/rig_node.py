@@ -14,7 +14,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -25,7 +25,7 @@ from armimp_common.channels import CommandSubscription, JointStatePublisher, pub
 from armimp_common.diagnostics import Level, make_array, make_status, timing_status
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TimingFigures
-from armimp_common.lifecycle import reported
+from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard
 from armimp_common.protection import CommandSequence
@@ -68,7 +68,7 @@ class Gate(Protocol):
 GateT = TypeVar("GateT", bound=Gate)
 
 
-class RigNode(LifecycleNode, ABC, Generic[GateT]):
+class RigNode(ManagedNode, ABC, Generic[GateT]):
     """A lifecycle node in the place of the rig; subclasses say where torque goes.
 
     `on_configure` calls :meth:`open_gate`, `on_activate` sets `active` once commands are obeyed,
@@ -86,12 +86,11 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
     controller : watch over the one who commands
     joint_states, torque_sensors, commands, diagnostics : topics that every rig has, once configured
     told : the fault that was reported last
-    transition_error : why the last transition failed
     """
 
     def __init__(self, parameters: BaseModel, busy: str, **kwargs: Any) -> None:
         super().__init__(contract.SIM_NODE, **kwargs)
-        self.transition_error = self.told = ""
+        self.told = ""
         self.active = self._stopped = False
         self.gate: GateT | None = None
         self._owned: list[Publisher | Subscription | Timer] = []

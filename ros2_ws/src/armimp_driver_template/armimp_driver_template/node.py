@@ -21,7 +21,7 @@ from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TimingFigures, TimingLedger
 from armimp_common.lifecycle import reported
-from armimp_common.parameters import load
+from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
@@ -81,6 +81,7 @@ class ExoDriver(RigNode[Protection]):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the thread that listens to the device."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             publishers=[self.joint_states, self.torque_sensors],

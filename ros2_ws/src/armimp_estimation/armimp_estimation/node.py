@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -29,9 +29,9 @@ from armimp_common.errors import (
     MalformedMessageError,
 )
 from armimp_common.jitter import TIMING_NAME, TimingFigures
-from armimp_common.lifecycle import reported
+from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.liveliness import SignOfLife, Watch
-from armimp_common.parameters import declare, guard, load
+from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.polled_subscription import PolledSubscription, PollingNode, take_all
 from armimp_common.spin import run_node
 from armimp_common.steady import steady_timer
@@ -65,12 +65,11 @@ _MESSAGE_CLASSES = {
 _RECORDED_BESIDE = {contract.CLOCK: Clock, contract.DIAGNOSTICS: DiagnosticArray}
 
 
-class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
+class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     """Records every trial, estimates each as it ends, and the whole matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(contract.ESTIMATOR_NODE, **kwargs)
-        self.transition_error = ""
         self._active = False
         self._sign = SignOfLife(self, contract.ESTIMATOR_NODE)
         self._rig = Watch(self, contract.SIM_NODE, lambda _: None)
@@ -128,6 +127,7 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the streams, then record."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             subscriptions=[*self._streams, self._trial],
@@ -180,6 +180,8 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
         directory = self._settings.directory
         self._directory = Path(directory) if directory else None
         self._finished: list[FinishedTrial] = []
+        self._planned: dict[int, int] = {}
+        self._enough: set[int] = set()
         self._problems: list[str] = []
         self._ended = 0
         self._done_at = math.inf
@@ -229,6 +231,8 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
         if self._active:
             # First, so that in lockstep the judgement is there before the samples go on.
             if (judgement := self._recording.judge()) is not None:
+                if judgement.enough:
+                    self._enough.add(judgement.trial)
                 self._judgement.publish(judgement_message(judgement))
             self._acknowledged = samples
             self._received.publish(samples)
@@ -278,6 +282,9 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             return
         try:
             status = TrialStatus.from_values(values_of(message))
+            if reason := self._contradiction(status):
+                self._note(reason)
+                return
             healed = self._settings.allow_gaps and only_missed_samples(status)
             if status.reason and not healed:
                 self._note(f"trial {status.trial}: {status.reason}")
@@ -285,6 +292,9 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             if not self._active:
                 return
             self._recording.add_status(status)
+        except MalformedMessageError as error:
+            self._note(f"{contract.TRIAL}: {error}")
+            return
         except ArmimpError as error:
             self._give_up(str(error))
             return
@@ -295,6 +305,23 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             self._done_at = time.monotonic()
             if self._recording.status is None:
                 self._conclude()
+
+    def _contradiction(self, status: TrialStatus) -> str:
+        """What a status says that the one who leads through the trials can't; mostly nothing."""
+        planned = self._planned.setdefault(status.trial, status.ticks)
+        self._planned[status.trial] = min(planned, status.ticks)
+        if status.ticks > planned:
+            return (
+                f"{contract.TRIAL}: trial {status.trial} of {status.ticks} samples, not {planned}"
+            )
+        # Whoever only listens to a recording cannot know.
+        if status.ticks < planned and self._settings.record and status.trial not in self._enough:
+            self._planned[status.trial] = planned
+            return (
+                f"{contract.TRIAL}: trial {status.trial} ends after {status.ticks} samples,"
+                f" which nobody asked for, not {planned}"
+            )
+        return ""
 
     def _on_controller(self, controller: Watch) -> None:
         """Close the bag when the controller is lost: nobody else would say that it is over."""

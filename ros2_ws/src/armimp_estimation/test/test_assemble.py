@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common import contract
-from armimp_common.cdr import JointStateEncoder
-from armimp_common.cdr import CommandEncoder
+from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase, TrialStatus

@@ -15,7 +15,7 @@ from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, MalformedMessageError
 from armimp_common.jitter import TimingFigures, TimingLedger
 from armimp_common.lifecycle import reported
-from armimp_common.parameters import load
+from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
@@ -60,6 +60,7 @@ class Ros2ControlBridge(RigNode[Protection]):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to pass samples and commands on, once both sides are there."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             publishers=[self.joint_states, self.torque_sensors, self._efforts],

@@ -16,7 +16,7 @@ from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import Presence, Watch
 from armimp_common.pacing import Pacer
-from armimp_common.parameters import load
+from armimp_common.parameters import load, require_unchanged
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
 from armimp_common.steady import steady_timer
@@ -66,6 +66,7 @@ class ArmSimNode(RigNode[SimulatedRig]):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send the first sample, once somebody listens and commands."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             publishers=[self.joint_states, self.torque_sensors],

@@ -212,7 +212,10 @@ MALFORMED = {
     "rubbish": (b"\0\1\0\0rubbish", "malformed command"),
     "empty": (b"", "malformed command"),
     "NaN": (CommandEncoder(2).encode((1.0, math.nan), 11), "command of joint 2 is not finite: nan"),
-    "infinite": (CommandEncoder(2).encode((-math.inf, 0.0), 11), "command of joint 1 is not finite"),
+    "infinite": (
+        CommandEncoder(2).encode((-math.inf, 0.0), 11),
+        "command of joint 1 is not finite",
+    ),
 }
 
 

@@ -1,7 +1,7 @@
 """``std_msgs/msg/Float64MultiArray`` as the effort controller takes it: joint torques in order.
 
-Effort controllers ignore ``layout``. Its ``data_offset`` holds the number of the command, from 1 on,
-so that everybody can tell a command of another publisher, or one that is missing.
+Effort controllers ignore ``layout``. Its ``data_offset`` holds the number of the command, from 1
+on, so that everybody can tell a command of another publisher, or one that is missing.
 """
 
 import struct
