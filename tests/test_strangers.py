@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 import rclpy
+import yaml
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.node import Node
@@ -145,13 +146,14 @@ def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(
         def configure(self, name: str) -> None:
             if name == contract.SIM_NODE:
                 client = AsyncParameterClient(self._node, name)
-                future = client.set_parameters([Parameter("sensors.torque_gain", value=1.3)])
+                future = client.set_parameters([Parameter("sensors.torque_gain", value=[1.3, 1.3])])
                 assert self._spin_until(future, PATIENCE)
             super().configure(name)
 
     monkeypatch.setattr(orchestrator, "LifecycleManager", Disturbed)
     out = tmp_path / "out"
     summary = run_experiment(ExperimentConfig.model_validate(SHORT), out)
-    assert summary.problems[0] == "arm_sim: sensors.torque_gain is 1.3, not 1.0"
-    assert summary.trials == ()
-    assert "torque_gain: 1.3" in (out / PARAMETERS_FILE).read_text(encoding="utf-8")
+    assert summary.problems[0].startswith("arm_sim: sensors.torque_gain is [1.3, 1.3], not ")
+    assert not summary.trials
+    active = yaml.safe_load((out / PARAMETERS_FILE).read_text(encoding="utf-8"))
+    assert active["arm_sim"]["ros__parameters"]["sensors.torque_gain"] == [1.3, 1.3]

@@ -205,7 +205,12 @@ class ManagedNode(LifecycleNode):
         self, request: ChangeState.Request, response: ChangeState.Response
     ) -> ChangeState.Response:
         try:
-            return super()._LifecycleNodeMixin__on_change_state(request, response)
+            # Stubs know no private names; that of rclpy is this one since there is a mixin.
+            parent: Any = super()
+            answer: ChangeState.Response = parent._LifecycleNodeMixin__on_change_state(
+                request, response
+            )
+            return answer
         except RuntimeError as error:  # of rcl, which has made no transition then
             self.get_logger().error(f"transition {request.transition.id} is refused: {error}")
             response.success = False
