@@ -53,6 +53,7 @@ WITH_ROS = {
     "armimp_bringup.orchestrator",
     "armimp_bringup.ping_pong",
     "armimp_bringup.realtime_bench",
+    "armimp_bringup.remote_parameters",
     "armimp_bringup.replay",
     "armimp_bringup.supervisor",
 }

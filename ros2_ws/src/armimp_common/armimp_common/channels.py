@@ -242,7 +242,7 @@ class CommandSubscription(RawSubscription):
 
 
 class CountSubscription(RawSubscription):
-    """Subscription to counts; see `JointStateSubscription`."""
+    """Subscription to counts; one that cannot be decoded is logged and dropped."""
 
     def __init__(
         self,
@@ -250,16 +250,13 @@ class CountSubscription(RawSubscription):
         topic: str,
         callback: Callable[[int], None],
         *,
-        on_malformed: OnMalformed | None = None,
         profile: QoSProfile = qos.LATCHED,
     ) -> None:
         def on_message(data: bytes) -> None:
             try:
                 count = decode_count(data)
             except MalformedMessageError as error:
-                if on_malformed is None:
-                    raise
-                on_malformed(error)
+                node.get_logger().warning(f"{topic}: {error}")
             else:
                 callback(count)
 

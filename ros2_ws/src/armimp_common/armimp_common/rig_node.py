@@ -95,6 +95,8 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
         self.gate: GateT | None = None
         self._owned: list[Publisher | Subscription | Timer] = []
         self._sequence = CommandSequence()
+        self._accusation = ""
+        self._names: set[str] = set()
         self._sign = SignOfLife(self, contract.SIM_NODE)
         self.controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
         self.create_service(Trigger, contract.SIM_STOP_SERVICE, self._on_stop)
@@ -180,6 +182,8 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
                 self.accuse(f"{publishers} publishers")
             elif not publishers:
                 self._sequence.restart()
+        if self._accusation and self.gate is not None:
+            self._name_publishers(self.gate)
         self.report_news()
 
     def accuse(self, reason: str) -> None:
@@ -188,15 +192,26 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
         if gate is None or gate.fault:
             return
         when = self.stamp_ns() / contract.NS_PER_S
-        told = f"{contract.COMMANDS}: {reason} at {when:.3f} s"
-        self.latch(told)
-        # Torque first, names afterwards: the middleware takes its time to look them up.
-        found = self.get_publishers_info_by_topic(self.commands.subscription.topic_name)
-        names = sorted(f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found)
-        with self.alone:
-            if gate.fault == told:
-                gate.fault += f"; published by {', '.join(names) or 'nobody any more'}"
+        accusation = f"{contract.COMMANDS}: {reason} at {when:.3f} s; published by "
+        self.latch(accusation)
+        if gate.fault == accusation:
+            self._accusation = accusation
+            self._name_publishers(gate)
         self.report_news()
+
+    def _name_publishers(self, gate: GateT) -> None:
+        """Add who publishes to an accusation; torque has gone, and names may come later."""
+        topic = self.commands.subscription.topic_name
+        for one in self.get_publishers_info_by_topic(topic):
+            self._names.add(f"{one.node_namespace.rstrip('/')}/{one.node_name}")
+        with self.alone:
+            if self._accusation and gate.fault.startswith(self._accusation):
+                gate.fault = self._accusation + (
+                    ", ".join(sorted(self._names)) or "nobody any more"
+                )
+            else:
+                self._accusation = ""
+                self._names.clear()
 
     def _on_number(self, number: int) -> None:
         if not self.active:

@@ -74,9 +74,7 @@ class ImbicControllerNode(ManagedNode):
         self._diagnostics: Publisher | None = None
         self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
-        CountSubscription(
-            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
-        )
+        CountSubscription(self, contract.RECEIVED, self._on_received)
         self.create_subscription(
             DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
         )
@@ -301,9 +299,6 @@ class ImbicControllerNode(ManagedNode):
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
 
-    def _on_malformed_count(self, error: ArmimpError) -> None:
-        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
-
     def _on_judgement(self, message: DiagnosticStatus) -> None:
         """Hear from the estimator how good the trial is already."""
         experiment = self._experiment
@@ -312,8 +307,7 @@ class ImbicControllerNode(ManagedNode):
         if not self._settings.sequence.may_end_early:
             self.get_logger().warning(f"{contract.JUDGEMENT}: refused, as nobody asked for it")
             return
-        publishers = self.count_publishers(contract.JUDGEMENT)
-        if publishers > 1:
+        if (publishers := self.count_publishers(contract.JUDGEMENT)) > 1:
             self._take_away(f"{contract.JUDGEMENT} has {publishers} publishers")
             return
         try:

@@ -73,6 +73,7 @@ def start(
     made: list[ImbicControllerNode] = []
 
     def factory(changes: Mapping[str, Value] | None = None, **kwargs: Any) -> ImbicControllerNode:
+        changes = {"sequence.may_end_early": True, **(changes or {})}
         controller = ImbicControllerNode(
             context=context, parameter_overrides=overrides(PARAMETERS, changes), **kwargs
         )

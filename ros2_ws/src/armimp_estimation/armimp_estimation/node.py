@@ -51,7 +51,7 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.recording import Recording
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
 from armimp_estimation.trial import TrialData
-from armimp_estimation.trial_windows import only_missed_samples
+from armimp_estimation.trial_windows import AnnouncedTrials, only_missed_samples
 from armimp_estimation.welch import WelchSiso
 
 _LATE_PERIOD = 0.005
@@ -180,8 +180,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         directory = self._settings.directory
         self._directory = Path(directory) if directory else None
         self._finished: list[FinishedTrial] = []
-        self._planned: dict[int, int] = {}
-        self._enough: set[int] = set()
+        # Whoever only listens to a recording cannot know which trials may end early.
+        self._announced = AnnouncedTrials(strict=self._settings.record)
         self._problems: list[str] = []
         self._ended = 0
         self._done_at = math.inf
@@ -231,8 +231,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if self._active:
             # First, so that in lockstep the judgement is there before the samples go on.
             if (judgement := self._recording.judge()) is not None:
-                if judgement.enough:
-                    self._enough.add(judgement.trial)
+                self._announced.note(judgement)
                 self._judgement.publish(judgement_message(judgement))
             self._acknowledged = samples
             self._received.publish(samples)
@@ -282,8 +281,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             return
         try:
             status = TrialStatus.from_values(values_of(message))
-            if reason := self._contradiction(status):
-                self._note(reason)
+            if reason := self._announced.contradiction(status):
+                self._note(f"{contract.TRIAL}: {reason}")
                 return
             healed = self._settings.allow_gaps and only_missed_samples(status)
             if status.reason and not healed:
@@ -305,23 +304,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._done_at = time.monotonic()
             if self._recording.status is None:
                 self._conclude()
-
-    def _contradiction(self, status: TrialStatus) -> str:
-        """What a status says that the one who leads through the trials can't; mostly nothing."""
-        planned = self._planned.setdefault(status.trial, status.ticks)
-        self._planned[status.trial] = min(planned, status.ticks)
-        if status.ticks > planned:
-            return (
-                f"{contract.TRIAL}: trial {status.trial} of {status.ticks} samples, not {planned}"
-            )
-        # Whoever only listens to a recording cannot know.
-        if status.ticks < planned and self._settings.record and status.trial not in self._enough:
-            self._planned[status.trial] = planned
-            return (
-                f"{contract.TRIAL}: trial {status.trial} ends after {status.ticks} samples,"
-                f" which nobody asked for, not {planned}"
-            )
-        return ""
 
     def _on_controller(self, controller: Watch) -> None:
         """Close the bag when the controller is lost: nobody else would say that it is over."""

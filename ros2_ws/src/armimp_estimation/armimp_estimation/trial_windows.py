@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
+from armimp_common.judgement import Judgement
 from armimp_common.trial_status import Phase, TrialStatus
 
 PAUSE_NS: Final = 250_000_000
@@ -97,6 +98,39 @@ class TrialWindow:
             raise DataError(f"trial {self.trial} cannot have {self.ticks} samples")
         if abs(self.start_ns) > _LATEST_NS:
             raise DataError(f"trial {self.trial} cannot start at {self.start_ns} ns")
+
+
+class AnnouncedTrials:
+    """Lengths of the trials that were announced, to tell statuses that the controller can't send.
+
+    Parameters
+    ----------
+    strict : bool
+        Whether a trial may end early only if a judgement was :meth:`note`-d that it is long enough.
+    """
+
+    def __init__(self, *, strict: bool) -> None:
+        self._strict = strict
+        self._planned: dict[int, int] = {}
+        self._enough: set[int] = set()
+
+    def note(self, judgement: Judgement) -> None:
+        """Take what was found of a trial."""
+        if judgement.enough:
+            self._enough.add(judgement.trial)
+
+    def contradiction(self, status: TrialStatus) -> str:
+        """Return what a status says that cannot be; empty if it is as it should be."""
+        trial, ticks = status.trial, status.ticks
+        planned = self._planned.setdefault(trial, ticks)
+        if ticks > planned:
+            return f"trial {trial} has {ticks} samples, not {planned} any more"
+        if ticks < planned and self._strict and trial not in self._enough:
+            return (
+                f"trial {trial} ends after {ticks} samples, which nobody asked for, not {planned}"
+            )
+        self._planned[trial] = ticks
+        return ""
 
 
 def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:

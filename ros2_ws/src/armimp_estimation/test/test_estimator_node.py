@@ -349,18 +349,19 @@ class TestFaults:
 
         assert told == sorted(set(told))
 
-    def test_when_a_status_makes_no_sense_expect_the_end_with_a_closed_bag(
+    def test_a_status_that_makes_no_sense_is_refused_and_a_problem(
         self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
     ) -> None:
         bring_up(make(), script)
         script.play(spinner, MADE_UP[: 4 * (SETTLE + 40)])
 
         script.publishers[TRIAL].publish(DiagnosticStatus(name="imbic_controller: trial"))
+        script.play(spinner, [*MADE_UP[4 * (SETTLE + 40) :], DONE])
         eventually(spinner, script.concluded, "the conclusion")
 
-        assert stored(tmp_path).problems[0] == "trial status: phase is missing"
-        (bag,) = bags_of(tmp_path)
-        assert (bag / "metadata.yaml").exists()
+        told = "imbic_controller/trial: trial status: phase is missing"
+        assert stored(tmp_path).problems[0] == told
+        assert [(trial.ticks, trial.lost) for trial in stored(tmp_path).trials] == [(TICKS, 0)] * 2
 
     def test_samples_may_come_after_the_end_was_announced(
         self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path

@@ -56,9 +56,7 @@ class ArmSimNode(RigNode[SimulatedRig]):
         self._backlog = Backlog()
         self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
-        received = CountSubscription(
-            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
-        )
+        received = CountSubscription(self, contract.RECEIVED, self._on_received)
         self.own(self._clock_publisher.publisher, received.subscription)
         self.own(steady_timer(self, _FAULT_PERIOD, self._on_fault_timer))
         return TransitionCallbackReturn.SUCCESS
@@ -194,9 +192,6 @@ class ArmSimNode(RigNode[SimulatedRig]):
     def _on_received(self, samples: int) -> None:
         self._backlog.acknowledge(samples)
         self._go_on()
-
-    def _on_malformed_count(self, error: ArmimpError) -> None:
-        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
 
     def _go_on(self) -> None:
         if self._holding and self.active and not self._backlog.full:
