@@ -110,7 +110,7 @@ def test_first_commands_may_answer_any_of_the_last_samples(protection: Protectio
         protection.command((10.0, 0.0))
     assert not protection.fault
     protection.command((10.0, 0.0))
-    assert protection.fault == "more commands than samples"
+    assert "more commands than samples" in protection.fault
 
 
 @given(
