@@ -203,7 +203,8 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
         """Add who publishes to an accusation; torque has gone, and names may come later."""
         topic = self.commands.subscription.topic_name
         for one in self.get_publishers_info_by_topic(topic):
-            self._names.add(f"{one.node_namespace.rstrip('/')}/{one.node_name}")
+            if "UNKNOWN" not in one.node_name:  # of a participant that is hardly known yet
+                self._names.add(f"{one.node_namespace.rstrip('/')}/{one.node_name}")
         with self.alone:
             if self._accusation and gate.fault.startswith(self._accusation):
                 gate.fault = self._accusation + (
