@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
+from armimp_common.testing import PATIENCE
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -28,7 +29,6 @@ from armimp_common.channels import CommandPublisher
 from armimp_common.diagnostics import judgement_message, trial_status_message
 from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.testing import PATIENCE
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.results import Summary
 
