@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
-from armimp_common.testing import PATIENCE
+from support.graph import PATIENCE
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.duration import Duration

@@ -29,6 +29,7 @@ from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard
 from armimp_common.protection import CommandSequence
+from armimp_common.steady import steady_timer
 
 _STOPPED = "emergency stop"
 _LOOK_PERIOD = 0.02
