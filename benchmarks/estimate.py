@@ -43,11 +43,10 @@ def time_estimate(tell: Callable[[str], None]) -> list[Measured]:
     ]
 
     def estimate(estimators: Sequence[str]) -> float:
-        joints = len(trials)
-        return (
-            _shortest(lambda: conclude(trials, metadata={}, joints=joints, estimators=estimators))
-            / joints
-        )
+        joints = contents[0].joint_names
+        return _shortest(
+            lambda: conclude(trials, metadata={}, joint_names=joints, estimators=estimators)
+        ) / len(joints)
 
     length = f"trial of {SAMPLES / 1000:g} s"
     return [

@@ -70,7 +70,7 @@ def estimate_bags(
     conclusion = conclude(
         trials,
         metadata=metadata,
-        joints=len(names),
+        joint_names=names,
         estimators=estimators or EstimatorParameters().estimators,
         gaps=GapConfig(allow=allow_gaps),
     )

@@ -363,7 +363,7 @@ def settle(
         conclusion = conclude(
             [],
             metadata=metadata if timing is None else {**metadata, RECORD_KEY: timing.to_json()},
-            joints=len(estimator.joints),
+            joint_names=estimator.joints,
             estimators=estimator.estimators,
             problems=problems,
         )

@@ -46,10 +46,10 @@ def together() -> list[ConditionResult]:
 
 def _assert_same(one: ConditionResult, other: ConditionResult) -> None:
     assert one.entry.model_dump_json() == other.entry.model_dump_json()
-    for name, estimate in one.estimates.items():
+    for name, estimate in ((n, r.estimate) for n, r in one.results.items()):
         for attribute in ("f", "Z", "variance"):
             values = getattr(estimate, attribute)
-            np.testing.assert_array_equal(values, getattr(other.estimates[name], attribute))
+            np.testing.assert_array_equal(values, getattr(other.results[name].estimate, attribute))
 
 
 def test_condition_gives_the_same_bits_alone_and_beside_others(

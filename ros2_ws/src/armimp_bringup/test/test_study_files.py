@@ -163,7 +163,7 @@ def test_curves_without_a_result_are_made_again(
     assert not list((tmp_path / "conditions").glob(".*"))
     with StudyStore(tmp_path, BASE, Provenance.here()) as store:
         curve = store.curves(CONDITIONS[1])["lpm_full"]
-    np.testing.assert_array_equal(curve.Z, results[1].estimates["lpm_full"].Z)
+    np.testing.assert_array_equal(curve.Z, results[1].results["lpm_full"].estimate.Z)
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,8 @@ class MBKFit:
         Coefficient of determination, see :func:`r_squared`.
     Z : ndarray, shape (n, n, n_freq)
         Fitted impedance at the frequencies of the estimate, N·m/rad.
+    covariance : ndarray, shape (3n², 3n²)
+        Of all parameters: those of M row by row, then B, then K.
     """
 
     mbk: MBK
@@ -69,6 +71,7 @@ class MBKFit:
     K_se: FloatArray
     r2: FloatArray
     Z: ComplexArray
+    covariance: FloatArray
 
 
 def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
@@ -120,12 +123,13 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
     n = estimate.joints
     values = np.zeros((3, n, n))
     errors = np.zeros((3, n, n))
+    coefficients = np.zeros((n, n, 3, estimate.f.size))
     systematic = estimate.systematic
     if systematic is None:
         systematic = np.zeros_like(estimate.Z)
     for i in range(n):
         for j in range(n):
-            values[:, i, j], errors[:, i, j] = _fit_element(
+            values[:, i, j], errors[:, i, j], coefficients[i, j] = _fit_element(
                 estimate.f,
                 estimate.Z[i, j],
                 estimate.variance[i, j] - np.abs(systematic[i, j]) ** 2,
@@ -143,7 +147,60 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
         K_se=errors[2],
         r2=np.array(quality),
         Z=fitted,
+        covariance=_parameter_covariance(estimate, coefficients),
     )
+
+
+def _parameter_covariance(estimate: ImpedanceEstimate, coefficients: FloatArray) -> FloatArray:
+    """Covariance of all parameters, from coefficients of shape (n, n, 3, n_freq).
+
+    As the sandwich of one element, with the coherency κ of two: ``½ Σ_fg a_f b_g σ_f ς_g
+    ρ(|f - g|) (κ_f + κ_g)/2``, of which errors of like parts take the real and others the
+    imaginary part. An estimate without covariances has independent elements. The error of a
+    correction is that of one transducer, so it is common to a row.
+    """
+    n, size = estimate.joints, estimate.f.size
+    common = np.zeros_like(estimate.Z) if estimate.systematic is None else estimate.systematic
+    deviation = np.sqrt(estimate.variance - np.abs(common) ** 2)
+    terms = coefficients * (np.sqrt(0.5) * deviation)[:, :, None]
+    rho = estimate.bin_correlation[: min(estimate.bin_correlation.size, size)]
+    kernel = np.concatenate((rho[:0:-1], rho))
+    spread = np.apply_along_axis(np.convolve, 3, terms, kernel)[..., rho.size - 1 :][..., :size]
+    shifts = np.stack([np.stack([_apply(coefficients[i, j], common[i, j]) for j in range(n)])
+                       for i in range(n)])  # fmt: skip
+    # Whether the parts are unlike, and the sign of the imaginary part: M and K are real, B is not.
+    imaginary = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
+    covariance = np.zeros((3, n, n, 3, n, n))
+    for i, j, m, l in np.ndindex(n, n, n, n):
+        if (i, j) > (m, l):
+            continue
+        coherency = _coherency(estimate, (i, j), (m, l), deviation)
+        a, b = terms[i, j], terms[m, l]
+        wide_a, wide_b = spread[i, j], spread[m, l]
+        both = 0.5 * ((a * coherency) @ wide_b.T + (wide_a * coherency) @ b.T)
+        block = np.where(imaginary == 0, both.real, imaginary * both.imag)
+        if i == m:
+            block = block + np.outer(shifts[i, j], shifts[m, l])
+        covariance[:, i, j, :, m, l] = block
+        covariance[:, m, l, :, i, j] = block.T
+    return covariance.reshape(3 * n * n, 3 * n * n)
+
+
+def _coherency(
+    estimate: ImpedanceEstimate, one: tuple[int, int], other: tuple[int, int], sigma: FloatArray
+) -> ComplexArray:
+    """Correlation of the errors of two elements at each frequency."""
+    if one == other:
+        return np.ones(estimate.f.size, dtype=np.complex128)
+    if estimate.disturbance is None or estimate.inverse is None:
+        return np.zeros(estimate.f.size, dtype=np.complex128)
+    (i, j), (m, l) = one, other
+    shared = np.sum(
+        estimate.disturbance[:, i, m] * estimate.inverse[:, j] * np.conj(estimate.inverse[:, l]),
+        axis=0,
+    )
+    size = sigma[one] * sigma[other]
+    return np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0)
 
 
 def fit_column(
@@ -185,8 +242,8 @@ def fit_column(
         _fit_element(f, Z, total - np.abs(common) ** 2, common, correlation, config)
         for Z, total, common in zip(impedance, variance, systematic, strict=True)
     ]
-    values = np.stack([value for value, _ in fits], axis=1)
-    return values, np.stack([error for _, error in fits], axis=1)
+    values = np.stack([value for value, _, _ in fits], axis=1)
+    return values, np.stack([error for _, error, _ in fits], axis=1)
 
 
 def _fit_element(
@@ -196,8 +253,8 @@ def _fit_element(
     systematic: ComplexArray,
     correlation: FloatArray,
     options: FitConfig,
-) -> tuple[FloatArray, FloatArray]:
-    """Return (M, B, K) and their standard errors of one element."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return (M, B, K) of one element, their standard errors and the coefficients behind them."""
     omega = 2.0 * np.pi * f
     scale = omega[-1]
     relative = omega / scale
@@ -210,7 +267,8 @@ def _fit_element(
     coefficients = np.stack((of_real[0] / scale**2, of_imaginary / scale, of_real[1]))
     values = _apply(coefficients, impedance)
     common = _apply(coefficients, systematic)
-    return values, np.sqrt(_sandwich(coefficients, variance, correlation) + common**2)
+    errors = np.sqrt(_sandwich(coefficients, variance, correlation) + common**2)
+    return values, errors, coefficients
 
 
 def _apply(coefficients: FloatArray, values: ComplexArray) -> FloatArray:

@@ -31,18 +31,29 @@ class EstimatorResult:
         M, B, K with standard errors and R².
     vaf : ndarray, shape (n, n), or None
         Variance accounted for, %, if the truth is known.
-    coherence_derived, coherence_torque : ndarray, shape (n, n)
-        Band means of the derived coherence, and of ``γ²(τΔ_k, τ_i)``.
-    coherence_motion : ndarray, shape (n,)
-        Band mean of ``γ²(τΔ_k, θ_k)``.
+    coherence : Coherences
+        Over frequency.
     """
 
     estimate: ImpedanceEstimate
     fit: MBKFit
     vaf: FloatArray | None
-    coherence_derived: FloatArray
-    coherence_torque: FloatArray
-    coherence_motion: FloatArray
+    coherence: scores.Coherences
+
+    @property
+    def coherence_derived(self) -> FloatArray:
+        """Band mean of the derived coherence, shape (n, n)."""
+        return scores.band_mean(self.coherence.derived)
+
+    @property
+    def coherence_torque(self) -> FloatArray:
+        """Band mean of ``γ²(τΔ_k, τ_i)``, shape (n, n)."""
+        return scores.band_mean(self.coherence.torque)
+
+    @property
+    def coherence_motion(self) -> FloatArray:
+        """Band mean of ``γ²(τΔ_k, θ_k)``, shape (n,)."""
+        return scores.band_mean(self.coherence.motion)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,25 +159,25 @@ def identify(
     level = scores.coherence_significance(averages, options.limits.significance)
     locks = np.stack([scores.lock_ratio(trial.record) for trial in ordered], axis=1)
     bounds = scores.bias_bound(frf)
-    motion = scores.mean_coherence_motion(spectra)
-    torque = scores.mean_coherence_torque(spectra)
-
-    problems = verdict.judge_locking(names, locks, bounds, options.limits)
-    problems += verdict.judge_coherence(names, motion, torque, level)
     results = {}
+    of_estimates: list[str] = []
     for worker in workers:
         estimate = worker.estimate(ordered)
-        fit = fit_mbk(estimate, options.fit)
-        derived = scores.mean_coherence_derived(spectra, estimate)
-        results[worker.name] = EstimatorResult(
+        results[worker.name] = result = EstimatorResult(
             estimate=estimate,
-            fit=fit,
+            fit=fit_mbk(estimate, options.fit),
             vaf=None if truth is None else scores.vaf(estimate, truth),
-            coherence_derived=derived,
-            coherence_torque=torque,
-            coherence_motion=motion,
+            coherence=scores.Coherences.of(spectra, estimate),
         )
-        problems += verdict.judge_estimate(worker.name, derived, fit.r2, options.limits)
+        of_estimates += verdict.judge_estimate(
+            worker.name, result.coherence_derived, result.fit.r2, options.limits
+        )
+    first = next(iter(results.values()))
+    problems = verdict.judge_locking(names, locks, bounds, options.limits)
+    problems += verdict.judge_coherence(
+        names, first.coherence_motion, first.coherence_torque, level
+    )
+    problems += of_estimates
     return Identification(
         joint_names=names,
         trials=tuple(

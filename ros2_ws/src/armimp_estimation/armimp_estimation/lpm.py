@@ -164,6 +164,9 @@ class LpmFull:
             R=R,
             systematic=systematic,
             weight_floor=options.weight_floor,
+            covariance=_covariance(columns, _angles_and(skew, n)),
+            disturbance=_covariance(columns, coefficients),
+            inverse=inverse,
         )
 
     def column(self, record: TrialRecord, fit: FitConfig | None = None) -> FittedColumn:
@@ -255,6 +258,25 @@ class LpmFull:
                 )
             )
         return columns
+
+
+def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
+    """Coefficients of all channels in angles and corrected torques, shape (2n, C, n_freq)."""
+    chosen = np.zeros((2 * joints, joints + skew.shape[1], skew.shape[2]), dtype=np.complex128)
+    chosen[np.arange(joints), np.arange(joints)] = 1.0
+    chosen[joints:, joints:] = skew
+    return chosen
+
+
+def _covariance(columns: Sequence[LocalResponse], combined: ComplexArray) -> ComplexArray:
+    """Covariance of combinations (m, C, n_freq) of the responses of each trial, (n, m, m, ...)."""
+    return np.stack(
+        [
+            one.gain
+            * np.einsum("acf,cdf,bdf->abf", combined, one.noise, np.conj(combined), optimize=True)
+            for one in columns
+        ]
+    )
 
 
 def _mean(correlations: Sequence[FloatArray]) -> FloatArray:

@@ -354,7 +354,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         return conclude(
             self._finished,
             metadata={**self._metadata, **told},
-            joints=len(self._settings.joints),
+            joint_names=self._settings.joints,
             estimators=self._settings.estimators,
             gaps=self._settings.gaps(),
             problems=self._problems,

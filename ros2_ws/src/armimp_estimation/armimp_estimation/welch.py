@@ -7,7 +7,7 @@ disturbance also moves the joints through the loop, but that only has an effect 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +74,15 @@ class WelchSiso:
         DataError
             If a joint has no trial, or as :meth:`column`.
         """
-        return estimate_by_columns(self.name, trials, self.column)
+        estimate = estimate_by_columns(self.name, trials, self.column)
+        n = estimate.joints
+        # Each column takes its own angle alone.
+        alone = np.eye(n)[:, :, None]
+        return with_disturbance(
+            estimate,
+            np.einsum("ikf,kl->klif", -estimate.Z, np.eye(n)),
+            alone / np.where(alone > 0.0, estimate.R, 1.0),
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +117,33 @@ class WelchFull:
                 coefficients[trial.torque_channel(i)] = 1.0
                 disturbance = gain * residual_power(trial, coefficients)
                 variance[i] += disturbance * np.abs(inverse[k]) ** 2
-        return matrix_estimate(self.name, spectra, frf, impedance, variance)
+        estimate = matrix_estimate(self.name, spectra, frf, impedance, variance)
+        taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
+        return with_disturbance(estimate, taken, inverse)
+
+
+def with_disturbance(
+    estimate: ImpedanceEstimate, taken: ComplexArray, inverse: ComplexArray
+) -> ImpedanceEstimate:
+    """Add the covariance of the disturbance, which follows from that of R and T.
+
+    Parameters
+    ----------
+    estimate : ImpedanceEstimate
+        With the covariance of R and T.
+    taken : ndarray, shape (n, n, n, n_freq)
+        Share of the error of ``R_lk`` in ``V_ik``, by k, l, i.
+    inverse : ndarray, shape (n, n, n_freq)
+        See :class:`armimp_estimation.estimate.ImpedanceEstimate`.
+    """
+    assert estimate.covariance is not None  # made from averaged spectra
+    n = estimate.joints
+    torques = np.broadcast_to(np.eye(n)[None, :, :, None], taken.shape)
+    shares = np.concatenate((taken, torques), axis=1)
+    disturbance = np.einsum(
+        "kaif,kabf,kbmf->kimf", shares, estimate.covariance, np.conj(shares), optimize=True
+    )
+    return replace(estimate, disturbance=disturbance, inverse=inverse)
 
 
 def estimate_by_columns(
@@ -191,4 +225,5 @@ def matrix_estimate(
         averages=shortest.effective_averages,
         T=frf.T,
         R=frf.R,
+        covariance=frf.covariance,
     )
