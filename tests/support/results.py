@@ -69,7 +69,7 @@ def make_result(
     conclude(
         [FinishedTrial(assembled=trial, bag="bags/session") for trial in content.trials],
         metadata=content.metadata,
-        joints=len(content.joint_names),
+        joint_names=content.joint_names,
         estimators=estimators,
     ).write(directory)
     return directory

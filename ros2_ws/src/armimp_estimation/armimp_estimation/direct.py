@@ -77,8 +77,9 @@ class Direct:
         first = trial.torque_channel(0)
         matrix, motion = trial.spectra.matrix, trial.spectra.power(angle)
         crossed = matrix[angle, first:]
-        left = np.swapaxes(matrix[first:, first:], 0, 1) - crossed[:, None] * np.conj(
-            crossed[None]
-        ) / motion
+        left = (
+            np.swapaxes(matrix[first:, first:], 0, 1)
+            - crossed[:, None] * np.conj(crossed[None]) / motion
+        )
         covariance: ComplexArray = noise_gain(trial) * trial.input_power / motion * left
         return covariance

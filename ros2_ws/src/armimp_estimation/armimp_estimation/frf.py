@@ -173,9 +173,7 @@ def _covariance(trial: TrialSpectra) -> ComplexArray:
     matrix = trial.spectra.matrix
     crossed = matrix[0, 1:]
     explained = crossed[:, None] * np.conj(crossed[None]) / trial.input_power
-    covariance: ComplexArray = noise_gain(trial) * (
-        np.swapaxes(matrix[1:, 1:], 0, 1) - explained
-    )
+    covariance: ComplexArray = noise_gain(trial) * (np.swapaxes(matrix[1:, 1:], 0, 1) - explained)
     return covariance
 
 

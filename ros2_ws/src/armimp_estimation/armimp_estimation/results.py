@@ -131,7 +131,9 @@ class EstimatorSummary(JsonModel):
                 **{name: found.tolist() for name, found in values.items()},
                 **{f"{name}_se": found.tolist() for name, found in errors.items()},
                 **{
-                    f"{name}_ci": (values[name][..., None] + ends * errors[name][..., None]).tolist()
+                    f"{name}_ci": (
+                        values[name][..., None] + ends * errors[name][..., None]
+                    ).tolist()
                     for name in values
                 },
                 "covariance": fit.covariance.tolist(),
@@ -225,9 +227,7 @@ class Summary(JsonModel):
             self._check_length(f"estimators.{name}.coherence_motion", estimator.coherence_motion)
             parameters = 3 * self.joints**2
             if any(len(row) != parameters for row in (estimator.covariance, *estimator.covariance)):
-                raise ValueError(
-                    f"estimators.{name}.covariance is not of {parameters} parameters"
-                )
+                raise ValueError(f"estimators.{name}.covariance is not of {parameters} parameters")
         if self.truth is not None:
             self._check_matrices("truth", self.truth)
         for number, trial in enumerate(self.trials):

@@ -5,9 +5,6 @@ import json
 from html.parser import HTMLParser
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-
 from armimp_estimation.report.html import (
     Group,
     Html,
@@ -19,6 +16,8 @@ from armimp_estimation.report.html import (
     table,
     text,
 )
+from hypothesis import given
+from hypothesis import strategies as st
 
 HOSTILE = "\"><script>alert(1)</script><img src=x onerror=alert(1)>'&amp;"
 

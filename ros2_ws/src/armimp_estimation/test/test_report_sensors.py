@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
 from armimp_estimation.report.report import report_page
+
 from armimp_estimation.report.result import Result, load_result
 from support.results import METADATA, make_result
 

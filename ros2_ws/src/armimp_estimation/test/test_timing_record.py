@@ -8,12 +8,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from armimp_estimation.report.report import report_page
 
 from armimp_common.errors import DataError
 from armimp_common.jitter import TimingFigures, TimingLimits, judge_timing
 from armimp_estimation.conclusion import conclude
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.report.report import report_page
 from armimp_estimation.report.result import load_result
 from armimp_estimation.timing import RECORD_KEY, TimingRecord, latest_metadata
 from support.results import METADATA, make_result
