@@ -41,8 +41,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.liveliness import Presence
 from armimp_common.pacing import Pacer
 from armimp_common.urgency import require_precedence
-from armimp_estimation.report import load_result
-from armimp_estimation.report.report import report_page
+from armimp_estimation.report import load_result, report_page
 from armimp_estimation.results import Summary, read_summary
 from armimp_estimation.timing import TimingRecord
 from armimp_sim.paced import PacedRig

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from armimp_bringup.stopwatch import Stopwatch
 from armimp_common.errors import DataError
 from armimp_estimation.conclusion import SUMMARY_FILE
 from armimp_estimation.figure_process import FigureProcess
-from armimp_estimation.results import Summary, write_summary
+from armimp_estimation.results import OriginSummary, Summary, write_summary
 
 
 def present(
@@ -46,8 +47,10 @@ def present(
         The exit status that the result deserves.
     """
     complete = True
+    summary = summary.model_copy(update={"origin": OriginSummary.of(sys.argv)})
     if directory is not None:
         try:
+            write_summary(directory / SUMMARY_FILE, summary, anew=True)
             _write(directory, figures, bags, namespace)
             if stopwatch is not None:
                 summary = summary.model_copy(update={"wall": stopwatch.stop()})

@@ -1,8 +1,10 @@
 """Files of a result: ``summary.json`` for the figures, ``frf.npz`` for the curves."""
 
 import math
-from collections.abc import Mapping, Sized
+import shlex
+from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -195,6 +197,13 @@ class OriginSummary(JsonModel):
     """Command line."""
     date: str
     """When it was made: local time with its distance from UTC, ISO 8601."""
+
+    @classmethod
+    def of(cls, arguments: Sequence[str]) -> "OriginSummary":
+        """That of a command which runs now, from its program and arguments."""
+        program, *others = arguments
+        date = datetime.now().astimezone().isoformat(" ", timespec="minutes")
+        return cls(command=shlex.join([Path(program).name, *others]), date=date)
 
 
 class Summary(JsonModel):

@@ -68,7 +68,7 @@ def conclusion_of(
     return conclude(
         trials,
         metadata=METADATA if metadata is None else metadata,
-        joints=2,
+        joint_names=("shoulder", "elbow"),
         estimators=ESTIMATORS,
         problems=problems,
     )

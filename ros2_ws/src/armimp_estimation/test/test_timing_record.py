@@ -110,7 +110,7 @@ def test_the_verdict_is_not_valid_if_and_only_if_a_limit_is_exceeded(
 
 def test_timing_is_told_even_where_nothing_could_be_estimated() -> None:
     metadata = {RECORD_KEY: record(BAD).to_json()}
-    summary = conclude([], metadata=metadata, joints=2, estimators=("welch_siso",)).summary
+    summary = conclude([], metadata=metadata, joint_names=("shoulder", "elbow"), estimators=("welch_siso",)).summary
     assert summary.timing == record(BAD).summary
     assert summary.problems[0] == record(BAD).problems[0]
 

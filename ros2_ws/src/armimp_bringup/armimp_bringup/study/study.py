@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from armimp_bringup.study.store import (
     write_file,
 )
 from armimp_bringup.study.verdict import StudyVerdict, judge
+from armimp_estimation.results import OriginSummary
 
 STUDY_FILE = "study.json"
 VERDICT_FILE = "verdict.json"
@@ -127,6 +129,7 @@ def run_study(
         watch.on_stage("writing the report")
         StudyReport(
             entries=entries,
+            origin=OriginSummary.of(sys.argv),
             verdict=verdict,
             curves=store.curves,
             files={**TABLES, **{path.name: figure_title(path.name) for path in drawn}},

@@ -286,7 +286,7 @@ def _parameter_rows(summary: Summary, letter: str) -> Iterator[list[object]]:
             value = float(getattr(one, letter)[i][k])
             error = float(getattr(one, f"{letter}_se")[i][k])
             ends = getattr(one, f"{letter}_ci")[i][k]
-            cells += [uncertain(value, error), " to ".join(number(end, ".4g") for end in ends)]
+            cells += [uncertain(value, error), " to ".join(number(end, "#.4g") for end in ends)]
             if true is not None:
                 cells.append(difference(value, true))
             else:
@@ -537,12 +537,13 @@ def _timing(summary: Summary) -> Content | None:
         ],
     ]
     counts: list[list[object]] = [
-        [what, count, percent(count / ticks, ".3f"), f"≤ {percent(limit)}", mark(count / ticks <= limit)]
+        [what, count, percent(share, ".3f"), f"≤ {percent(limit)}", mark(share <= limit)]
         for what, count, limit in (
             ("samples sent late", timing.late, timing.max_late_share),
             ("commands not in time", timing.missed, timing.max_missed_share),
         )
-    ]  # fmt: skip
+        for share in (count / ticks,)
+    ]
     return {
         "timing": timing,
         "late": _milliseconds(LATE_NS / 1e9),
