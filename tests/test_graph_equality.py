@@ -67,7 +67,7 @@ def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None
     summary = conclude(
         trials,
         metadata=contents[1].metadata,
-        joints=2,
+        joint_names=("shoulder", "elbow"),
         estimators=tuple(composed.summary.estimators),
     ).summary
 

@@ -39,6 +39,7 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.registry import estimator_names
 from armimp_estimation.results import (
     EstimatorSummary,
+    OriginSummary,
     Summary,
     TimingSummary,
     TrialLedger,
@@ -343,6 +344,7 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
         (3, TimingSummary),
         (4, WallSummary),
         (5, ReadingSummary),
+        (6, OriginSummary),
     ],
 )
 def test_the_keys_of_summary_json_are_those_of_its_model(
@@ -355,9 +357,10 @@ def test_the_keys_of_summary_json_are_those_of_its_model(
 def test_the_arrays_of_frf_npz_are_those_that_are_written(
     identification: Identification, tmp_path: Path
 ) -> None:
-    estimates = {name: r.estimate for name, r in identification.estimators.items()}
-    last = list(estimates)[-1]
-    estimates[last] = replace(estimates[last], f=estimates[last].f + 1.0)
-    write_frf(tmp_path / "frf.npz", estimates)
+    results = dict(identification.estimators)
+    last = list(results)[-1]
+    estimate = results[last].estimate
+    results[last] = replace(results[last], estimate=replace(estimate, f=estimate.f + 1.0))
+    write_frf(tmp_path / "frf.npz", results)
     with np.load(tmp_path / "frf.npz") as file:
         assert set(_table("frf.npz", "array")) == {_general(name) for name in file.files}

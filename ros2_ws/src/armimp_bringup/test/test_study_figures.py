@@ -43,10 +43,7 @@ class Results:
 
     def curves(self, condition: Condition) -> Mapping[str, ImpedanceCurve]:
         (result,) = [one for one in self._results if one.condition == condition]
-        return {
-            name: ImpedanceCurve(f=one.f, Z=one.Z, variance=one.variance, averages=one.averages)
-            for name, one in result.estimates.items()
-        }
+        return {name: ImpedanceCurve.of(one) for name, one in result.results.items()}
 
 
 @pytest.fixture(scope="module")

@@ -70,6 +70,7 @@ def _entry(
     values: dict[str, Any] = {
         "config": {},
         "joints": joints,
+        "joint_names": [f"joint {k + 1}" for k in range(joints)],
         "seed": 0,
         "valid": True,
         "problems": [],

@@ -419,6 +419,29 @@ class ImpedanceCurve:
     systematic: ComplexArray | None
     coherence: Coherences
 
+    @classmethod
+    def of(cls, result: EstimatorResult) -> "ImpedanceCurve":
+        """That of a result, as it comes back from the file."""
+        estimate = result.estimate
+        covariance, disturbance = (
+            None if values is None else values.astype(np.complex64)
+            for values in (estimate.covariance, estimate.disturbance)
+        )
+        return cls(
+            f=estimate.f,
+            Z=estimate.Z,
+            T=estimate.T,
+            R=estimate.R,
+            variance=estimate.variance,
+            averages=estimate.averages,
+            correlation=estimate.bin_correlation,
+            covariance=covariance,
+            disturbance=disturbance,
+            inverse=estimate.inverse,
+            systematic=estimate.systematic,
+            coherence=result.coherence,
+        )
+
 
 def write_frf(path: Path, results: Mapping[str, EstimatorResult]) -> None:
     """Write ``frf.npz``; ``docs/interfaces.md`` lists its arrays.
@@ -441,24 +464,20 @@ def write_frf(path: Path, results: Mapping[str, EstimatorResult]) -> None:
         "coherence_torque": spectra.torque,
     }
     for name, result in results.items():
-        estimate = result.estimate
-        covariances = [
-            None if values is None else values.astype(np.complex64)
-            for values in (estimate.covariance, estimate.disturbance)
-        ]
+        curve = ImpedanceCurve.of(result)
         arrays |= {
-            f"f_{name}": None if np.array_equal(estimate.f, common) else estimate.f,
-            f"Z_{name}": estimate.Z,
-            f"T_{name}": estimate.T,
-            f"R_{name}": estimate.R,
-            f"var_{name}": estimate.variance,
-            f"averages_{name}": np.array(estimate.averages),
-            f"correlation_{name}": estimate.bin_correlation,
-            f"covariance_{name}": covariances[0],
-            f"disturbance_{name}": covariances[1],
-            f"inverse_{name}": estimate.inverse,
-            f"systematic_{name}": estimate.systematic,
-            f"derived_{name}": result.coherence.derived,
+            f"f_{name}": None if np.array_equal(curve.f, common) else curve.f,
+            f"Z_{name}": curve.Z,
+            f"T_{name}": curve.T,
+            f"R_{name}": curve.R,
+            f"var_{name}": curve.variance,
+            f"averages_{name}": np.array(curve.averages),
+            f"correlation_{name}": curve.correlation,
+            f"covariance_{name}": curve.covariance,
+            f"disturbance_{name}": curve.disturbance,
+            f"inverse_{name}": curve.inverse,
+            f"systematic_{name}": curve.systematic,
+            f"derived_{name}": curve.coherence.derived,
         }
 
     def save(part: Path) -> None:

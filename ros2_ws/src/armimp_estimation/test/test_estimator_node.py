@@ -220,7 +220,7 @@ class TestResults:
         offline = conclude(
             [FinishedTrial(assembled=content.trials[0], bag=None) for content in contents],
             metadata=contents[0].metadata,
-            joints=2,
+            joint_names=("shoulder", "elbow"),
             estimators=EstimatorParameters().estimators,
         ).summary
         live = stored(tmp_path)

@@ -76,7 +76,13 @@ def conclusion_of(
     gaps: GapConfig | None = None,
     estimators: tuple[str, ...] = ("welch_siso", "lpm_full"),
 ) -> Conclusion:
-    return conclude(trials, metadata=METADATA, joint_names=("shoulder", "elbow"), estimators=estimators, gaps=gaps)
+    return conclude(
+        trials,
+        metadata=METADATA,
+        joint_names=("shoulder", "elbow"),
+        estimators=estimators,
+        gaps=gaps,
+    )
 
 
 def curves(conclusion: Conclusion) -> list[bytes]:

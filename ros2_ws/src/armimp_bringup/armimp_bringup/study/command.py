@@ -16,6 +16,7 @@ from armimp_bringup.study.display import StudyDisplay, print_verdict
 from armimp_bringup.study.study import VERDICT_FILE, Watcher, run_study
 from armimp_bringup.study.verdict import StudyVerdict
 from armimp_common.errors import ConfigurationError, InterruptionError
+from armimp_estimation.results import OriginSummary
 
 DEFAULT_ESTIMATORS = ("welch_siso", "lpm_full")
 _MOST_FAILURES = 20
@@ -75,6 +76,7 @@ def reproduce(options: ReproduceOptions) -> int:
                 backend,
                 figures=options.figures,
                 watcher=Watcher(on_progress=display.show, on_stage=display.tell),
+                origin=OriginSummary.of(sys.argv),
             )
     except KeyboardInterrupt:
         raise InterruptionError("interrupted; the same command goes on from here") from None

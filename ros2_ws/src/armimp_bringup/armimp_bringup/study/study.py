@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -69,6 +68,7 @@ def run_study(
     *,
     figures: bool = True,
     watcher: Watcher | None = None,
+    origin: OriginSummary | None = None,
 ) -> StudyVerdict:
     """Run what is missing of a study, and write its files.
 
@@ -86,6 +86,8 @@ def run_study(
         Whether to draw those for print; the report is written in any case.
     watcher : Watcher, optional
         Told of the progress.
+    origin : OriginSummary, optional
+        Command line and date, for the report.
 
     Returns
     -------
@@ -129,7 +131,7 @@ def run_study(
         watch.on_stage("writing the report")
         StudyReport(
             entries=entries,
-            origin=OriginSummary.of(sys.argv),
+            origin=origin,
             verdict=verdict,
             curves=store.curves,
             files={**TABLES, **{path.name: figure_title(path.name) for path in drawn}},

@@ -103,7 +103,8 @@ def packed(values: ArrayLike) -> dict[str, str]:
 
 def label(text: object) -> str:
     """Text for plotly.js, which would take some tags in it for formatting and links."""
-    return html.escape(plain(text), quote=False)
+    # A reader sees no difference, but plotly.js would put values in the place of %{…}.
+    return html.escape(plain(text), quote=False).replace("%{", "%\N{WORD JOINER}{")
 
 
 def line(

@@ -568,7 +568,7 @@ def _milliseconds(seconds: float) -> str:
 
 def _signals(result: Result) -> Content:
     shown = [one for one in result.trials if one.segments]
-    together = len(shown) > SIDE_BY_SIDE
+    together = result.summary.joints > SIDE_BY_SIDE
     trials: list[Content] = []
     views: list[View] = []
     for position, one in enumerate(shown, 1):
