@@ -195,12 +195,13 @@ def _coherency(
     if estimate.disturbance is None or estimate.inverse is None:
         return np.zeros(estimate.f.size, dtype=np.complex128)
     (i, j), (m, l) = one, other
-    shared = np.sum(
+    shared: ComplexArray = np.sum(
         estimate.disturbance[:, i, m] * estimate.inverse[:, j] * np.conj(estimate.inverse[:, l]),
         axis=0,
     )
     size = sigma[one] * sigma[other]
-    return np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0)
+    ratio: ComplexArray = np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0)
+    return ratio
 
 
 def fit_column(

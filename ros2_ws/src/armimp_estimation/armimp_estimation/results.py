@@ -235,7 +235,10 @@ class Summary(JsonModel):
             self._check_matrices(f"estimators.{name}", estimator)
             self._check_length(f"estimators.{name}.coherence_motion", estimator.coherence_motion)
             parameters = 3 * self.joints**2
-            if any(len(row) != parameters for row in (estimator.covariance, *estimator.covariance)):
+            if any(
+                size != parameters
+                for size in (len(estimator.covariance), *map(len, estimator.covariance))
+            ):
                 raise ValueError(f"estimators.{name}.covariance is not of {parameters} parameters")
         if self.truth is not None:
             self._check_matrices("truth", self.truth)

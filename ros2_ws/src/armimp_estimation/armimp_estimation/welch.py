@@ -77,11 +77,11 @@ class WelchSiso:
         estimate = estimate_by_columns(self.name, trials, self.column)
         n = estimate.joints
         # Each column takes its own angle alone.
-        alone = np.eye(n)[:, :, None]
+        alone = np.eye(n, dtype=np.complex128)[:, :, None]
         return with_disturbance(
             estimate,
             np.einsum("ikf,kl->klif", -estimate.Z, np.eye(n)),
-            alone / np.where(alone > 0.0, estimate.R, 1.0),
+            alone / np.where(alone.real > 0.0, estimate.R, 1.0),
         )
 
 

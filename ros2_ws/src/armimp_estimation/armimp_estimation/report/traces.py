@@ -171,7 +171,7 @@ def _smoothed(segment: TrialRecord, cutoff: float) -> TrialRecord:
 
     def smooth(values: FloatArray) -> FloatArray:
         length = min(_PADDING, values.shape[1] - 1)
-        seen: FloatArray = sosfiltfilt(sections, values, axis=1, padlen=length)
+        seen: FloatArray = sosfiltfilt(sections, values, axis=1, padtype="even", padlen=length)
         return seen
 
     return replace(
