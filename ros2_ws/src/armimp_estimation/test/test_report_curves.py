@@ -33,11 +33,12 @@ F = np.linspace(0.1, 15.0, 40)
 def curve(z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.0) -> BodeCurve:
     values = np.broadcast_to(np.asarray(z, dtype=np.complex128), F.shape)
     flat = np.zeros((1, 1, F.size))
+    none = np.zeros((1, 1, F.size), dtype=np.complex128)
     stored = ImpedanceCurve(
         f=F,
         Z=values[None, None],
-        T=flat + 0j,
-        R=flat + 0j,
+        T=none,
+        R=none,
         variance=np.full((1, 1, F.size), deviation**2),
         averages=averages,
         correlation=np.ones(1),
