@@ -462,7 +462,10 @@ def _samples(result: Result) -> Content:
         return {"table": table, "bags": False, "excluded": None}
     table = Table(
         caption="Messages of each stream",
-        columns=["stream", "expected", "received", "lost", "duplicated", "reordered", "late"],
+        columns=[
+            *("stream", "expected", "received", "lost"),
+            *("duplicated", "contradictory", "reordered", "late"),
+        ],
         groups=[
             Group(title=_trial_title(result, one), rows=list(_streams(one)))
             for one in result.trials
@@ -482,7 +485,7 @@ def _streams(one: AssembledTrial) -> Iterator[list[object]]:
             _noted(count.lost),
             *(
                 _noted(found) if stamped else NONE
-                for found in (count.duplicated, count.reordered, count.late)
+                for found in (count.duplicated, count.contradictory, count.reordered, count.late)
             ),
         ]
 
