@@ -13,7 +13,7 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all bench research colcon lint format lock clean
+.PHONY: help setup run test test-all bench research colcon lint format lock sbom clean
 
 help:  ## list what make can do here
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -56,6 +56,9 @@ format: setup  ## format the sources and repair what can be repaired
 
 lock:  ## pin the requirements anew (needs the network)
 	scripts/lock.sh --upgrade
+
+sbom: setup  ## write sbom.json, the bill of materials of .venv (CycloneDX)
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-file sbom.json $(BIN)/python
 
 clean:  ## remove .venv, builds and caches, but no results
 	rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from armimp_bringup import cli
-from armimp_bringup.orchestrator import prepare_directory
+from armimp_bringup.resources import prepare_directory
 from armimp_common.errors import ConfigurationError
 from research.options import InvestigationOptions
 

@@ -77,7 +77,7 @@ def write_figure(directory: Path, name: str, figure: Any) -> list[Path]:
 
 def to_json(result: Mapping[str, Any]) -> str:
     """JSON with null for what is not a finite number, which JSON has no word for."""
-    return json.dumps(_finite(result), ensure_ascii=False, indent=1, allow_nan=False)
+    return json.dumps(_finite(result), indent=1, allow_nan=False)
 
 
 def write_tables(

@@ -22,6 +22,7 @@ pytestmark = pytest.mark.slow
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 EXECUTABLES = {
+    "armimp": [],
     "armimp_bringup": ["armimp"],
     "armimp_common": [],
     "armimp_control": [CONTROLLER_NODE],
@@ -35,6 +36,7 @@ QUICK_TESTS = (
     "test_bridge_readings.py",
     "test_contract.py",
     "test_driver_conversion.py",
+    "test_facade.py",
     "test_perturbation_signal.py",
     "test_scores.py",
     "test_sensor_readings.py",

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 import rclpy
 import yaml
-from support.graph import PATIENCE
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
 from rclpy.duration import Duration
@@ -31,6 +30,7 @@ from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.results import Summary
+from support.graph import PATIENCE
 
 DOMAIN = 91
 SHORT: dict[str, Any] = {"duration": 10.0}

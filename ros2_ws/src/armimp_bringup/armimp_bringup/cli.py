@@ -10,14 +10,17 @@ import math
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 from typer.exceptions import TyperException
 
-from armimp_bringup.say import say
+from armimp_bringup.resources import require_open_files
+from armimp_bringup.say import repair_streams, say
 from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
 _INTERRUPTED = 130
@@ -142,8 +145,8 @@ def estimate(
 ) -> int:
     """Estimate the impedance from bags, one trial for each joint among them."""
     from armimp_bringup.offline_estimate import estimate_bags
-    from armimp_bringup.orchestrator import prepare_directory
     from armimp_bringup.presentation import present
+    from armimp_bringup.resources import prepare_directory
     from armimp_estimation.figure_process import FigureProcess
 
     if torque_delay is not None and not 0.0 <= torque_delay <= 0.1:
@@ -307,6 +310,7 @@ def main(
 ) -> int:
     """Run a command line; every error that a user can cause ends in one line."""
     try:
+        require_open_files()
         status = program(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
         message = error.format_message()
@@ -316,18 +320,17 @@ def main(
         else:
             say(f"armimp: {message}")
         return 2
-    except ConfigurationError as error:
-        say(f"armimp: {error}")
-        return 2
-    except InterruptionError as error:
-        say(f"armimp: {error}")
-        return _INTERRUPTED
     except ArmimpError as error:
         say(f"armimp: {error}")
-        return 1
+        if isinstance(error, ConfigurationError):
+            return 2
+        return _INTERRUPTED if isinstance(error, InterruptionError) else 1
     except (KeyboardInterrupt, typer.Abort):
         status = _INTERRUPTED
     except ImportError as error:
+        if find_spec("rclpy") is None:
+            say("armimp: this needs ROS, which is not installed: pip install 'armimp[ros]'")
+            return 1
         # So compiled modules put it when SIGINT comes while they are imported.
         if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise
@@ -335,6 +338,10 @@ def main(
     except BrokenPipeError:
         # Whoever read the output has left, as `head` does.
         sys.stderr.close()
+        return 1
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        say(f"armimp: {place}{error.strerror or error}")
         return 1
     if status == _INTERRUPTED:
         say("armimp: interrupted")
@@ -369,13 +376,18 @@ def program() -> NoReturn:
 
     To take everything apart that was imported would take the interpreter half a second.
     """
+    repair_streams()
     status = main()
     atexit._run_exitfuncs()
     try:
         sys.stdout.flush()
         sys.stderr.flush()
-    except (OSError, ValueError):  # whoever read the output has left
+    except (BrokenPipeError, ValueError):  # whoever read the output has left
         status = status or 1
+    except OSError as error:
+        status = status or 1
+        with suppress(OSError):
+            say(f"armimp: the output cannot be written: {error.strerror}")
     os._exit(status)
 
 

@@ -12,11 +12,12 @@ from armimp_bringup.config import ExperimentConfig, NodeParameters, node_paramet
 from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
 from armimp_bringup.remote_parameters import Asked, read_back
+from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract
 from armimp_common.errors import (
     ArmimpError,
-    ConfigurationError,
+    DataError,
     GraphError,
 )
 from armimp_common.lifecycle import LifecycleManager
@@ -31,7 +32,6 @@ from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary, write_summary
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
-from armimp_estimation.whole_files import require_text
 
 PARAMETERS_FILE = "parameters.yaml"
 GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)
@@ -153,39 +153,6 @@ def _prepare(directory: Path, parameters: NodeParameters) -> Path:
     parameter_file = directory / PARAMETERS_FILE
     parameter_file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
     return parameter_file
-
-
-def prepare_directory(directory: Path) -> None:
-    """Make the output directory; one with anything in it is refused.
-
-    Raises
-    ------
-    ConfigurationError
-        If it exists and is not an empty directory, or can't be made.
-    """
-    try:
-        require_text(directory)
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
-    require_unused(directory)
-
-
-def require_unused(directory: Path) -> None:
-    """Refuse an output directory with anything in it; there need not be one yet.
-
-    Raises
-    ------
-    ConfigurationError
-        If it exists and is not an empty directory.
-    """
-    try:
-        require_text(directory)
-        used = directory.exists() and any(directory.iterdir())
-    except OSError as error:
-        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
-    if used:
-        raise ConfigurationError(f"{directory}: is not empty, nothing is overwritten")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -367,7 +334,10 @@ def settle(
             estimators=estimator.estimators,
             problems=problems,
         )
-        write_summary(path, conclusion.summary)
+        try:
+            write_summary(path, conclusion.summary)
+        except DataError as error:
+            raise DataError("; ".join([*problems, str(error)])) from None
         return conclusion.summary
     summary = read_summary(path)
     update: dict[str, Any] = {}

@@ -60,7 +60,7 @@ def present(
             say(f"armimp: {error}")
             complete = False
     if as_json:
-        print(summary.model_dump_json(by_alias=True))
+        print(summary.model_dump_json(by_alias=True, ensure_ascii=True))
     else:
         from armimp_bringup.tables import print_summary
 

@@ -17,13 +17,8 @@ from std_msgs.msg import Float64MultiArray
 
 from armimp_bringup.graph import ComposedNodes, GraphContext
 from armimp_bringup.offline_estimate import read_bags
-from armimp_bringup.orchestrator import (
-    PARAMETERS_FILE,
-    lead,
-    prepare_directory,
-    require_unused,
-    settle,
-)
+from armimp_bringup.orchestrator import PARAMETERS_FILE, lead, settle
+from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract, qos
 from armimp_common.cdr import stamp_of

@@ -9,6 +9,7 @@ of nodes must be ordinary functions. What those raise arrives at the caller of `
 """
 
 import math
+import os
 import signal
 import sys
 import time
@@ -40,6 +41,9 @@ NodeT_co = TypeVar("NodeT_co", bound=Node, covariant=True)
 
 PERIOD: Final = 0.05
 """How often stop conditions are looked at (s); a node that is told to end does so that soon."""
+
+NO_LOG_FILES: Final = "--disable-external-lib-logs"
+"""ROS argument with which nothing is written to the log directory of ROS, nor is it made."""
 
 _RESOLUTION: Final = 0.02
 
@@ -278,6 +282,9 @@ def _run(
 @contextmanager
 def _initialised(arguments: list[str]) -> Iterator[Context]:
     context = Context()
+    logs = "ROS_LOG_DIR" in os.environ or "ROS_HOME" in os.environ
+    if not logs and not os.access(os.environ.get("HOME", ""), os.W_OK):
+        arguments = [*arguments, "--ros-args", NO_LOG_FILES]
     try:
         rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(arguments)[1:]

@@ -12,7 +12,6 @@ from armimp_common.judgement import Judgement
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
-from armimp_estimation.bags.reserve import DiskReserve, reserve_bytes
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.blocks import TickBlock
 from armimp_estimation.collector import CollectedTrial, TrialCollector
@@ -78,7 +77,6 @@ class Recording:
         self._began = self._opened_at = self._told_at = 0.0
         self._last_ns = 0
         self._statuses_written = 0
-        self._reserve: DiskReserve | None = None
         self._seen = 0
         self._latest_ns: dict[str, int] = {}
         self.timing: TimingRecord | None = None
@@ -194,10 +192,6 @@ class Recording:
         BagError
             If the bag can't be finished; it stays readable.
         """
-        if self._reserve is not None:
-            # What ends a bag, and a result, still has to be written when the disk is full.
-            self._reserve.release()
-            self._reserve = None
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.close()
@@ -235,9 +229,7 @@ class Recording:
         if self._directory is not None:
             self._bag = self._directory / BAGS / f"trial_{status.trial}_joint_{status.joint + 1}"
             room = expected_bytes(status.ticks, len(self._joint_names))
-            reserve = reserve_bytes(status.ticks)
-            require_free_space(self._bag, room + reserve)
-            self._reserve = DiskReserve(self._directory, reserve)
+            require_free_space(self._bag, room)
             self._writer = BagWriter(self._bag, metadata=self._metadata)
 
     def _write(self, topic: str, message: bytes, time_ns: int) -> None:

@@ -14,7 +14,6 @@ from armimp_common.errors import BagError
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
-from armimp_estimation.bags.reserve import RESERVE_FILE, DiskReserve
 from armimp_estimation.blocks import block_of
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording
@@ -173,10 +172,8 @@ def test_bag_that_cannot_be_written_is_named_and_still_read(
     assert read_bag(path).trials
 
 
-def test_all_bags_of_a_result_are_finished_and_its_reserve_given_back(tmp_path: Path) -> None:
+def test_all_bags_of_a_result_are_finished_and_nothing_else_is_left(tmp_path: Path) -> None:
     bags = [unfinished(tmp_path / "bags" / name) for name in ("trial_1_joint_1", "trial_2_joint_2")]
-    DiskReserve(tmp_path, 1000)
-    assert (tmp_path / RESERVE_FILE).stat().st_size == 1000
     notes = finish_bags(tmp_path)
     assert [note.split(":")[0] for note in notes] == [str(bag) for bag in bags]
     assert [path.name for path in tmp_path.iterdir()] == ["bags"]

@@ -96,7 +96,7 @@ def _backend(options: ReproduceOptions) -> Backend:
 
 def _present(verdict: StudyVerdict, options: ReproduceOptions) -> int:
     if options.json:
-        print(verdict.model_dump_json(by_alias=True))
+        print(verdict.model_dump_json(by_alias=True, ensure_ascii=True))
     else:
         from rich.console import Console
 

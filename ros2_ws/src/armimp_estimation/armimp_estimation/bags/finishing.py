@@ -27,7 +27,6 @@ from armimp_estimation.bags.metadata import (
     read_metadata,
     write_metadata,
 )
-from armimp_estimation.bags.reserve import release_reserve
 from armimp_estimation.bags.topics import contract_topic
 from armimp_estimation.bags.writer import why_not_written
 from armimp_estimation.whole_files import open_regular
@@ -88,7 +87,6 @@ def finish_bags(directory: Path) -> list[str]:
     list of str
         As of `finish_bag`, for each bag that needed it.
     """
-    release_reserve(directory)
     bags = sorted((directory / "bags").glob("*/" + FILE_NAME))
     return [note for bag in bags if (note := finish_bag(bag.parent, trust=True))]
 
