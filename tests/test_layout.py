@@ -35,6 +35,7 @@ WITH_ROS = {
     "armimp_common.rig_node",
     "armimp_common.spin",
     "armimp_common.stamps",
+    "armimp_common.steady",
     "armimp_control.node",
     "armimp_driver_template.node",
     "armimp_estimation.messages",
