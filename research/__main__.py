@@ -13,6 +13,8 @@ import typer
 
 from armimp_bringup import cli
 from armimp_bringup.resources import prepare_directory
+from armimp_bringup.terminal import Display
+from armimp_common.compiled import on_compiling
 from armimp_common.errors import ConfigurationError
 from research.options import InvestigationOptions
 
@@ -42,13 +44,16 @@ def study(
     """Answer one question by Monte Carlo simulation; the pages of this folder have the answers."""
     if name not in STUDIES:
         raise ConfigurationError(f"unknown study {name!r}, known are {', '.join(STUDIES)}")
-    directory = out or Path("results") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-    options = InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
-    prepare_directory(directory)
-    investigate: Callable[[InvestigationOptions], int] = import_module(
-        f"research.{name}"
-    ).investigate
-    return investigate(options)
+    with Display() as display:
+        display.phase("starting")
+        on_compiling(cli.tell_of_compiling)
+        directory = out or Path("results") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
+        options = InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
+        prepare_directory(directory)
+        investigate: Callable[[InvestigationOptions], int] = import_module(
+            f"research.{name}"
+        ).investigate
+        return investigate(options)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,6 +17,7 @@ from armimp_bringup.config import ExperimentConfig, NodeParameters, Overrides, n
 from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_bringup.study.conditions import Condition, parse_seeds
 from armimp_bringup.study.engine import Batch, Provenance, condition_config, estimate_condition
+from armimp_bringup.terminal import leave_terminal, phase
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.plant import IntegrationError
 from research.controller_figures import controller_figure
@@ -239,9 +240,11 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
         "cells": rows,
     }
     write_tables(options.out, "controller", result, rows)
+    phase("drawing")
     with figure_style():
         figure = controller_figure(findings.cells, findings.defaults, PARAMETERS)
         write_figure(options.out, "controller", figure)
+    leave_terminal()
     if options.json:
         print(to_json(result))
     else:

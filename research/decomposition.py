@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.terminal import leave_terminal, phase
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.fit import fit_mbk
@@ -312,9 +313,11 @@ def investigate(options: InvestigationOptions, plan: DecompositionPlan | None = 
         "cells": [cell.described() for cell in cells],
     }
     write_tables(options.out, "decomposition", result, cell_rows(cells))
+    phase("drawing")
     with figure_style():
         for name, figure in decomposition_figures(cells, chosen.coupled_at).items():
             write_figure(options.out, name, figure)
+    leave_terminal()
     if options.json:
         print(to_json(result))
     else:

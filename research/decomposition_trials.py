@@ -17,6 +17,7 @@ from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import run_together
 from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.backends import as_ready
+from armimp_bringup.terminal import progress
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores
 from armimp_estimation.estimate import ImpedanceEstimate
@@ -196,7 +197,9 @@ def in_threads(
     threads = workers if workers is not None else available_cores()
     early: dict[int, Result] = {}
     due = 0
-    for number, result in as_ready(numbered, list(enumerate(tasks)), threads):
+    progress(0, len(tasks), things="batches")
+    for done, (number, result) in enumerate(as_ready(numbered, list(enumerate(tasks)), threads), 1):
+        progress(done, len(tasks), things="batches")
         early[number] = result
         while due in early:
             yield early.pop(due)

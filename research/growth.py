@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.terminal import leave_terminal, phase
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_statistics import Mean, root_mean_square
@@ -277,8 +278,10 @@ def investigate(options: InvestigationOptions, plan: GrowthPlan | None = None) -
         "cells": rows,
     }
     write_tables(options.out, "growth", result, rows)
+    phase("drawing")
     with figure_style():
         write_figure(options.out, "growth", growth_figure(cells, chosen.target))
+    leave_terminal()
     if options.json:
         print(to_json(result))
     else:

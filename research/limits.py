@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.terminal import leave_terminal, phase
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.spectra import WelchConfig
@@ -223,8 +224,10 @@ def investigate(options: InvestigationOptions, plan: LimitsPlan | None = None) -
         "cells": [cell.described() for cell in cells],
     }
     write_tables(options.out, "limits", result, [row for cell in cells for row in cell.rows()])
+    phase("drawing")
     with figure_style():
         write_figure(options.out, "limits", limits_figure(cells))
+    leave_terminal()
     if options.json:
         print(to_json(result))
     else:

@@ -42,7 +42,6 @@ WITH_ROS = {
     "armimp_estimation.node",
     "armimp_ros2_control.node",
     "armimp_sim.node",
-    "armimp_bringup.display",
     "armimp_bringup.driver_check.conversation",
     "armimp_bringup.driver_check.interruption",
     "armimp_bringup.driver_check.moves",

@@ -20,7 +20,8 @@ from armimp_common.errors import ArmimpError, BagError
 from armimp_estimation.bags import BagWriter, iterate_messages
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.recording import BAGS, Recording
+from armimp_estimation.bags.storage import BAGS
+from armimp_estimation.recording import Recording
 from support.synthetic_bags import Message, synthetic_recording
 
 NAMES = ("shoulder", "elbow")

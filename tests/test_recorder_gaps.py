@@ -8,8 +8,9 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_common.contract import PERIOD_NS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
-from armimp_estimation.recording import BAGS, Recording
+from armimp_estimation.recording import Recording
 from armimp_estimation.results import read_summary
 from support.recordings import recorded_arm
 

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from armimp_bringup.offline import Rig
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import build, explain, flatten
+from armimp_common.schema import build, check_names, explain, flatten
 from armimp_common.versions import git_revision, versions
 from armimp_common.yaml_text import Loader, load_yaml
 from armimp_control.parameters import ControllerParameters
@@ -55,7 +55,7 @@ class ExperimentConfig(BaseModel):
     estimators: tuple[str, ...] = Field(
         default=("welch_siso", "lpm_full"), description="estimators of the result"
     )
-    until_error: float = Field(
+    target_error: float = Field(
         default=0.0,
         ge=0.0,
         lt=1.0,
@@ -124,10 +124,14 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
             raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
         values.update(loaded or {})
     values.update({name: value for name, value in options.items() if value is not None})
+    where = f"{path}: " if path is not None else ""
+    try:
+        check_names(map(str, values), ExperimentConfig.model_fields)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}{error}") from None
     try:
         return ExperimentConfig.model_validate(values)
     except ValidationError as error:
-        where = f"{path}: " if path is not None else ""
         raise ConfigurationError(f"{where}{explain(error)}") from None
 
 
@@ -230,7 +234,7 @@ def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePa
     estimator = EstimatorParameters(
         joints=simulator.joints,
         estimators=config.estimators,
-        until_error=config.until_error,
+        target_error=config.target_error,
         torque=TorqueParameters(
             delay=simulator.sensors.torque_delay,
             cutoff=simulator.sensors.torque_cutoff,
@@ -318,5 +322,15 @@ def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             found |= _dotted(value, f"{prefix}{name}.")
         else:
-            found[f"{prefix}{name}"] = value
+            found[f"{prefix}{name}"] = _row_by_row(f"{prefix}{name}", value)
     return found
+
+
+def _row_by_row(name: str, value: Any) -> Any:
+    """A matrix that is written as a list of its rows, as the flat list that parameters are."""
+    if not isinstance(value, list) or not any(isinstance(row, list) for row in value):
+        return value
+    lengths = {len(row) if isinstance(row, list) else None for row in value}
+    if len(lengths) > 1:
+        raise ConfigurationError(f"parameter '{name}' = {value!r:.80}: rows differ in length")
+    return [number for row in value for number in row]

@@ -144,6 +144,7 @@ def replay_bags(
     trust: bool = False,
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
+    on_phase: Callable[[Phase], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Play bags into an estimator node and return what it finds.
@@ -160,7 +161,7 @@ def replay_bags(
         Use the intact parts of trials that lost samples.
     trust : bool
         Whether to lift the limits on what a bag may hold, which grow with its size.
-    domain_id, on_progress, interrupted
+    domain_id, on_progress, on_phase, interrupted
         As for :func:`armimp_bringup.orchestrator.run_experiment`.
 
     Raises
@@ -194,7 +195,7 @@ def replay_bags(
             parameter_file.write_text(
                 to_params_yaml({contract.ESTIMATOR_NODE: parameters}), encoding="utf-8"
             )
-            supervisor = Supervisor(graph, on_progress)
+            supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
             with Spinner([supervisor], context=graph.context) as spinner:
                 player = BagPlayer(graph, spinner)
                 spinner.add_node(player)

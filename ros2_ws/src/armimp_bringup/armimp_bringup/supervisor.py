@@ -40,6 +40,8 @@ class Progress:
     """Values and standard errors of M, B and K in the column of the perturbed joint, SI units."""
     largest_error: float | None = None
     """Largest relative one of these standard errors."""
+    preliminary: bool = False
+    """Whether motion of locked joints is in the values, as those had no trial yet."""
 
     @classmethod
     def from_values(cls, values: dict[str, str]) -> Progress:
@@ -63,6 +65,7 @@ class Progress:
                 coherence_torque=_optional(values.get("coherence_torque")),
                 column=_column(values),
                 largest_error=_optional(values.get("largest_error")),
+                preliminary=values.get("preliminary") == "true",
             )
         except KeyError as error:
             raise MalformedMessageError(f"{error} is missing") from None

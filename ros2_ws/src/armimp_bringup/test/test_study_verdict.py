@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from armimp_bringup.study.command import print_verdict
 from armimp_bringup.study.csv_tables import results_csv, verdict_csv
-from armimp_bringup.study.display import print_verdict
 from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.verdict import (
     COLUMNS,

@@ -91,12 +91,16 @@ class FittedColumn:
     values : ndarray, shape (3, n)
         M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque.
     errors : ndarray, shape (3, n)
-        Their standard errors, in the same units.
+        Their standard errors, in the same units, which know of random errors alone.
+    preliminary : bool
+        Whether the motion of a locked joint is not accounted for, as it had no trial yet. The
+        values may then be off by many standard errors.
     """
 
     joint: int
     values: FloatArray
     errors: FloatArray
+    preliminary: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +136,10 @@ class LpmFull:
         DataError
             If a joint has no trial, a record is too short, or R cannot be inverted.
         """
-        records = [trial.record for trial in order_trials(trials)]
+        return self._estimate([trial.record for trial in order_trials(trials)])
+
+    def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
+        """As :meth:`estimate`, from one record for each joint, in their order."""
         options = self.config
         jump = self._jump(records)
         columns = self._columns(records, with_steps=jump is not None)
@@ -169,22 +176,49 @@ class LpmFull:
             inverse=inverse,
         )
 
-    def column(self, record: TrialRecord, fit: FitConfig | None = None) -> FittedColumn:
-        """Column k of M, B and K from the trial of joint k alone, with locked joints at rest.
+    def column(
+        self,
+        record: TrialRecord,
+        others: Sequence[TrialRecord] = (),
+        fit: FitConfig | None = None,
+    ) -> FittedColumn:
+        """Column k of M, B and K from the trial of joint k so far, and trials that are over.
 
-        As :meth:`estimate` with ``R`` diagonal: ``Z_ik = (T + S C)_ik / R_kk``. What locked joints
-        move nonetheless is in the values, which are for watching a trial; the standard errors are
-        those of the whole estimate as far as the joints are locked.
+        With a trial of every other joint, it is that of :meth:`estimate`. Else it is preliminary:
+        with ``R`` diagonal, ``Z_ik = (T + S C)_ik / R_kk``, what locked joints move nonetheless is
+        in the values. The standard errors are those of the whole estimate as far as the joints are
+        locked.
+
+        Parameters
+        ----------
+        record : TrialRecord
+            The trial so far.
+        others : sequence of TrialRecord
+            Trials of other joints; of two trials of one joint, the later counts.
+        fit : FitConfig, optional
+            Options of the fit.
 
         Raises
         ------
         DataError
-            If the record is too short, or joint k does not move.
+            If a record is too short, joint k does not move, or R cannot be inverted.
         """
-        drift = drift_of(record)
-        if drift is not None and drift.significant:
-            record = drift.removed_from(record)
+        by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
         n, k = record.joints, record.perturbed_joint
+        options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
+        if len(by_joint) == n:
+            found = self._estimate([by_joint[joint] for joint in range(n)])
+            assert found.systematic is not None
+            values, errors = fit_column(
+                found.f,
+                found.Z[:, k],
+                found.variance[:, k],
+                found.systematic[:, k],
+                found.bin_correlation,
+                options,
+            )
+            return FittedColumn(joint=k, values=values, errors=errors, preliminary=False)
+        record = by_joint[k]
         jump = self._jump([record])
         (response,) = self._columns([record], with_steps=jump is not None)
         f, stacked = response.f, response.response
@@ -201,10 +235,9 @@ class LpmFull:
             coefficients[k] = -impedance[i]
             coefficients[n:] = skew[i]
             variance[i] += response.combined_variance(coefficients) / np.abs(stacked[k]) ** 2
-        options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
         correlation = response.bin_correlation()
         values, errors = fit_column(f, impedance, variance, systematic, correlation, options)
-        return FittedColumn(joint=k, values=values, errors=errors)
+        return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
 
     def _skew(
         self, jump: UpdateJump | None, f: FloatArray, rate: float, joints: int
@@ -258,6 +291,11 @@ class LpmFull:
                 )
             )
         return columns
+
+
+def _without_drift(record: TrialRecord) -> TrialRecord:
+    drift = drift_of(record)
+    return drift.removed_from(record) if drift is not None and drift.significant else record
 
 
 def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:

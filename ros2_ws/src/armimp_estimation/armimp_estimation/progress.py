@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +46,8 @@ class RunningTrial:
         Its number, 1-based.
     lpm : LpmFull, optional
         The estimator of the column.
+    others : sequence of TrialRecord
+        Trials before this one.
     """
 
     def __init__(
@@ -57,8 +59,10 @@ class RunningTrial:
         planned: int,
         trial: int = 1,
         lpm: LpmFull | None = None,
+        others: Sequence[TrialRecord] = (),
     ) -> None:
         self._names = joint_names
+        self._others = others
         self._joint = joint
         self._rate = rate
         self._trial = trial
@@ -135,7 +139,8 @@ class RunningTrial:
                     start_ns=0,
                     seed=None,
                     command=commands.first(count) if commands.count >= count else None,
-                )
+                ),
+                self._others,
             )
         except (MalformedMessageError, DataError):
             return None

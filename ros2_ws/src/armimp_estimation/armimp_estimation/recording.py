@@ -13,15 +13,16 @@ from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
 from armimp_estimation.bags.statuses import encode_trial_status
+from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.blocks import TickBlock
 from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.precision import Judge, PrecisionGoal
 from armimp_estimation.progress import RunningTrial
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
-BAGS = "bags"
 LEDGER = "ledger"
 """Metadata of a bag: the account of its samples, as JSON."""
 _RATE = NS_PER_S / PERIOD_NS
@@ -74,6 +75,7 @@ class Recording:
         self._judge: Judge | None = None
         self._column: FittedColumn | None = None
         self._column_at = 0.0
+        self._past: list[TrialRecord] = []
         self._began = self._opened_at = self._told_at = 0.0
         self._last_ns = 0
         self._statuses_written = 0
@@ -175,6 +177,7 @@ class Recording:
                 planned=status.ticks,
                 trial=status.trial,
                 lpm=self._lpm,
+                others=self._past,
             )
         return self._running
 
@@ -297,4 +300,6 @@ class Recording:
         if len(trials) != 1:
             number = collected.statuses[0].trial
             raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")
+        if trials[0].record is not None:
+            self._past.append(trials[0].record)
         return trials[0]

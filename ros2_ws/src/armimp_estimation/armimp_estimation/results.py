@@ -183,11 +183,13 @@ class TimingSummary(JsonModel):
 
 
 class WallSummary(JsonModel):
-    """Wall time of a run from the command line, s; see `armimp_bringup.stopwatch`."""
+    """Wall time of a run from the command line, s; see `armimp_bringup.presentation`."""
 
     before: Number
     trials: Number
     after: Number
+    result: Number = math.nan
+    """From the last sample until M, B and K are on the screen, a part of what is after it."""
 
 
 class OriginSummary(JsonModel):

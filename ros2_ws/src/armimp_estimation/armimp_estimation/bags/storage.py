@@ -18,6 +18,8 @@ from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
 from armimp_estimation.bags.sqlite_reading import read_sqlite
 from armimp_estimation.whole_files import open_regular, require_text
 
+BAGS: Final = "bags"
+"""Where the directory of a run has its bags."""
 _SQLITE_MAGIC: Final = b"SQLite format 3\0"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _ROS1_MAGIC: Final = b"#ROSBAG V"
@@ -80,6 +82,34 @@ def _files_of(directory: Path) -> tuple[list[Path], dict[str, str]]:
     if not files:
         raise BagError(f"{directory}: {_why_no_bag(entries)}")
     return sorted(files, key=_natural), {}
+
+
+def find_bags(paths: Sequence[Path]) -> list[Path]:
+    """Bags behind paths: those of the directory of a run, or of a folder of bags, in their order.
+
+    Whatever is neither stays as it is, for the reader to judge.
+    """
+    found: list[Path] = []
+    for path in paths:
+        folder = path / BAGS if (path / BAGS).is_dir() else path
+        found += sorted(_bags_in(folder), key=_natural) or [path]
+    return found
+
+
+def _bags_in(folder: Path) -> list[Path]:
+    try:
+        entries = list(folder.iterdir())
+        if _holds_bag(folder):
+            return []  # it is one itself
+        return [one for one in entries if one.is_dir() and _holds_bag(one)]
+    except OSError:  # no directory, or one that cannot be read, as the reader will say
+        return []
+
+
+def _holds_bag(folder: Path) -> bool:
+    return any(
+        one.name.endswith(_SUFFIXES) or one.name == metadata.FILE_NAME for one in folder.iterdir()
+    )
 
 
 def _why_no_bag(entries: Sequence[Path]) -> str:
