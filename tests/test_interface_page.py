@@ -255,7 +255,9 @@ def test_the_keys_of_progress_are_those_of_the_code() -> None:
         samples=1,
         rate=1.0,
         coherence=(1.0, 1.0),
-        column=FittedColumn(joint=0, values=np.ones((3, 2)), errors=np.ones((3, 2))),
+        column=FittedColumn(
+            joint=0, values=np.ones((3, 2)), errors=np.ones((3, 2)), preliminary=False
+        ),
     )
     assert list(_table("Progress", "key")) == list(values_of(message))
     assert f"`{PROGRESS_NAME}`" in PAGE
