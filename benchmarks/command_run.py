@@ -36,7 +36,7 @@ class CommandRun:
 
     @property
     def outside(self) -> float:
-        """Time outside of the trials, s; see `armimp_bringup.stopwatch`."""
+        """Time outside of the trials, s; see `armimp_bringup.presentation`."""
         return self.took - (0.0 if self.summary.wall is None else self.summary.wall.trials)
 
 

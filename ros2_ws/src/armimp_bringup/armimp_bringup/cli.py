@@ -113,7 +113,7 @@ _Joints = Annotated[
     ),
 ]
 _Duration = Annotated[
-    float | None, typer.Option(help="Length of each trial, s; 10 to 9000.", **_default("50"))
+    float | None, typer.Option(help="Length of each trial, s; 2 to 9000.", **_default("50"))
 ]
 _DomainId = Annotated[
     int | None, typer.Option(help="ROS domain, 0 to 232.", **_default("one that is free"))
@@ -326,15 +326,10 @@ def replay(
         from armimp_bringup.presentation import present
         from armimp_bringup.replay import replay_bags
         from armimp_common.spin import stop_on_signals
-        from armimp_common.trial_status import Phase
         from armimp_estimation.bags.storage import find_bags
         from armimp_estimation.figure_process import FigureProcess
 
         bags = find_bags(bags)
-
-        def note(entered: Phase) -> None:
-            if entered is Phase.DONE:
-                display.complete("estimating")
 
         with stop_on_signals() as stopped, FigureProcess() as figures:
             summary = replay_bags(
@@ -345,7 +340,6 @@ def replay(
                 trust=trust,
                 domain_id=domain_id,
                 on_progress=display.show,
-                on_phase=note,
                 interrupted=stopped,
             )
             display.close()

@@ -20,6 +20,7 @@ from armimp_bringup.offline_estimate import read_bags
 from armimp_bringup.orchestrator import PARAMETERS_FILE, lead, settle
 from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
+from armimp_bringup.terminal import complete
 from armimp_common import contract, qos
 from armimp_common.cdr import stamp_of
 from armimp_common.channels import RawSubscription
@@ -144,7 +145,6 @@ def replay_bags(
     trust: bool = False,
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
-    on_phase: Callable[[Phase], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Play bags into an estimator node and return what it finds.
@@ -161,7 +161,7 @@ def replay_bags(
         Use the intact parts of trials that lost samples.
     trust : bool
         Whether to lift the limits on what a bag may hold, which grow with its size.
-    domain_id, on_progress, on_phase, interrupted
+    domain_id, on_progress, interrupted
         As for :func:`armimp_bringup.orchestrator.run_experiment`.
 
     Raises
@@ -195,7 +195,7 @@ def replay_bags(
             parameter_file.write_text(
                 to_params_yaml({contract.ESTIMATOR_NODE: parameters}), encoding="utf-8"
             )
-            supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
+            supervisor = Supervisor(graph, on_progress)
             with Spinner([supervisor], context=graph.context) as spinner:
                 player = BagPlayer(graph, spinner)
                 spinner.add_node(player)
@@ -207,6 +207,7 @@ def replay_bags(
                     for content in contents:
                         player.play(content, interrupted)
                     player.finish(contents[-1].trials[-1].window, len(contents))
+                    complete("estimating")
 
                 try:
                     problems = lead(

@@ -88,6 +88,12 @@ def progress(done: int, total: int, stored: int = 0, *, things: str) -> None:
         Display.present.progress(done, total, stored, things=things)
 
 
+def complete(text: str) -> None:
+    """Let the bar of the display that is open reach its end, and name what comes then."""
+    if Display.present is not None:
+        Display.present.complete(text)
+
+
 def leave_terminal() -> None:
     """Close the display that is open, so that results can be printed."""
     if Display.present is not None:
