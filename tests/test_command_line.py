@@ -200,7 +200,7 @@ def test_when_a_joint_has_no_trial_expect_the_result_to_be_invalid(
         (["replay", __file__], 1, "neither an MCAP nor an SQLite3 file"),
         (["estimate", str(Path(__file__).parent)], 1, "is not a bag"),
         (["run", "--frition", "2"], 2, "--friction"),
-        (["invetigate", "limits"], 2, "Did you mean 'investigate'"),
+        (["estimat", "nowhere"], 2, "Did you mean 'estimate'"),
         (["estimate"], 2, "bags"),
         (["frobnicate"], 2, "frobnicate"),
         (["run", "--frobnicate"], 2, "--frobnicate"),
