@@ -221,7 +221,7 @@ def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePa
         CONTROLLER_NODE,
         config.imbic_controller,
     )
-    if config.until_error:
+    if config.target_error:
         sequence = controller.sequence.model_copy(update={"may_end_early": True})
         controller = controller.model_copy(update={"sequence": sequence})
     controller.check()
