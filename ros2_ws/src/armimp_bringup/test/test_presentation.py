@@ -79,7 +79,7 @@ def test_when_the_report_cannot_be_written_expect_the_figures_all_the_same(
     assert {"impedance.png", "impedance.pdf"} <= names(directory)
 
 
-def test_wall_times_become_part_of_the_summary_and_change_nothing_else(
+def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_else(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stopwatch = Stopwatch()
@@ -92,7 +92,8 @@ def test_wall_times_become_part_of_the_summary_and_change_nothing_else(
     assert after.wall.before > 0.0
     assert after.wall.trials >= 0.0
     assert after.wall.after > 0.0
-    assert after.model_copy(update={"wall": None}) == before
+    assert after.origin is not None
+    assert after.model_copy(update={"wall": None, "origin": None}) == before
     assert "until the first sample" in capsys.readouterr().out
 
 
