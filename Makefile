@@ -13,10 +13,10 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test faults colcon lint format lock clean
+.PHONY: help setup run test test-all bench research colcon lint format lock sbom clean
 
 help:  ## list what make can do here
-	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup:  ## make or update .venv, with the command .venv/bin/armimp
 	@scripts/setup.sh
@@ -24,11 +24,17 @@ setup:  ## make or update .venv, with the command .venv/bin/armimp
 run: setup  ## set up, then run the default experiment (or as ARGS say)
 	@$(BIN)/armimp run $(ARGS)
 
-test: lint  ## set up, check style and types, then run every test
+test: lint  ## check style and types, then run the tests that a person waits for, in five minutes
 	@scripts/test.sh $(ARGS)
 
-faults: setup  ## the long versions of the fault tests, with a line of figures for each hazard
-	$(BIN)/pytest -m faults $(ARGS)
+test-all: lint  ## run every test: each page, colcon, campaigns, every kill; hours on two cores
+	@scripts/test.sh --all $(ARGS)
+
+bench: setup  ## measure what a run costs here, e.g. ARGS="start --out B"
+	@PYTHONPATH=tests $(BIN)/python -m benchmarks $(ARGS)
+
+research: setup  ## repeat a study of research/, e.g. ARGS="limits --seeds 0:8"
+	@$(BIN)/python -m research $(ARGS)
 
 colcon: setup  ## build the workspace with colcon, as a full ROS 2 does, and run all its tests
 	cd ros2_ws && ../$(BIN)/python -m colcon build --symlink-install
@@ -50,6 +56,9 @@ format: setup  ## format the sources and repair what can be repaired
 
 lock:  ## pin the requirements anew (needs the network)
 	scripts/lock.sh --upgrade
+
+sbom: setup  ## write sbom.json, the bill of materials of .venv (CycloneDX)
+	$(BIN)/cyclonedx-py environment --pyproject pyproject.toml --output-file sbom.json $(BIN)/python
 
 clean:  ## remove .venv, builds and caches, but no results
 	rm -rf $(VENV) build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -13,7 +13,7 @@ case ${1:-} in
     '')
         # Editable: the sources stay where they are, and the nodes compile beside them.
         editable=()
-        for package in ros2_ws/src/armimp_*; do
+        for package in ros2_ws/src/armimp*; do
             editable+=(--editable "./$package")
         done
         PYTHONWARNINGS=ignore "$root/venv/bin/python" -m pip install --quiet --no-build-isolation \

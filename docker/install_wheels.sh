@@ -18,7 +18,7 @@ case ${1:-} in
         ;;
     --beside-ros)
         python3 -m venv --system-site-packages "$venv"
-        grep -v '^ros-' requirements.txt >"$wheels"
+        awk '!/^ / { take = !/^ros-/ } take' requirements.txt >"$wheels"
         ;;
     *)
         echo "usage: $0 [--beside-ros]" >&2
@@ -26,6 +26,8 @@ case ${1:-} in
         ;;
 esac
 # The pinned pip and build back end first, then nothing outside the lock file is used.
-# shellcheck disable=SC2046
-"$venv/bin/python" -m pip install --quiet $(grep -o -E '^(pip|setuptools)==[^ ]+' "$wheels")
-"$venv/bin/python" -m pip install --quiet --no-build-isolation -r "$wheels"
+first=$(mktemp)
+awk '!/^ / { take = /^(pip|setuptools)==/ } take' "$wheels" >"$first"
+"$venv/bin/python" -m pip install --quiet --require-hashes -r "$first"
+"$venv/bin/python" -m pip install --quiet --require-hashes --no-build-isolation -r "$wheels"
+rm "$first"

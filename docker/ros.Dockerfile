@@ -1,6 +1,8 @@
 # The nodes in a full ROS 2 installation: built with colcon, beside the tools of ROS.
 # docker build --file docker/ros.Dockerfile --tag armimp:ros .
-FROM ros:jazzy-ros-base
+# A tag can be moved; SECURITY.md says how to pin it by its digest.
+ARG BASE=ros:jazzy-ros-base
+FROM ${BASE}
 
 WORKDIR /opt/armimp/src
 COPY ros2_ws/src ros2_ws/src

@@ -1,5 +1,6 @@
 #!/bin/sh
-# Write requirements.txt and requirements-dev.txt: every package pinned, for Python 3.10 to 3.14.
+# Write requirements.txt and requirements-dev.txt: every package pinned, with the hashes of its files,
+# for Python 3.10 to 3.14.
 #
 # Usage: scripts/lock.sh [--upgrade]. Without --upgrade the pins already there are kept if they fit.
 set -eu
@@ -13,11 +14,11 @@ python=$(scripts/find_python.sh)
 
 for name in requirements requirements-dev; do
     "$work/venv/bin/uv" pip compile --quiet --universal --python-version 3.10 \
-        --no-header --annotation-style line "$@" "$name.in" --output-file "$name.txt"
+        --no-header --generate-hashes --annotation-style line "$@" "$name.in" --output-file "$name.txt"
     {
         echo "# Made from $name.in by scripts/lock.sh; do not edit."
-        # Only Linux is supported, so pins for other systems are left out.
-        grep -v -e "sys_platform == 'win32'" -e '^# Made from' "$name.txt"
+        # Only Linux is supported, so pins for other systems are left out, with their hashes.
+        awk '!/^ / { skip = /sys_platform == .win32.|^# Made from/ } !skip' "$name.txt"
     } >"$work/$name.txt"
     cp "$work/$name.txt" "$name.txt"
 done

@@ -11,6 +11,10 @@ venv=.venv
 pip="$venv/bin/python -m pip"
 export PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 PIP_USER=0 PIP_REQUIRE_VIRTUALENV=0
 
+# The settings of pip on this machine may name places that are not there, of which pip warns once for
+# each package: only what ends an installation is shown.
+quiet_pip() { $pip --quiet --quiet "$@"; }
+
 say() { echo "armimp: $*" >&2; }
 
 # Root or a sudo that asks nothing can add the module which Debian and Ubuntu split off.
@@ -78,19 +82,19 @@ make_environment() {
         "$python" -m venv "$venv"
     fi
     # The pinned pip and build back end first, then nothing outside the lock file is ever used.
-    # shellcheck disable=SC2046
-    $pip install --quiet $(grep -o -E '^(pip|setuptools)==[^ ]+' requirements.txt)
-    $pip install --quiet --no-build-isolation -r requirements.txt -r requirements-dev.txt
+    awk '!/^ / { take = /^(pip|setuptools)==/ } take' requirements.txt >"$venv/first.txt"
+    quiet_pip install --require-hashes -r "$venv/first.txt"
+    quiet_pip install --require-hashes --no-build-isolation -r requirements.txt -r requirements-dev.txt
 }
 
 install_packages() {
     # Mode "compat" puts the source folders on the path, where mypy and other tools see them.
     set --
-    for package in ros2_ws/src/armimp_*; do
+    for package in ros2_ws/src/armimp*; do
         set -- "$@" --editable "./$package"
     done
     # setuptools warns at length that this mode will go one day; the version is pinned.
-    PYTHONWARNINGS=ignore $pip install --quiet --no-build-isolation --no-deps --use-pep517 \
+    PYTHONWARNINGS=ignore quiet_pip install --no-build-isolation --no-deps --use-pep517 \
         --config-settings editable_mode=compat "$@"
 }
 
@@ -101,7 +105,7 @@ if command -v flock >/dev/null 2>&1; then
 fi
 
 environment=$({ pwd -P && cat requirements.txt requirements-dev.txt scripts/setup.sh; } | cksum)
-packages=$(cat ros2_ws/src/armimp_*/setup.py ros2_ws/src/armimp_*/setup.cfg | cksum)
+packages=$(cat ros2_ws/src/armimp*/setup.py ros2_ws/src/armimp*/setup.cfg | cksum)
 
 stamp() { [ -f "$venv/$1" ] && cat "$venv/$1" || true; }
 

@@ -1,10 +1,15 @@
 #!/bin/sh
 # Run the tests: side by side on all processors, then those one by one that nothing may disturb.
 #
-# Usage: scripts/test.sh [ARGUMENT...], which pytest gets in both parts.
+# Usage: scripts/test.sh [--all] [ARGUMENT...], which pytest gets in both parts.
 set -eu
 CDPATH='' cd -- "$(dirname -- "$0")/.."
 
+chosen='not slow'
+if [ "${1:-}" = --all ]; then
+    chosen='slow or not slow'
+    shift
+fi
 none=5 # what pytest exits with where no test matches
 worst=$none
 
@@ -16,6 +21,6 @@ run() {
     fi
 }
 
-run --numprocesses auto --dist loadfile -m "not faults and not alone" "$@"
-run -m "not faults and alone" "$@"
+run --numprocesses auto --dist loadfile -m "($chosen) and not alone" "$@"
+run -m "($chosen) and alone" "$@"
 exit "$worst"

@@ -1,5 +1,6 @@
 """Experiments that several tests look at, each run once."""
 
+import fcntl
 import os
 import shutil
 import signal
@@ -8,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -22,12 +24,15 @@ from armimp_bringup.driver_check.findings import Finding
 from armimp_bringup.driver_check.judge import judge
 from armimp_bringup.driver_check.probe import CheckOptions, probe
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.domain import DomainClaim
-from armimp_common.fault_figures import figures, pytest_terminal_summary
 from armimp_common.spin import Spinner
-from armimp_common.testing import context, domain_id, interruptible, node
-from armimp_estimation.report.browser import Browser
+from armimp_estimation.conclusion import SUMMARY_FILE
+from armimp_estimation.results import read_summary
+from support.browser import Browser
+from support.fault_figures import figures, pytest_terminal_summary
+from support.graph import context, domain_id, interruptible, node
+from support.runs import FinishedRun, Run
+from support.stalls import StallWitness
 
 __all__ = ["context", "domain_id", "figures", "interruptible", "node", "pytest_terminal_summary"]
 
@@ -52,21 +57,45 @@ def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
 
 
 @pytest.fixture(scope="session")
-def composed(run: Run) -> FinishedRun:
+def shared_run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """As `run`, but made once for all workers that ask for the same."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+
+    def run_once(**options: Any) -> FinishedRun:
+        config = ExperimentConfig.model_validate({"duration": 10.0, **options})
+        directory = base / "-".join(["shared", *(f"{k}={v}" for k, v in options.items())])
+        with (base / f"{directory.name}.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not (directory / SUMMARY_FILE).exists():
+                run_experiment(config, directory)
+        return FinishedRun(directory=directory, summary=read_summary(directory / SUMMARY_FILE))
+
+    return run_once
+
+
+@pytest.fixture(scope="session")
+def composed(shared_run: Run) -> FinishedRun:
     """The default experiment, but short, in one process."""
-    return run()
+    return shared_run()
 
 
 @pytest.fixture(scope="session")
-def separate(run: Run) -> FinishedRun:
-    """The same in one process for each node."""
-    return run(processes="separate")
+def brief(shared_run: Run) -> FinishedRun:
+    """The same with trials of 2 s, for what does not depend on accuracy."""
+    return shared_run(duration=2.0)
 
 
 @pytest.fixture(scope="session")
-def other_seed(run: Run) -> FinishedRun:
+def separate(shared_run: Run) -> FinishedRun:
+    """As `brief`, in one process for each node."""
+    return shared_run(duration=2.0, processes="separate")
+
+
+@pytest.fixture(scope="session")
+def other_seed(shared_run: Run) -> FinishedRun:
     """The default experiment, but short, with another seed."""
-    return run(seed=2)
+    return shared_run(seed=2)
 
 
 @pytest.fixture(scope="session")
@@ -87,6 +116,13 @@ def driver_domain(environment: None, monkeypatch: pytest.MonkeyPatch) -> int:
     with DomainClaim() as claim:
         monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
         return claim.domain_id
+
+
+@pytest.fixture
+def witness(tmp_path: Path) -> Iterator[StallWitness]:
+    """Measures stalls of the machine during the test."""
+    with StallWitness(tmp_path / "stalls") as witness:
+        yield witness
 
 
 @pytest.fixture

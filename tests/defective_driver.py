@@ -196,6 +196,13 @@ class Moody(ArmSimNode):
         super()._on_command(command)
 
 
+class Gullible(ArmSimNode):
+    """Obeys whoever commands."""
+
+    def accuse(self, reason: str) -> None:
+        """Believe that it is well."""
+
+
 class Mute(ArmSimNode):
     """Tells nobody of its faults."""
 

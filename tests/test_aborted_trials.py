@@ -10,10 +10,11 @@ from armimp_bringup.cli import main
 from armimp_common.contract import PERIOD_NS, TRIAL
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
-from armimp_estimation.recording import BAGS, Recording
+from armimp_estimation.recording import Recording
 from armimp_estimation.results import read_summary
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
 
 pytestmark = pytest.mark.usefixtures("environment")
 
@@ -55,6 +56,7 @@ def test_without_the_option_the_reason_is_one_line(
     ]
 
 
+@pytest.mark.slow
 def test_with_the_option_it_is_estimated_up_to_there_but_not_valid(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

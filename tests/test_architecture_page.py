@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "ros2_ws" / "src"
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 PICTURE = ROOT / "docs" / "images" / "architecture.svg"
-ROWS = dict(re.findall(r"^\| `(armimp_\w+)` \| [^|]+ \| ([^|]+) \|$", PAGE, flags=re.MULTILINE))
+ROWS = dict(re.findall(r"^\| `(armimp\w*)` \| [^|]+ \| ([^|]+) \|$", PAGE, flags=re.MULTILINE))
 ALLOWED = {package: set(re.findall(r"`(\w+)`", cell)) for package, cell in ROWS.items()}
 
 

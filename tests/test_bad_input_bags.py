@@ -11,13 +11,13 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from armimp_bringup.testing_command import Told, behaved, refused
 from armimp_common import contract
 from armimp_common.cdr import JointStateDecoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
 from armimp_estimation.bags import BagWriter
-from armimp_estimation.bags.synthetic import Message
-from armimp_estimation.testing import recorded_arm
+from support.command import Told, behaved, refused
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message
 
 SAMPLES = 1800
 MESSAGES = recorded_arm(SAMPLES).messages
@@ -194,6 +194,58 @@ class TestStamps:
         assert told.status == 1 or numbers(told) != numbers(told_of_good)
 
 
+def test_trust_lifts_the_limits_and_changes_no_number(
+    good: Path, told_of_good: Told, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("armimp_estimation.bags.budget._FREE", 0)
+    monkeypatch.setattr("armimp_estimation.bags.budget._RATIO", 1)
+    assert "--trust lifts the limits" in both_refuse(good)
+    assert numbers(behaved("estimate", str(good), "--trust", "--json")) == numbers(told_of_good)
+
+
+class TestContradictions:
+    """Two messages with one stamp, the torques of the first being twice those of the second."""
+
+    @staticmethod
+    def doubled(path: Path, ticks: range) -> Path:
+        stamps = {1_000_000 * tick for tick in ticks}
+        decoder = JointStateDecoder(NAMES, "effort")
+        encoder = JointStateEncoder(NAMES, "effort")
+        messages: list[Message] = []
+        for topic, log_time_ns, raw in MESSAGES:
+            if topic == contract.TORQUE_SENSORS and log_time_ns in stamps:
+                stamp_ns, values = decoder.decode(raw)
+                twice = encoder.encode(stamp_ns, [2.0 * value for value in values])
+                messages.append((topic, log_time_ns, twice))
+            messages.append((topic, log_time_ns, raw))
+        return write(path, messages)
+
+    def test_some_are_left_out_like_gaps(self, tmp_path: Path) -> None:
+        ticks = range(700, 730)
+        contradictory = self.doubled(tmp_path / "bag", ticks)
+        assert "30 samples of torque_sensors contradict themselves" in both_refuse(contradictory)
+        lost = write(
+            tmp_path / "lost",
+            changed(
+                lambda m: (
+                    None if m[0] == contract.TORQUE_SENSORS and m[1] // PERIOD_NS in ticks else m
+                )
+            ),
+        )
+        told = behaved("estimate", str(contradictory), "--allow-gaps", "--json")
+        assert numbers(told) == numbers(behaved("estimate", str(lost), "--allow-gaps", "--json"))
+        trial = json.loads(told.out)["trials"][0]
+        assert trial["contradictory"] == trial["streams"][contract.TORQUE_SENSORS]["contradictory"]
+        assert trial["contradictory"] == 30
+        assert trial["excluded"] > 0.0
+
+    def test_where_all_are_there_is_no_result(self, tmp_path: Path) -> None:
+        bag = self.doubled(tmp_path / "bag", range(10_000))
+        told = refused("estimate", str(bag), "--allow-gaps")
+        assert told.status == 1
+        assert "contradict themselves" in told.err
+
+
 # What may stand in the metadata of a bag, and what is said of it.
 METADATA = [
     ("config", "x", "config is not JSON: 'x'"),
@@ -368,7 +420,7 @@ def test_a_cut_bag_is_refused_by_replay_with_the_same_reason(good: Path, tmp_pat
         both_refuse(file)
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 class TestAtLength:
     def test_cut_at_two_thousand_places(self, good: Path, tmp_path: Path) -> None:

@@ -10,12 +10,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from armimp_bringup.config import ExperimentConfig, NodeParameters, load_config, node_parameters
-from armimp_bringup.testing_command import refused
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import flatten
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.parameters import SimulatorParameters
+from support.command import refused
 
 COMMANDS = (("run",), ("reproduce", "--no-figures"))
 
@@ -274,7 +274,7 @@ def mutated(data: st.DataObject) -> bytes:
     return DEFAULTS[:start] + part + DEFAULTS[start + length :]
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 class TestAtLength:
     @LONG

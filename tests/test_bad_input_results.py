@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.testing_command import Told, call
 from armimp_common.errors import DataError
 from armimp_estimation.results import read_frf, read_summary
+from support.command import Told, call
 
 STUDY = (
     *("reproduce", "--duration", "10", "--no-figures", "--estimator", "welch_full"),
@@ -269,7 +269,7 @@ def test_changed_bytes_are_read_or_refused(study: Path, tmp_path: Path) -> None:
     assert changed_summaries(study, tmp_path / "summary.json", 300, seed=1) > 150
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("seed", range(10))
 def test_many_changed_bytes_are_read_or_refused(seed: int, study: Path, tmp_path: Path) -> None:

@@ -15,11 +15,14 @@ from rclpy.node import Node
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE
+from support.graph import PATIENCE
+
+pytestmark = pytest.mark.slow
 
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
 EXECUTABLES = {
+    "armimp": [],
     "armimp_bringup": ["armimp"],
     "armimp_common": [],
     "armimp_control": [CONTROLLER_NODE],
@@ -33,6 +36,7 @@ QUICK_TESTS = (
     "test_bridge_readings.py",
     "test_contract.py",
     "test_driver_conversion.py",
+    "test_facade.py",
     "test_perturbation_signal.py",
     "test_scores.py",
     "test_sensor_readings.py",

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
+from armimp_bringup.config import ExperimentConfig, load_config, node_parameters
 from armimp_common import contract
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 
@@ -103,6 +104,44 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
     assert estimated["estimators"]["welch_siso"]["vaf"] is None
 
 
+@pytest.mark.parametrize("inside", ["", "bags"])
+def test_a_run_is_estimated_from_its_directory_as_from_its_bags(
+    inside: str, experiment: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    live = json.loads((experiment / "summary.json").read_text())
+    capfd.readouterr()
+    assert main(["estimate", str(experiment / inside), "--json"]) == 0
+    assert printed(capfd)["estimators"] == live["estimators"]
+
+
+def test_a_matrix_may_be_written_as_a_list_of_its_rows(tmp_path: Path) -> None:
+    path = tmp_path / "experiment.yaml"
+    found = []
+    for text in ("[[0.2, 0.1], [0.1, 0.1]]", "[0.2, 0.1, 0.1, 0.1]"):
+        path.write_text(f"arm_sim: {{arm: {{inertia: {text}}}}}")
+        found.append(node_parameters(load_config(path, {}), None))
+    assert found[0].simulator == found[1].simulator
+    assert found[0].controller == found[1].controller
+    assert found[0].simulator.human_arm().inertia.tolist() == [[0.2, 0.1], [0.1, 0.1]]
+
+
+def test_the_version_is_told_without_a_command(capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capfd.readouterr().out.startswith("armimp 0.")
+
+
+def test_help_of_run_states_the_defaults_of_the_configuration(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "200")
+    assert main(["run", "-h"]) == 0
+    text = " ".join(capfd.readouterr().out.split())
+    for name in ("friction", "resolution", "perturbation", "duration", "seed", "mode", "joints"):
+        default = ExperimentConfig.model_fields[name].default
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+        assert re.search(rf"--{name} [^\[]*\[default: \({shown}\)\]", text), name
+
+
 def test_the_tables_show_estimate_truth_and_error_of_every_parameter(
     experiment: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -160,6 +199,8 @@ def test_when_a_joint_has_no_trial_expect_the_result_to_be_invalid(
         (["estimate", __file__], 1, "neither an MCAP nor an SQLite3 file"),
         (["replay", __file__], 1, "neither an MCAP nor an SQLite3 file"),
         (["estimate", str(Path(__file__).parent)], 1, "is not a bag"),
+        (["run", "--frition", "2"], 2, "--friction"),
+        (["estimat", "nowhere"], 2, "Did you mean 'estimate'"),
         (["estimate"], 2, "bags"),
         (["frobnicate"], 2, "frobnicate"),
         (["run", "--frobnicate"], 2, "--frobnicate"),
@@ -200,6 +241,11 @@ def test_an_error_of_the_user_ends_in_one_line_with_the_offending_value(
     ("text", "words"),
     [
         ("colour: red", "'colour' does not exist"),
+        ("frition: 2", "'frition' does not exist; the nearest valid name is 'friction'"),
+        (
+            "arm_sim: {arm: {inertia: [[1.0, 0.0], [1.0]]}}",
+            "rows differ in length",
+        ),
         ("friction: high", "'friction'"),
         ("[1, 2]", "names and values"),
         ("a: [", "is not YAML"),
@@ -222,7 +268,9 @@ def test_a_wrong_configuration_file_ends_in_one_line_that_names_the_parameter(
     assert not (tmp_path / "out" / "bags").exists()
 
 
-@pytest.mark.parametrize("processes", ["composed", "separate"])
+@pytest.mark.parametrize(
+    "processes", ["composed", pytest.param("separate", marks=pytest.mark.slow)]
+)
 def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     processes: str, tmp_path: Path
 ) -> None:
@@ -269,6 +317,6 @@ def test_when_the_bound_of_errors_is_no_share_expect_the_text(
     text: str, told: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "out"
-    assert main(["run", "--until-error", text, "--out", str(out)]) == 2
+    assert main(["run", "--target-error", text, "--out", str(out)]) == 2
     assert told in capfd.readouterr().err
     assert not out.exists()

@@ -23,7 +23,7 @@ from armimp_estimation.conclusion import Conclusion
 from armimp_sim.presets import human_arm
 
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
-pytestmark = pytest.mark.usefixtures("environment")
+pytestmark = [pytest.mark.usefixtures("environment"), pytest.mark.slow]
 
 MOCK = {
     "mock.offset": "[0.8, -0.5]",
@@ -99,7 +99,7 @@ def figures(conclusion: Conclusion) -> dict[str, float]:
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
-    ("duration", "coherence"), [(15.0, 0.94), pytest.param(50.0, 0.985, marks=pytest.mark.faults)]
+    ("duration", "coherence"), [(15.0, 0.94), pytest.param(50.0, 0.985, marks=pytest.mark.slow)]
 )
 def test_offset_drift_delay_filter_and_lag_are_calibrated_out_and_spoil_the_result_if_not(
     nodes: None, tmp_path: Path, duration: float, coherence: float

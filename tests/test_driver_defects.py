@@ -10,6 +10,8 @@ import pytest
 
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
 
+pytestmark = pytest.mark.slow
+
 PACE = ("rate", "jitter", "sample to command")
 """How regular samples are, and how quick answers, depends on what else the machine does."""
 STREAMS = ("joint_states", "torque_sensors")
@@ -87,6 +89,7 @@ def test_a_defect_that_shows_without_torque_is_named_and_nothing_else(
         ("Wraps", ["joint_states: jumps", "torque: motion"]),
         ("Strong", ["torque: motion"]),
         ("Moody", ["torque: no stop"]),
+        ("Gullible", ["second publisher: told"]),
         ("DeafStop", ["emergency stop", "emergency stop: told"]),
     ],
 )
@@ -116,7 +119,7 @@ def test_transducers_that_are_too_coarse_are_named(host: Host, check: Check) -> 
     ("defect", "expected"),
     [
         ("NoWatchdog", ["stale commands", "stale commands: told", "stale commands: latched"]),
-        pytest.param("Relapsing", ["stale commands: latched"], marks=pytest.mark.faults),
+        pytest.param("Relapsing", ["stale commands: latched"], marks=pytest.mark.slow),
         ("ArmSimNode", []),
     ],
 )

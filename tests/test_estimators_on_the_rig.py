@@ -17,13 +17,15 @@ from armimp_estimation import scores
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.identify import EstimatorResult, identify
 from armimp_estimation.mbk import MBK
-from armimp_estimation.mimo import estimate_mimo
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import PlantConfig
 from armimp_sim.voluntary import VoluntaryConfig
+from research.mimo import estimate_mimo
+
+pytestmark = pytest.mark.slow
 
 FloatArray = NDArray[np.float64]
 Condition = tuple[int, int, int]

@@ -14,6 +14,8 @@ import pytest
 from armimp_bringup.replay import replay_bags
 from armimp_common.domain import DomainClaim
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 BY_NUMBER = {path.name[:2]: path for path in EXAMPLES}
@@ -91,17 +93,9 @@ def test_other_friction_changes_the_rig_and_not_the_result(example: Example) -> 
         assert line.endswith("valid")
 
 
-def test_standard_errors_are_near_the_smallest_possible_ones(example: Example) -> None:
-    rows = [numbers(line) for line in example("05").splitlines()[1:]]
-    assert len(rows) == 6
-    for smallest, stated, true in rows:
-        assert 0.0 < smallest < true
-        assert 0.7 < stated / smallest < 2.5
-
-
 @pytest.fixture(scope="module")
 def ran(environment: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The experiment of example 06 and what it printed."""
+    """The experiment of example 05 and what it printed."""
     directory = tmp_path_factory.mktemp("examples") / "out"
     path, printed = str(BY_NUMBER["06"]), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
@@ -120,12 +114,12 @@ def test_an_experiment_runs_through_the_graph(ran: tuple[Path, str]) -> None:
 
 
 def test_a_bag_is_read_with_rosbags_alone(ran: tuple[Path, str], example: Example) -> None:
-    out = example("07", str(ran[0] / "bags" / "trial_1_joint_1"))
+    out = example("06", str(ran[0] / "bags" / "trial_1_joint_1"))
     assert re.search(r"^ 10000 sensor_msgs/msg/JointState +/torque_sensors$", out, re.M)
     assert "10000 samples from 0.500 s to 10.499 s" in out
     assert "seed 1, friction level 3" in out
     assert "true K: [[7.967, 3.187], [1.663, 6.901]] N·m/rad" in out
-    text = BY_NUMBER["07"].read_text(encoding="utf-8")
+    text = BY_NUMBER["06"].read_text(encoding="utf-8")
     assert "import armimp" not in text
     assert "from armimp" not in text
 
@@ -135,7 +129,7 @@ def test_a_node_hears_the_results(ran: tuple[Path, str]) -> None:
     domain = claim.domain_id
     claim.release()
     listener = subprocess.Popen(
-        [sys.executable, str(BY_NUMBER["08"])],
+        [sys.executable, str(BY_NUMBER["07"])],
         env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -163,7 +157,7 @@ def test_an_estimator_of_ones_own_works_on_records_and_on_bags(
 ) -> None:
     bags = [str(path) for path in sorted((ran[0] / "bags").iterdir())]
     for arguments in ([], bags):
-        out = example("09", *arguments)
+        out = example("08", *arguments)
         rows = {line.split()[0]: numbers(line) for line in out.splitlines()}
         truth = rows["truth"]
         error = {
@@ -174,6 +168,6 @@ def test_an_estimator_of_ones_own_works_on_records_and_on_bags(
 
 
 def test_a_law_in_plain_python_holds_joints_better_with_feed_forward(example: Example) -> None:
-    without, with_it = (numbers(line)[1:3] for line in example("10").splitlines())
+    without, with_it = (numbers(line)[1:3] for line in example("09").splitlines())
     assert all(one > 0.02 for one in without)
     assert all(b < 0.9 * a for a, b in zip(without, with_it, strict=True))

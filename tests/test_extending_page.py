@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
 NEW_FILES = re.findall(r"New file `([^`]+)`:\n\n```python\n(.*?)^```$", PAGE, re.M | re.S)
 PATCHES = re.findall(r"^```diff\n(.*?)^```$", PAGE, re.M | re.S)
 TESTS = [name for name, _ in NEW_FILES if "/test/" in name]
-COPIED = ("docs", "scripts", "ros2_ws/src")
+COPIED = ("docs", "scripts", "ros2_ws/src", "tests/support")
 TESTS_OF_THE_WHOLE = ("tests/test_interface_page.py", "tests/test_default_configs.py")
 
 
@@ -33,7 +35,7 @@ def hunks(patch: str) -> Iterator[tuple[str, str, str]]:
 
 def python(copy: Path, *arguments: str, jit: bool = True) -> subprocess.CompletedProcess[str]:
     sources = (copy / "ros2_ws" / "src").glob("*/package.xml")
-    path = os.pathsep.join(str(manifest.parent) for manifest in sources)
+    path = os.pathsep.join([*(str(manifest.parent) for manifest in sources), str(copy / "tests")])
     environment = {
         **os.environ,
         "PYTHONPATH": path,
@@ -57,7 +59,6 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     leave = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "install", "log")
     for folder in COPIED:
         shutil.copytree(ROOT / folder, copy / folder, ignore=leave)
-    (copy / "tests").mkdir()
     for name in ("pyproject.toml", "tests/conftest.py", *TESTS_OF_THE_WHOLE):
         shutil.copy(ROOT / name, copy / name)
     for name, text in NEW_FILES:

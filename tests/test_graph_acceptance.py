@@ -9,12 +9,14 @@ from numpy.typing import ArrayLike
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import run_offline
-from armimp_bringup.testing import Run
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_estimation.identify import identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
+from support.runs import Run
+
+pytestmark = pytest.mark.slow
 
 
 @dataclass(frozen=True, kw_only=True)

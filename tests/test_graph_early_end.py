@@ -11,19 +11,21 @@ from rich.console import Console
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.presentation import print_result
 from armimp_bringup.supervisor import Progress
-from armimp_bringup.tables import print_summary
-from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.results import Summary
+from support.runs import FinishedRun, Run
+
+pytestmark = pytest.mark.slow
 
 BOUND = 0.05
 LEAST = 8_000
 PLANNED = 30_000
 OPTIONS = {
     "duration": PLANNED / 1000,
-    "until_error": BOUND,
+    "target_error": BOUND,
     "impedance_estimator": {"least_duration": LEAST / 1000},
 }
 
@@ -95,7 +97,7 @@ def test_bags_estimate_and_replay_to_the_same_result(early: FinishedRun, tmp_pat
 
 def test_table_of_the_trials_tells_what_was_saved(early: FinishedRun) -> None:
     output = io.StringIO()
-    print_summary(early.summary, None, Console(file=output, width=200))
+    print_result(early.summary, Console(file=output, width=200))
     text = output.getvalue()
     assert "saved s" in text
     for trial in early.summary.trials:
@@ -131,13 +133,13 @@ def test_progress_shows_the_column_with_its_errors_and_the_new_end(
 def test_when_the_bound_is_out_of_reach_expect_trials_as_planned(
     run: Run, composed: FinishedRun
 ) -> None:
-    strict = run(until_error=1e-6, impedance_estimator={"least_duration": 5.0})
+    strict = run(target_error=1e-6, impedance_estimator={"least_duration": 5.0})
 
     assert [trial.saved for trial in strict.summary.trials] == [0.0, 0.0]
     strict.assert_same_streams(composed)
     assert strict.summary.estimators == composed.summary.estimators
     output = io.StringIO()
-    print_summary(strict.summary, None, Console(file=output, width=200))
+    print_result(strict.summary, Console(file=output, width=200))
     for k in (1, 2):
         told = f"joint {k}: planned length, standard errors not below 0.0001 % before"
         assert told in output.getvalue()

@@ -3,10 +3,10 @@
 from typing import Any
 
 import numpy as np
+import pytest
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
-from armimp_bringup.testing import FinishedRun, Run
 from armimp_common.contract import (
     COMMANDS,
     DATA_STREAMS,
@@ -18,7 +18,8 @@ from armimp_common.contract import (
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.conclusion import FinishedTrial, conclude
-from armimp_estimation.results import read_frf, read_summary
+from armimp_estimation.results import read_frf
+from support.runs import FinishedRun, Run
 
 TICKS = 10_000
 
@@ -28,28 +29,25 @@ def offline(**options: Any) -> list[OfflineTrial]:
     return run_offline([node_parameters(config, None).rig()])[0]
 
 
-def test_default_experiment_is_valid_either_way(
-    composed: FinishedRun, separate: FinishedRun
-) -> None:
-    for finished in (composed, separate):
-        assert finished.summary.problems == []
-        assert finished.summary.valid
-        assert finished.summary == read_summary(finished.directory / "summary.json")
+def test_default_experiment_is_valid(composed: FinishedRun) -> None:
+    assert composed.summary.problems == []
+    assert composed.summary.valid
 
 
 def test_composed_and_separate_processes_record_the_same_bits(
-    composed: FinishedRun, separate: FinishedRun
+    brief: FinishedRun, separate: FinishedRun
 ) -> None:
-    composed.assert_same_streams(separate)
+    brief.assert_same_streams(separate)
 
 
 def test_composed_and_separate_processes_give_the_same_results(
-    composed: FinishedRun, separate: FinishedRun
+    brief: FinishedRun, separate: FinishedRun
 ) -> None:
-    assert composed.summary.estimators == separate.summary.estimators
-    assert composed.summary.truth == separate.summary.truth
-    curves, others = (read_frf(run.directory / "frf.npz") for run in (composed, separate))
-    assert set(curves) == set(others) == set(composed.summary.estimators)
+    assert brief.summary.problems == separate.summary.problems
+    assert brief.summary.estimators == separate.summary.estimators
+    assert brief.summary.truth == separate.summary.truth
+    curves, others = (read_frf(run.directory / "frf.npz") for run in (brief, separate))
+    assert set(curves) == set(others) == set(brief.summary.estimators) != set()
     for name, curve in curves.items():
         np.testing.assert_array_equal(curve.Z, others[name].Z)
         np.testing.assert_array_equal(curve.variance, others[name].variance)
@@ -69,7 +67,7 @@ def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None
     summary = conclude(
         trials,
         metadata=contents[1].metadata,
-        joints=2,
+        joint_names=("shoulder", "elbow"),
         estimators=tuple(composed.summary.estimators),
     ).summary
 
@@ -122,6 +120,7 @@ def test_trials_perturb_one_joint_after_the_other(composed: FinishedRun) -> None
         assert [status.joint_name for status in trial.statuses] == [names[k]] * 3
 
 
+@pytest.mark.slow
 def test_three_joints_go_the_same_way(run: Run) -> None:
     finished = run(joints=3)
 
@@ -138,6 +137,7 @@ def test_three_joints_go_the_same_way(run: Run) -> None:
     assert perturbed == [[0], [1], [2]]
 
 
+@pytest.mark.slow
 def test_levels_and_overridden_parameters_reach_the_nodes(run: Run) -> None:
     options: dict[str, Any] = {
         "friction": 2,

@@ -10,7 +10,6 @@ from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
-from armimp_bringup.testing import FinishedRun
 from armimp_common.contract import CONTROLLER_NODE, SIM_NODE
 from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager, TransitionName
@@ -18,6 +17,7 @@ from armimp_common.schema import to_params_yaml
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.results import Summary, read_summary
+from support.runs import FinishedRun
 
 SHORT: dict[str, Any] = {"duration": 10.0}
 pytestmark = pytest.mark.usefixtures("environment")
@@ -42,7 +42,12 @@ def whole_samples(bag: Path) -> int:
 
 
 @pytest.mark.parametrize(
-    ("processes", "trial"), [("composed", 1), ("composed", 2), ("separate", 1)]
+    ("processes", "trial"),
+    [
+        ("composed", 1),
+        pytest.param("composed", 2, marks=pytest.mark.slow),
+        pytest.param("separate", 1, marks=pytest.mark.slow),
+    ],
 )
 def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
     tmp_path: Path, processes: str, trial: int
@@ -67,6 +72,7 @@ def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
     assert [whole_samples(bag) for bag in finished.bags[:-1]] == [10_000] * (trial - 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked", [0, 3, 30])
 def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: int
@@ -96,6 +102,7 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
     assert Phase.SETTLE not in phases
 
 
+@pytest.mark.slow
 def test_when_a_phase_without_recording_takes_long_expect_the_run_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

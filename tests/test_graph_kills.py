@@ -22,9 +22,10 @@ import pytest
 
 from armimp_bringup.resources import config_file
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
-from armimp_common.fault_figures import Figures
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags import read_bag
+from support.fault_figures import Figures
+from support.stalls import StallWitness
 
 pytestmark = pytest.mark.alone
 
@@ -46,16 +47,6 @@ ATTEMPTS = 3
 at first, it asks for again after three seconds only."""
 PROGRAM = Path(__file__).parent / "killed_run.py"
 WITNESS = Path(__file__).parent / "kill_witness.py"
-CLOCK = """
-import time
-last = time.monotonic()
-while True:
-    time.sleep(0.002)
-    now = time.monotonic()
-    if now - last > 0.006:
-        print(last + 0.002, now, flush=True)
-    last = now
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,8 +187,7 @@ def kill(
     program = [sys.executable, str(PROGRAM), str(events), str(seen), phase, victim]
     options = ["--processes", "separate", "--duration", "10", "--estimator", "welch_siso"]
     deadline = time.monotonic() + PATIENCE
-    with (directory / "clock").open("w+") as stalls, (directory / "errors").open("w+") as errors:
-        clock = subprocess.Popen([sys.executable, "-c", CLOCK], stdout=stalls, text=True)
+    with StallWitness(directory / "clock") as clock, (directory / "errors").open("w+") as errors:
         experiment = subprocess.Popen(
             [*program, str(delay), str(blind), "run", *options, "--out", str(out)],
             stdout=subprocess.DEVNULL,
@@ -224,13 +214,11 @@ def kill(
                     time.sleep(0.05)
             assert not processes_of(out), "processes are left over"
         finally:
-            for process in (experiment, clock):
-                end(process)
+            end(experiment)
             for orphan in processes_of(out):
                 os.kill(orphan, signal.SIGKILL)
         moment = event(events, "killed")
         assert moment is not None, f"{phase} never came"
-        lines = (directory / "clock").read_text().splitlines()
         return Kill(
             directory=out,
             victim=victim,
@@ -239,7 +227,7 @@ def kill(
             status=experiment.returncode,
             errors=(directory / "errors").read_text(),
             seen=Seen.read(seen),
-            stalls=[(float(line.split()[0]), float(line.split()[1])) for line in lines],
+            stalls=clock.stalls,
         )
 
 
@@ -343,6 +331,7 @@ def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(
     assert_recorded(done)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("phase", "victim"),
     [("start", SIM_NODE), ("configure", CONTROLLER_NODE), ("activate", ESTIMATOR_NODE)],
@@ -364,7 +353,7 @@ LENGTH = {"start": 1.0, "perturb 1": 2.0, "perturb 2": 2.0}
 LENGTH_OF_OTHERS = 0.1
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", range(MOMENTS))
 @pytest.mark.parametrize("victim", [*NODES, SUPERVISOR_NODE])
 @pytest.mark.parametrize(

@@ -1,17 +1,24 @@
-"""Experiments that are paced by the wall clock.
+"""Experiments in real time.
 
-Where tests run, other work may hold anything up, and a run in real time then ends as not valid.
-So nothing here asks for a quick machine: the reports have to agree with what was recorded, and the
-verdict with the reports.
+How quick the machine is must decide nothing here. So most of these runs are on a clock of their
+own: it stands still while an answer is computed, and each answer then takes as long as the test
+says. In runs on the clock of the machine, what is reported has to agree with what was recorded, and
+watchdogs are so patient that only a process which is stopped wakes them.
 """
 
 from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
+from collections import deque
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,35 +29,252 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.replay import replay_bags
 from armimp_bringup.supervisor import Progress
-from armimp_bringup.testing import FinishedRun
-from armimp_common.contract import CONTROLLER_NODE, DATA_STREAMS, PERIOD_NS, SIM_NODE, VALUE_FIELD
+from armimp_common.contract import (
+    CONTROLLER_NODE,
+    DATA_STREAMS,
+    NS_PER_S,
+    PERIOD_NS,
+    SIM_NODE,
+    VALUE_FIELD,
+)
 from armimp_common.errors import ConfigurationError
 from armimp_common.liveliness import Presence
+from armimp_common.pacing import Pacer
 from armimp_common.urgency import require_precedence
-from armimp_estimation.report import load_result
-from armimp_estimation.report.report import report_page
+from armimp_estimation.report import load_result, report_page
 from armimp_estimation.results import Summary, read_summary
 from armimp_estimation.timing import TimingRecord
+from armimp_sim.paced import PacedRig
+from armimp_sim.rig import SimulatedRig
+from support.runs import FinishedRun
 
 SECONDS = 3.0
-NO_SAMPLE, NO_COMMAND = "no sensor sample arrived any more", "no command for 5 ticks"
+PATIENCE = 100
+"""Periods after which watchdogs take the torque away: as many as can be chosen."""
+HELD = 0.4
+"""For how long a process is stopped (s): four times as long."""
 MODULES = {SIM_NODE: "armimp_sim.node", CONTROLLER_NODE: "armimp_control.node"}
 pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("environment")]
 
 
-def config() -> ExperimentConfig:
-    """A short experiment, with precedence where that is permitted."""
+def config(**options: Any) -> ExperimentConfig:
+    return ExperimentConfig.model_validate(
+        {
+            "mode": "realtime",
+            "joints": 1,
+            "imbic_controller": {"sequence.duration": SECONDS},
+            **options,
+        }
+    )
+
+
+def assert_verdict_fits(summary: Summary) -> None:
+    """Not valid if and only if there is a problem, one for each limit that is exceeded."""
+    assert summary.valid is (not summary.problems)
+    told = [problem for problem in summary.problems if problem.startswith("real time: ")]
+    assert summary.timing is not None
+    assert told == TimingRecord.of(summary.timing).problems
+
+
+class OwnClock:
+    """A clock on which the answer to each sample takes as long as it is told to.
+
+    Parameters
+    ----------
+    latency : from the sample of a tick to its answer, s
+    """
+
+    def __init__(self, latency: Callable[[int], float]) -> None:
+        self.latency = latency
+        self.ns = 10**12
+        self.took: list[float] = []
+        """How long the answers took on the clock of the machine, s."""
+
+    def rig(
+        self,
+        rig: SimulatedRig,
+        send: Callable[[], None],
+        pacer: Pacer,
+        *,
+        watchdog_ticks: int,
+    ) -> PacedRig:
+        """Return what takes the place of a `PacedRig`."""
+        return _RigOnOwnClock(self, rig, send, watchdog_ticks)
+
+
+class _RigOnOwnClock(PacedRig):
+    def __init__(
+        self, clock: OwnClock, rig: SimulatedRig, send: Callable[[], None], watchdog_ticks: int
+    ) -> None:
+        pacer = Pacer(PERIOD_NS, now=lambda: clock.ns, sleep=self._pass_time)
+        super().__init__(rig, send, pacer, watchdog_ticks=watchdog_ticks)
+        self._clock = clock
+        self._awaited: deque[tuple[int, float]] = deque()
+        self._answers: deque[tuple[Sequence[float], float]] = deque()
+        self._came = threading.Condition()
+
+    def _sample(self, tick: int) -> None:
+        due_ns = self._clock.ns + round(self._clock.latency(tick) * NS_PER_S)
+        self._awaited.append((due_ns, time.monotonic()))
+        super()._sample(tick)
+
+    def command(self, command: Sequence[float]) -> None:
+        """Keep it until it is due."""
+        with self._came:
+            self._answers.append((command, time.monotonic()))
+            self._came.notify()
+
+    def _pass_time(self, seconds: float) -> None:
+        until_ns = self._clock.ns + round(seconds * NS_PER_S)
+        while self._awaited and self._awaited[0][0] < until_ns:
+            with self._came:
+                while not self._answers:
+                    if self._stopped.is_set():
+                        return
+                    self._came.wait(0.05)
+                command, came = self._answers.popleft()
+            due_ns, sent = self._awaited.popleft()
+            self._clock.ns = due_ns
+            self._clock.took.append(came - sent)
+            super().command(command)
+        self._clock.ns = until_ns
+
+
+@dataclass(frozen=True, kw_only=True)
+class Timed:
+    """A run on a clock of its own."""
+
+    clock: OwnClock
+    run: FinishedRun
+
+
+def run_on_own_clock(directory: Path, latency: Callable[[int], float]) -> Timed:
+    """Run an experiment in which the answer to the sample of each tick takes so long (s)."""
+    clock = OwnClock(latency)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("armimp_sim.node.PacedRig", clock.rig)
+        # Samples need time of the machine on their way, of which the rig's clock knows nothing.
+        patch.setattr("armimp_control.node.time", SimpleNamespace(monotonic=lambda: 0.0))
+        summary = run_experiment(config(processes="composed"), directory)
+    return Timed(clock=clock, run=FinishedRun(directory=directory, summary=summary))
+
+
+@pytest.fixture(scope="module")
+def timed(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Timed:
+    """Each command comes in time."""
+    return run_on_own_clock(tmp_path_factory.mktemp("timed") / "out", lambda _: 0.0003)
+
+
+@pytest.fixture
+def in_time(timed: Timed) -> FinishedRun:
+    return timed.run
+
+
+def test_when_every_command_is_in_time_expect_a_valid_result_with_its_timing(
+    in_time: FinishedRun,
+) -> None:
+    summary, timing = in_time.summary, in_time.summary.timing
+    assert summary.problems == []
+    assert summary.valid
+    assert timing is not None
+    assert (timing.late, timing.missed) == (0, 0)
+    assert timing.ticks >= SECONDS * 1000
+    for latency in (timing.latency_p50, timing.latency_p99, timing.latency_max):
+        assert latency == pytest.approx(0.0003, rel=0.05)
+    for period in (timing.period_p50, timing.period_p99, timing.period_max):
+        assert period == pytest.approx(0.001, rel=0.05)
+
+
+def test_when_every_command_is_in_time_expect_the_bits_of_lockstep(in_time: FinishedRun) -> None:
+    names, (recorded,) = in_time.joint_names, in_time.trials()
+    assert {len(recorded.streams[topic]) for topic in DATA_STREAMS} == {SECONDS * 1000}
+    for topic in VALUE_FIELD:
+        assert (np.diff(recorded.stamps(topic, names)) == PERIOD_NS).all()
+    lockstep = config().model_copy(update={"mode": "lockstep"})
+    in_time.assert_same_as_offline(run_offline([node_parameters(lockstep, None).rig()])[0])
+
+
+def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -> None:
+    live = in_time.summary
+
+    offline = estimate_bags(in_time.bags, ("welch_siso", "lpm_full"))[0].summary
+    replayed = replay_bags(in_time.bags, (), None)
+
+    for summary in (offline, replayed):
+        assert summary.estimators == live.estimators
+        assert summary.timing is not None
+        assert live.timing is not None
+        assert SECONDS * 1000 <= summary.timing.ticks <= live.timing.ticks
+        assert summary.timing.missed <= live.timing.missed
+        assert summary.timing.max_latency == live.timing.max_latency
+
+
+def test_a_quick_answer_takes_less_than_a_period_of_the_clock_of_the_machine(timed: Timed) -> None:
+    """One of ten at least: other work holds up many, but not nine of ten."""
+    assert len(timed.clock.took) > SECONDS * 1000
+    assert np.quantile(timed.clock.took, 0.1) < 0.001
+
+
+def test_when_commands_come_after_the_next_sample_expect_each_counted_and_no_valid_result(
+    tmp_path: Path,
+) -> None:
+    summary = run_on_own_clock(tmp_path / "out", lambda _: 0.0015).run.summary
+
+    timing = summary.timing
+    assert timing is not None
+    assert timing.ticks - 2 <= timing.missed <= timing.ticks
+    assert timing.latency_p50 == pytest.approx(0.0015, rel=0.05)
+    assert len([problem for problem in summary.problems if "real time: " in problem]) == 2
+    assert_verdict_fits(summary)
+
+
+def test_when_commands_fall_six_periods_behind_expect_the_rig_to_end_the_run(
+    tmp_path: Path,
+) -> None:
+    def latency(tick: int) -> float:
+        return 0.0003 if tick < 2000 else 0.0062
+
+    summary = run_on_own_clock(tmp_path / "out", latency).run.summary
+
+    assert not summary.valid
+    assert any("no command for 5 ticks" in problem for problem in summary.problems)
+    assert_verdict_fits(summary)
+    assert all(trial.ticks < SECONDS * 1000 for trial in summary.trials)
+
+
+# On the clock of the machine.
+
+
+def patient() -> ExperimentConfig:
+    """With precedence where that is permitted, and watchdogs that wait for as long as they may."""
     priority = 30
     try:
         require_precedence(priority)
     except ConfigurationError:
         priority = 0
-    return ExperimentConfig(
-        mode="realtime",
-        joints=1,
+    return config(
         priority=priority,
-        imbic_controller={"sequence.duration": SECONDS},
+        arm_sim={"watchdog_ticks": PATIENCE},
+        imbic_controller={"sequence.duration": SECONDS, "safety.watchdog_ticks": PATIENCE},
     )
+
+
+def test_every_run_reports_its_timing_and_a_verdict_that_fits(tmp_path: Path) -> None:
+    directory = tmp_path / "out"
+    summary = run_experiment(patient(), directory)
+
+    assert_verdict_fits(summary)
+    timing = summary.timing
+    assert timing is not None
+    assert timing.ticks > SECONDS * 1000
+    assert 0.0 < timing.latency_p50 <= timing.latency_p99 <= timing.latency_max
+    assert 0.0 < timing.period_p50 <= timing.period_p99 <= timing.period_max
+    assert summary == read_summary(directory / "summary.json")
+    assert 'id="timing"' in report_page(load_result(directory))
+    finished = FinishedRun(directory=directory, summary=summary)
+    (recorded,) = finished.trials()
+    for topic in VALUE_FIELD:
+        assert (np.diff(recorded.stamps(topic, finished.joint_names)) == PERIOD_NS).all()
 
 
 def process_of(directory: Path, node: str) -> int:
@@ -63,117 +287,30 @@ def process_of(directory: Path, node: str) -> int:
     raise AssertionError(f"no process of {node}")
 
 
-def run_held(directory: Path, node: str, seconds: float, times: int = 1) -> tuple[Summary, int]:
-    """Run, and hold a node up with SIGSTOP as soon as it works; also tell how often."""
-    held = 0
-
-    def on_progress(progress: Progress) -> None:
-        nonlocal held
-        if held < times:
-            process = process_of(directory, node)
-            os.kill(process, signal.SIGSTOP)
-            time.sleep(seconds)
-            os.kill(process, signal.SIGCONT)
-            held += 1
-
-    return run_experiment(config(), directory, on_progress=on_progress), held
-
-
-def assert_verdict_fits(summary: Summary) -> None:
-    """Not valid if and only if there is a problem, one for each limit that is exceeded."""
-    assert summary.valid is (not summary.problems)
-    told = [problem for problem in summary.problems if problem.startswith("real time: ")]
-    assert summary.timing is not None
-    assert told == TimingRecord.of(summary.timing).problems
-
-
-@pytest.fixture(scope="module")
-def finished(environment: None, tmp_path_factory: pytest.TempPathFactory) -> FinishedRun:
-    directory = tmp_path_factory.mktemp("realtime") / "out"
-    return FinishedRun(directory=directory, summary=run_experiment(config(), directory))
-
-
-def test_every_run_reports_its_timing_and_a_verdict_that_fits(finished: FinishedRun) -> None:
-    summary = finished.summary
-    assert_verdict_fits(summary)
-    timing = summary.timing
-    assert timing is not None
-    assert timing.ticks > 0
-    assert 0.0 < timing.latency_p50 <= timing.latency_p99 <= timing.latency_max
-    assert 0.0 < timing.period_p50 <= timing.period_p99 <= timing.period_max
-    assert summary == read_summary(finished.directory / "summary.json")
-    assert 'id="timing"' in report_page(load_result(finished.directory))
-
-
-def test_samples_have_the_stamps_of_a_thousand_each_second_and_take_as_long(
-    finished: FinishedRun,
-) -> None:
-    if not finished.summary.trials:
-        pytest.skip(f"the machine is too busy: {finished.summary.problems[0]}")
-    (trial,) = finished.summary.trials
-    (recorded,) = finished.trials()
-    names = finished.joint_names
-    stamps = {topic: recorded.stamps(topic, names) for topic in VALUE_FIELD}
-    for topic in VALUE_FIELD:
-        assert (np.diff(stamps[topic]) == PERIOD_NS).all()
-    if finished.summary.valid:
-        assert {len(recorded.streams[topic]) for topic in DATA_STREAMS} == {SECONDS * 1000}
-        # As long as it should, but for what was under way at both ends.
-        assert trial.rtf == pytest.approx(1.0, abs=0.1)
-
-
-def test_when_every_command_was_in_time_expect_the_bits_of_lockstep(finished: FinishedRun) -> None:
-    timing = finished.summary.timing
-    if not finished.summary.valid or timing is None or timing.missed:
-        pytest.skip("the machine is too busy: not every command was in time")
-    lockstep = config().model_copy(update={"mode": "lockstep", "priority": 0})
-    finished.assert_same_as_offline(run_offline([node_parameters(lockstep, None).rig()])[0])
-
-
-def test_bags_tell_the_timing_and_give_the_same_estimate(finished: FinishedRun) -> None:
-    if not finished.summary.valid:
-        pytest.skip(f"the machine is too busy: {finished.summary.problems[0]}")
-    live = finished.summary
-
-    offline = estimate_bags(finished.bags, ("welch_siso", "lpm_full"))[0].summary
-    replayed = replay_bags(finished.bags, (), None)
-
-    for summary in (offline, replayed):
-        assert summary.estimators == live.estimators
-        assert summary.timing is not None
-        assert live.timing is not None
-        assert SECONDS * 1000 <= summary.timing.ticks <= live.timing.ticks
-        assert summary.timing.missed <= live.timing.missed
-        assert summary.timing.max_latency == live.timing.max_latency
-
-
-def test_when_the_controller_is_held_up_for_three_periods_expect_missed_commands_counted(
-    tmp_path: Path,
-) -> None:
-    summary, held = run_held(tmp_path / "out", CONTROLLER_NODE, 0.003, times=3)
-    # Held up for longer than was asked, and figures end before that.
-    ended = any(
-        watchdog in problem for problem in summary.problems for watchdog in (NO_SAMPLE, NO_COMMAND)
-    )
-    if not held or ended:
-        pytest.skip(f"the machine is too busy: {summary.problems[0]}")
-
-    assert summary.timing is not None
-    assert summary.timing.missed >= held
-    assert summary.timing.latency_max >= 0.002
-    assert_verdict_fits(summary)
-
-
 @pytest.mark.parametrize(
-    ("node", "watchdog"), [(CONTROLLER_NODE, NO_COMMAND), (SIM_NODE, NO_SAMPLE)]
+    ("node", "watchdog"),
+    [
+        (CONTROLLER_NODE, f"no command for {PATIENCE} ticks"),
+        (SIM_NODE, "no sensor sample arrived any more"),
+    ],
 )
 def test_when_one_side_is_held_up_for_long_expect_the_other_to_end_the_run(
     tmp_path: Path, node: str, watchdog: str
 ) -> None:
-    summary, held = run_held(tmp_path / "out", node, 0.05)
-    if not held:
-        pytest.skip(f"the machine is too busy: {summary.problems[0]}")
+    directory, held = tmp_path / "out", 0
 
+    def on_progress(progress: Progress) -> None:
+        nonlocal held
+        if not held:
+            process = process_of(directory, node)
+            os.kill(process, signal.SIGSTOP)
+            time.sleep(HELD)
+            os.kill(process, signal.SIGCONT)
+            held += 1
+
+    summary = run_experiment(patient(), directory, on_progress=on_progress)
+
+    assert held
     assert not summary.valid
     # A stopped process is also looked up, which comes first where the other was held up itself.
     reasons = (watchdog, f"{node} {Presence.STALLED.value}")

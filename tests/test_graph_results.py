@@ -17,15 +17,15 @@ from std_msgs.msg import Float64MultiArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
-from armimp_bringup.testing import FinishedRun
 from armimp_common import contract, qos
 from armimp_common.contract import COMMANDS, RESULT, TRIAL
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.domain import DomainClaim
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE
 from armimp_common.trial_status import Phase
 from armimp_estimation.messages import CONCLUSION_NAME
+from support.graph import PATIENCE
+from support.runs import FinishedRun
 
 SHORT = ExperimentConfig(duration=10.0)
 

@@ -39,6 +39,7 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.registry import estimator_names
 from armimp_estimation.results import (
     EstimatorSummary,
+    OriginSummary,
     Summary,
     TimingSummary,
     TrialLedger,
@@ -48,7 +49,6 @@ from armimp_estimation.results import (
     write_frf,
 )
 from armimp_estimation.sample_ledger import SampleLedger
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.torque_reading import ReadingSummary
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import TrialWindow
@@ -56,6 +56,7 @@ from armimp_estimation.welch import WelchSiso
 from armimp_sim.backlog import LIMIT
 from armimp_sim.paced import RAMP_TICKS
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 Row = dict[str, str]
 Table = list[Row]
@@ -197,23 +198,17 @@ def test_the_parameters_of_the_page_are_those_of_the_node(node: str) -> None:
     assert list(_table(node, "parameter")) == list(leaves(SCHEMAS[node]))
 
 
-@pytest.mark.parametrize(
-    ("node", "name"), [(node, name) for node, model in SCHEMAS.items() for name in leaves(model)]
-)
-def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(
-    node: str, name: str
-) -> None:
-    row, model = _table(node, "parameter")[name], SCHEMAS[node]
-    assert row["type"] == leaves(model)[name].type_name
-    assert row["range"] == _range(dict(_fields(model))[name])
-    # The simulator node takes its preset where its schema has no default.
-    required = name not in defaults(model) and node != contract.SIM_NODE
-    value = _in_force(node)[name]
-    numbers = leaves(model)[name].item is float
-    assert _default(row["default"]) == (
-        required,
-        pytest.approx(value, rel=1e-5) if numbers else value,
-    )
+@pytest.mark.parametrize("node", SCHEMAS)
+def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(node: str) -> None:
+    model, rows, in_force = SCHEMAS[node], _table(node, "parameter"), _in_force(node)
+    for name, leaf in leaves(model).items():
+        row, value = rows[name], in_force[name]
+        assert row["type"] == leaf.type_name, name
+        assert row["range"] == _range(dict(_fields(model))[name]), name
+        # The simulator node takes its preset where its schema has no default.
+        required = name not in defaults(model) and node != contract.SIM_NODE
+        expected = pytest.approx(value, rel=1e-5) if leaf.item is float else value
+        assert _default(row["default"]) == (required, expected), name
 
 
 @pytest.mark.parametrize("page", ["interfaces.md", "theory.md", "realtime.md"])
@@ -260,7 +255,9 @@ def test_the_keys_of_progress_are_those_of_the_code() -> None:
         samples=1,
         rate=1.0,
         coherence=(1.0, 1.0),
-        column=FittedColumn(joint=0, values=np.ones((3, 2)), errors=np.ones((3, 2))),
+        column=FittedColumn(
+            joint=0, values=np.ones((3, 2)), errors=np.ones((3, 2)), preliminary=False
+        ),
     )
     assert list(_table("Progress", "key")) == list(values_of(message))
     assert f"`{PROGRESS_NAME}`" in PAGE
@@ -349,6 +346,7 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
         (3, TimingSummary),
         (4, WallSummary),
         (5, ReadingSummary),
+        (6, OriginSummary),
     ],
 )
 def test_the_keys_of_summary_json_are_those_of_its_model(
@@ -361,9 +359,10 @@ def test_the_keys_of_summary_json_are_those_of_its_model(
 def test_the_arrays_of_frf_npz_are_those_that_are_written(
     identification: Identification, tmp_path: Path
 ) -> None:
-    estimates = {name: r.estimate for name, r in identification.estimators.items()}
-    last = list(estimates)[-1]
-    estimates[last] = replace(estimates[last], f=estimates[last].f + 1.0)
-    write_frf(tmp_path / "frf.npz", estimates)
+    results = dict(identification.estimators)
+    last = list(results)[-1]
+    estimate = results[last].estimate
+    results[last] = replace(results[last], estimate=replace(estimate, f=estimate.f + 1.0))
+    write_frf(tmp_path / "frf.npz", results)
     with np.load(tmp_path / "frf.npz") as file:
         assert set(_table("frf.npz", "array")) == {_general(name) for name in file.files}

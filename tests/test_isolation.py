@@ -12,10 +12,12 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.graph import NODES
-from armimp_bringup.testing import FinishedRun
 from armimp_common.domain import DomainClaim
 from armimp_common.sockets import Endpoint, endpoints
 from armimp_estimation.results import read_summary
+from support.runs import FinishedRun
+
+pytestmark = pytest.mark.slow
 
 COMMAND = [sys.executable, "-m", "armimp_bringup.cli", "run", "--duration", "10", "--json"]
 CHOICES = (

@@ -9,13 +9,15 @@ import pytest
 from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
-from armimp_bringup.testing_loop import assert_accurate, identified
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_common.trial_status import TrialStatus
 from armimp_control.experiment import Experiment
 from armimp_estimation.identify import Identification
 from armimp_sim.rig import SimulatedRig
+from support.closed_loop import assert_accurate, identified
+
+pytestmark = pytest.mark.slow
 
 DEFAULT = {"model": 1.0, "gamma": 100.0, "lock": 100.0}
 BORNE: Mapping[int, Mapping[str, float]] = {

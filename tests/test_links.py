@@ -9,7 +9,17 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 # Folders of tools, environments and results hold pages of others.
-FOLDERS = (".", "docs", "docker", "examples", "ros2_ws/src", "scripts", "tests")
+FOLDERS = (
+    ".",
+    "benchmarks",
+    "docs",
+    "docker",
+    "examples",
+    "research",
+    "ros2_ws/src",
+    "scripts",
+    "tests",
+)
 PAGES = sorted(
     {
         path.relative_to(ROOT)

@@ -11,6 +11,8 @@ from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import Rig, run_offline
 from armimp_common.errors import DataError
 
+pytestmark = pytest.mark.slow
+
 
 @dataclass(frozen=True, kw_only=True)
 class Person:

@@ -7,10 +7,10 @@ the result does not depend on the machine.
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
-from armimp_bringup.testing_loop import assert_accurate, identified
 from armimp_common.contract import PERIOD_NS
 from armimp_common.jitter import TimingLimits
 from armimp_common.pacing import Pacer
@@ -19,6 +19,9 @@ from armimp_control.experiment import Experiment
 from armimp_estimation.identify import Identification
 from armimp_sim.paced import PacedRig
 from armimp_sim.rig import SimulatedRig
+from support.closed_loop import assert_accurate, identified
+
+pytestmark = pytest.mark.slow
 
 Vector = NDArray[np.float64]
 LONGEST = 3

@@ -11,7 +11,6 @@ from pydantic import JsonValue
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig, NodeParameters, load_config, node_parameters
 from armimp_bringup.offline import run_offline
-from armimp_bringup.testing import FinishedRun
 from armimp_estimation.bags import read_bag
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
@@ -19,6 +18,9 @@ from armimp_estimation.problems import Concern, ProblemCode, spoiled
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.results import read_summary
 from armimp_estimation.trial import TrialData
+from support.runs import FinishedRun
+
+pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 PD = "imbic_controller:\n  law:\n    kind: pd\n"

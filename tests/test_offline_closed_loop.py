@@ -13,9 +13,9 @@ from armimp_control import presets as control_presets
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
 from armimp_control.stability import check_stability
-from armimp_control.testing import torque_only
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig
+from support.safety import torque_only
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3

@@ -17,10 +17,10 @@ from armimp_control.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_control.safety import Action, Limit
 from armimp_control.sequence import SequenceConfig, timetable
-from armimp_control.testing import torque_only
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import IntegrationError, Plant, PlantConfig
 from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
+from support.safety import torque_only
 
 Array = NDArray[np.float64]
 TICKS = 400

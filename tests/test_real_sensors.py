@@ -121,6 +121,7 @@ def vaf(result: EstimatorResult) -> float:
     return float(np.min(result.vaf))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
     found = errors(estimated(name))
@@ -150,6 +151,7 @@ def test_a_lag_that_would_make_the_loop_unstable_is_refused() -> None:
         chosen(lag=0.003)
 
 
+@pytest.mark.slow
 def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_it_it_does_not() -> (
     None
 ):

@@ -8,10 +8,11 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_common.contract import PERIOD_NS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
-from armimp_estimation.recording import BAGS, Recording
+from armimp_estimation.recording import Recording
 from armimp_estimation.results import read_summary
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
 
 pytestmark = pytest.mark.usefixtures("environment")
 
@@ -49,6 +50,7 @@ def test_without_the_option_the_reason_is_one_line(
     ]
 
 
+@pytest.mark.slow
 def test_with_the_option_replayed_and_offline_results_are_the_same_to_the_bit(
     bags: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

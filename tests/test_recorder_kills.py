@@ -20,13 +20,13 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
-from armimp_common.fault_figures import Figures
 from armimp_estimation.bags import iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
-from armimp_estimation.recording import BAGS
-from armimp_estimation.testing import recorded_arm
+from armimp_estimation.bags.storage import BAGS
+from support.fault_figures import Figures
+from support.recordings import recorded_arm
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 SETTLE = 60
 SAMPLES = 6000
@@ -41,7 +41,7 @@ from armimp_common.contract import DATA_STREAMS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.inbox import TOGETHER, HandedInbox
 from armimp_estimation.recording import Recording
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
 
 directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 arm = recorded_arm(samples)
@@ -92,7 +92,8 @@ class Killed:
 def kill_a_recorder(directory: Path, trial: int, after: float) -> Killed:
     """Kill one this long (s) after its first sample."""
     command = [sys.executable, "-c", RECORDER, str(directory), str(trial), str(SAMPLES)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
+    shared = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, env=shared) as process:
         assert process.stdout is not None
         told = process.stdout.read(8)
         time.sleep(after)
@@ -151,7 +152,7 @@ def test_when_killed_at_random_moments_expect_little_lost_and_an_estimate(tmp_pa
     assert [assert_little_is_lost(one) for one in killed] == left
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(
     tmp_path: Path, figures: Figures

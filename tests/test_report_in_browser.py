@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_estimation.bags.synthetic import synthetic_recording
 from armimp_estimation.report import load_result, write_report
-from armimp_estimation.report.browser import Browser
-from armimp_estimation.report.testing import METADATA, make_result
+from support.browser import Browser
+from support.results import METADATA, make_result
+from support.synthetic_bags import synthetic_recording
 
 HOSTILE = "\"'><script>window.hacked = 1</script><img src=x onerror='window.hacked = 1'>"
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.driver_check.findings import Finding, failures, open_questions
+from support.stalls import StallWitness
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 ROBOT = str(Path(__file__).resolve().parent / "fake_ros2_control.py")
 BRIDGE = ["-m", "armimp_ros2_control.node"]
@@ -16,6 +17,8 @@ PACE = ("rate", "jitter", "sample to command")
 """How regular samples are, and how quick answers, depends on what else the machine does."""
 HELD_UP = "joint_states: nothing for 10 ms"
 """A fault of the bridge when the robot's process stands still, after which it obeys nobody."""
+STALL = 0.005
+"""Half of what the bridge bears (s), as three processes are held up one after another."""
 Start = Callable[..., None]
 Check = Callable[..., dict[str, Finding]]
 
@@ -25,7 +28,7 @@ def but_for_pace(names: list[str]) -> list[str]:
 
 
 def test_the_bridge_in_front_of_ros2_control_passes_every_check_with_torque(
-    start: Start, check: Check
+    start: Start, check: Check, witness: StallWitness
 ) -> None:
     start([ROBOT])
     start(BRIDGE, *NAMES)
@@ -36,8 +39,8 @@ def test_the_bridge_in_front_of_ros2_control_passes_every_check_with_torque(
         if not wrong and not but_for_pace(open_questions(findings.values())):
             break
     told = {name: findings[name].figure for name in wrong}
-    if HELD_UP in told.get("no fault at rest", ""):
-        pytest.skip(f"the machine is too busy: {told['no fault at rest']}")
+    if HELD_UP in told.get("no fault at rest", "") and witness.longest > STALL:
+        pytest.skip(f"the machine stood still for {1e3 * witness.longest:.0f} ms")
     assert told == {}
     for name in (
         "torque: joint and sign",

@@ -12,7 +12,7 @@ from armimp_bringup.config import load_config
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 HELD_UP = 1.5
 """Seconds, in which the simulator could send several thousand samples."""

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from armimp_common.fault_figures import Figures
+from support.fault_figures import Figures
 
-pytestmark = pytest.mark.alone
+pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 EXPERIMENTS = 36
 """Of two trials of 50 s each: an hour."""
@@ -58,7 +58,7 @@ class Told:
     files: int
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(3600)
 def test_in_an_hour_of_trials_nothing_is_lost_and_nothing_piles_up(
     tmp_path: Path, figures: Figures

@@ -14,6 +14,8 @@ from armimp_control.perturbation import perturbation
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig
 
+pytestmark = pytest.mark.slow
+
 AFTER = 150
 """Ticks that are watched after the stop."""
 

@@ -8,7 +8,9 @@ from typing import Any
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_estimation.report.browser import Browser
+from support.browser import Browser
+
+pytestmark = pytest.mark.slow
 
 CONDITIONS = "friction=0+3,resolution=0+3,perturbation=1+3"
 
@@ -25,6 +27,11 @@ def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def page(browser: Browser, study: Path) -> Browser:
     browser.open(study / "report.html")
     return browser
+
+
+def _name(friction: int, resolution: int, perturbation: int) -> str:
+    levels = f"friction {friction}, resolution {resolution}, perturbation {perturbation}"
+    return f"Welch, single input, {levels}"
 
 
 def _visible(browser: Browser) -> Any:
@@ -51,7 +58,8 @@ def test_study_report_is_drawn_without_complaint_and_without_the_network(
 
 
 def test_curves_are_chosen_by_estimator_perturbation_and_levels(page: Browser) -> None:
-    shown = ["F0 R0 P1", "F0 R3 P1", "F3 R0 P1", "F3 R3 P1"]
+    levels = [(0, 0, 1), (0, 3, 1), (3, 0, 1), (3, 3, 1)]
+    shown = [_name(*one) for one in levels]
     per_panel = [name for name in shown for _ in range(3)]
     assert _visible(page) == [*per_panel, "truth", "truth"]
     page.value("document.querySelector(\"input[data-switch='perturbation:3']\").click()")
@@ -61,7 +69,7 @@ def test_curves_are_chosen_by_estimator_perturbation_and_levels(page: Browser) -
         "document.querySelector('#overlay-1-2 .canvas').data"
         ".filter((trace) => trace.visible).length === 8"
     )
-    per_panel = [name for name in ("F3 R0 P3", "F3 R3 P3") for _ in range(3)]
+    per_panel = [name for name in (_name(3, 0, 3), _name(3, 3, 3)) for _ in range(3)]
     assert _visible(page) == [*per_panel, "truth", "truth"]
     assert page.said() == []
 

@@ -132,7 +132,7 @@ NOISE, RIGHT, MUST = "noise", "right", ""
 """Noise must come out valid; what is right may; other classes may be valid only if right."""
 
 
-def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: PLR0912 (a table)
+def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912 (a table)
     """Everything that is tried: kind and mismatch by name (class, magnitude)."""
     found: dict[str, tuple[str, Mismatch]] = {"ideal": (NOISE, Mismatch())}
 
@@ -295,7 +295,7 @@ def verdict_on(recordings: list[Recording]) -> Conclusion:
     """What the estimator says of trials without trial status and metadata."""
     trials = assemble_trials(NAMES, {}, (), streams=streams_of(recordings))
     finished = [FinishedTrial(assembled=one, bag=None) for one in trials]
-    return conclude(finished, metadata={}, joints=2, estimators=("lpm_full",))
+    return conclude(finished, metadata={}, joint_names=NAMES, estimators=("lpm_full",))
 
 
 def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str]]:

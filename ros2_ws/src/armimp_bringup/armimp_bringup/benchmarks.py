@@ -1,4 +1,4 @@
-"""The benchmarks behind `armimp bench`. A new one is a function and a line in the registry."""
+"""The frame of all benchmarks, and those behind `armimp bench`: a function each, and a name."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,12 +50,6 @@ Benchmark = Callable[[Callable[[str], None]], list[Measured]]
 """Takes a function that is told what is being measured; gives the figures."""
 
 
-def _study(tell: Callable[[str], None]) -> list[Measured]:
-    from armimp_bringup.study.bench import time_study
-
-    return time_study(tell)
-
-
 def _graph(tell: Callable[[str], None]) -> list[Measured]:
     from armimp_bringup.graph_bench import time_graph
 
@@ -68,44 +62,8 @@ def _realtime(tell: Callable[[str], None]) -> list[Measured]:
     return time_realtime(tell)
 
 
-def _estimate(tell: Callable[[str], None]) -> list[Measured]:
-    from armimp_bringup.estimate_bench import time_estimate
-
-    return time_estimate(tell)
-
-
-def _start(tell: Callable[[str], None]) -> list[Measured]:
-    from armimp_bringup.start_bench import time_start
-
-    return time_start(tell)
-
-
-def _memory(tell: Callable[[str], None]) -> list[Measured]:
-    from armimp_bringup.memory_bench import measure_memory
-
-    return measure_memory(tell)
-
-
-def _growth(tell: Callable[[str], None]) -> list[Measured]:
-    from armimp_bringup.growth_bench import measure_growth
-
-    return measure_growth(tell)
-
-
-_BENCHMARKS: dict[str, Benchmark] = {
-    "study": _study,
-    "graph": _graph,
-    "start": _start,
-    "estimate": _estimate,
-    "memory": _memory,
-    "growth": _growth,
-    "realtime": _realtime,
-}
-
-
-def benchmark_names() -> tuple[str, ...]:
-    """Names of all benchmarks."""
-    return tuple(_BENCHMARKS)
+BENCHMARKS: Mapping[str, Benchmark] = {"graph": _graph, "realtime": _realtime}
+"""What a user wants to know of a machine; those of the project itself are in ``benchmarks/``."""
 
 
 def available_cores() -> int:
@@ -113,7 +71,7 @@ def available_cores() -> int:
     return len(os.sched_getaffinity(0))
 
 
-def check_names(names: Sequence[str]) -> None:
+def check_names(names: Sequence[str], known: Mapping[str, Benchmark]) -> None:
     """Check that there are benchmarks of these names.
 
     Raises
@@ -122,10 +80,8 @@ def check_names(names: Sequence[str]) -> None:
         Naming the first that there is not.
     """
     for name in names:
-        if name not in _BENCHMARKS:
-            raise ConfigurationError(
-                f"there is no benchmark {name!r}, only {', '.join(_BENCHMARKS)}"
-            )
+        if name not in known:
+            raise ConfigurationError(f"there is no benchmark {name!r}, only {', '.join(known)}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +103,9 @@ class BenchResults:
         return [one for group in self.measured.values() for one in group if one.met is False]
 
 
-def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> BenchResults:
+def run_benchmarks(
+    names: Sequence[str], tell: Callable[[str], None], known: Mapping[str, Benchmark]
+) -> BenchResults:
     """Run benchmarks by name; none means all. One that fails does not keep others from running.
 
     Raises
@@ -155,11 +113,11 @@ def run_benchmarks(names: Sequence[str], tell: Callable[[str], None]) -> BenchRe
     ConfigurationError
         If there is no such benchmark.
     """
-    check_names(names)
+    check_names(names, known)
     results = BenchResults(measured={}, failed={})
-    for name in dict.fromkeys(names or _BENCHMARKS):
+    for name in dict.fromkeys(names or known):
         try:
-            results.measured[name] = _BENCHMARKS[name](tell)
+            results.measured[name] = known[name](tell)
         except ArmimpError as error:
             results.failed[name] = str(error)
     return results
@@ -207,7 +165,13 @@ def write_bench(directory: Path, record: dict[str, Any]) -> Path:
     return path
 
 
-def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
+def bench(
+    names: Sequence[str],
+    directory: Path,
+    *,
+    as_json: bool,
+    known: Mapping[str, Benchmark] | None = None,
+) -> int:
     """Run benchmarks, show and store the figures; 0 if all ran and met their targets, else 1.
 
     Raises
@@ -220,10 +184,11 @@ def bench(names: Sequence[str], directory: Path, *, as_json: bool) -> int:
     from rich.console import Console
 
     errors = Console(stderr=True, soft_wrap=True)
-    check_names(names)
+    known = BENCHMARKS if known is None else known
+    check_names(names, known)
     _require_place(directory)
     began = time.monotonic()
-    results = run_benchmarks(names, lambda text: errors.print(text, highlight=False))
+    results = run_benchmarks(names, lambda text: errors.print(text, highlight=False), known)
     took = time.monotonic() - began
     record = bench_record(results)
     path = write_bench(directory, record)

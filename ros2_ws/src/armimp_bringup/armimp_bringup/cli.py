@@ -9,132 +9,278 @@ import atexit
 import math
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from typer.exceptions import TyperException
 
-from armimp_bringup.investigations.registry import find_investigation, investigations
-from armimp_bringup.say import say
+from armimp_bringup.resources import require_open_files
+from armimp_bringup.terminal import Display, phase, repair_streams, say
 from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
 _INTERRUPTED = 130
 """What shells make of a program that SIGINT has ended; typer's own status for it, too."""
+_ESTIMATOR_NAMES = ("welch_siso", "welch_full", "lpm_full", "direct")
 
 app = typer.Typer(
-    add_completion=False,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
     help="Measure the multi-joint mechanical impedance of a human arm.",
 )
 
-_INVESTIGATIONS = "; ".join(f"{name}: {what}" for name, what in investigations().items()) + "."
-_Bags = Annotated[list[Path], typer.Argument(help="rosbag2 directories, .mcap or .db3 files.")]
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from armimp_common.versions import git_revision, versions
+
+        print(f"armimp {versions()['armimp']} ({git_revision()})")
+        raise typer.Exit
+
+
+@app.callback()
+def _armimp(
+    _: Annotated[
+        bool,
+        typer.Option("--version", "-V", callback=_print_version, is_eager=True, help="Tell it."),
+    ] = False,
+) -> None:
+    pass
+
+
+def _choices(*values: object) -> Callable[[], list[str]]:
+    """What a shell offers for an option."""
+    return lambda: [str(value) for value in values]
+
+
+def _default(text: str) -> Any:
+    """The default that a help page shows where None leaves it to a configuration file."""
+    return {"show_default": text}
+
+
+_Bags = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Directories of runs, rosbag2 directories (or a folder of them), .mcap or .db3 files."
+    ),
+]
 _Estimators = Annotated[
     list[str] | None,
-    typer.Option("--estimator", help="Estimator of the result; may be given more than once."),
+    typer.Option(
+        "--estimator",
+        help=f"Estimator: {', '.join(_ESTIMATOR_NAMES)}. May be given more than once.",
+        autocompletion=_choices(*_ESTIMATOR_NAMES),
+        **_default("welch_siso and lpm_full"),
+    ),
 ]
 _AllowGaps = Annotated[
     bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
 ]
+_Trust = Annotated[
+    bool, typer.Option("--trust", help="Lift the limits on what a bag may hold for its size.")
+]
 _TorqueDelay = Annotated[
     float | None,
-    typer.Option(help="How late torque readings are, s; negative if they are early."),
+    typer.Option(
+        help="How late torque readings are, s, negative if they are early.",
+        **_default("as recorded with the bags, else fitted"),
+    ),
 ]
 _TorqueTiming = Annotated[
     str | None,
-    typer.Option(help="When torques are read: before, after, mid, mean or simultaneous."),
+    typer.Option(
+        help="When torques are read: before, after, mid, mean or simultaneous.",
+        autocompletion=_choices("before", "after", "mid", "mean", "simultaneous"),
+        **_default("as recorded with the bags, else found"),
+    ),
 ]
 _TorqueUncertainty = Annotated[
     float | None,
-    typer.Option(help="Standard error of what is told of that, s; 20 µs by default."),
+    typer.Option(
+        help="Standard error of what is told of that, s.", **_default("20 µs where it is told")
+    ),
 ]
 _Rate = Annotated[
-    float | None, typer.Option(help="Sampling rate, Hz, if an uncustomary one is right.")
+    float | None,
+    typer.Option(
+        help="Sampling rate, Hz, if an uncustomary one is right.", **_default("found by itself")
+    ),
 ]
-_Out = Annotated[Path | None, typer.Option("--out", help="New directory for the results.")]
+_Out = Annotated[
+    Path | None, typer.Option("--out", help="New directory for the results.", show_default="none")
+]
+_NewDirectory = Annotated[
+    Path | None,
+    typer.Option("--out", help="New directory for the results.", **_default("results/NAME-TIME")),
+]
 _Json = Annotated[bool, typer.Option("--json", help="Print summary.json instead of tables.")]
+_Config = Annotated[
+    Path | None,
+    typer.Option(help="YAML file with any of these options, and with parameters of the nodes."),
+]
+_Joints = Annotated[
+    int | None,
+    typer.Option(
+        help="Joints of the preset arm, 1 to 7; 2 is the paper's arm of shoulder and elbow.",
+        autocompletion=_choices(*range(1, 8)),
+        **_default("2"),
+    ),
+]
+_Duration = Annotated[
+    float | None, typer.Option(help="Length of each trial, s; 2 to 9000.", **_default("50"))
+]
+_DomainId = Annotated[
+    int | None, typer.Option(help="ROS domain, 0 to 232.", **_default("one that is free"))
+]
+_Workers = Annotated[
+    int | None, typer.Option(help="Number of threads.", **_default("one for each core"))
+]
 
 
 @app.command()
 def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
-    config: Annotated[
-        Path | None, typer.Option(help="YAML file with any of these options.")
+    config: _Config = None,
+    friction: Annotated[
+        int | None,
+        typer.Option(
+            help="Level of joint friction: 0 none; 1, 2, 3 Coulomb friction of 0.4, 1, 2 N·m.",
+            autocompletion=_choices(0, 1, 2, 3),
+            **_default("3"),
+        ),
     ] = None,
-    friction: Annotated[int | None, typer.Option(help="Friction level, 0 to 3.")] = None,
-    resolution: Annotated[int | None, typer.Option(help="Resolution level, 0 to 3.")] = None,
-    perturbation: Annotated[int | None, typer.Option(help="Perturbation level, 1 to 3.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Length of each trial, s.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of all random signals.")] = None,
-    mode: Annotated[str | None, typer.Option(help="How time passes: lockstep or realtime.")] = None,
+    resolution: Annotated[
+        int | None,
+        typer.Option(
+            help="Level of sensor resolution: 0 exact; 1, 2, 3 encoder steps of 360°/204800, "
+            "/102400, /51200 and torque steps of 5, 10, 20 mN·m.",
+            autocompletion=_choices(0, 1, 2, 3),
+            **_default("3"),
+        ),
+    ] = None,
+    perturbation: Annotated[
+        int | None,
+        typer.Option(
+            help="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder and "
+            "1.8, 3.6, 5.4 N·m at the elbow.",
+            autocompletion=_choices(1, 2, 3),
+            **_default("3"),
+        ),
+    ] = None,
+    duration: _Duration = None,
+    seed: Annotated[
+        int | None, typer.Option(help="Seed of all random signals.", **_default("1"))
+    ] = None,
+    mode: Annotated[
+        str | None,
+        typer.Option(
+            help="How time passes: lockstep (as fast as the machine, repeatable) or realtime "
+            "(1 kHz by the wall clock).",
+            autocompletion=_choices("lockstep", "realtime"),
+            **_default("lockstep"),
+        ),
+    ] = None,
     processes: Annotated[
-        str | None, typer.Option(help="Where the nodes live: composed, separate or external.")
+        str | None,
+        typer.Option(
+            help="Where the nodes live: composed (in one process), separate (one for each) or "
+            "external (started by others).",
+            autocompletion=_choices("composed", "separate", "external"),
+            **_default("composed; separate in realtime"),
+        ),
     ] = None,
     priority: Annotated[
-        int | None, typer.Option(help="SCHED_FIFO priority of rig and controller in realtime.")
+        int | None,
+        typer.Option(
+            help="SCHED_FIFO priority of rig and controller in realtime, 1 to 99; 0: ordinary.",
+            **_default("0"),
+        ),
     ] = None,
-    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
+    joints: _Joints = None,
     estimator: _Estimators = None,
-    until_error: Annotated[
+    target_error: Annotated[
         str | None,
-        typer.Option(help="End a trial once the standard errors of M, B, K are below: 2% or 0.02."),
+        typer.Option(
+            help="End a trial once the standard errors of M, B, K are below: 2% or 0.02.",
+            **_default("never"),
+        ),
     ] = None,
-    torque_delay: _TorqueDelay = None,
-    out: _Out = None,
+    torque_delay: Annotated[
+        float | None,
+        typer.Option(
+            help="How late torque readings are, s, for the estimates to correct.",
+            **_default("as simulated"),
+        ),
+    ] = None,
+    out: _NewDirectory = None,
     domain_id: Annotated[
         int | None,
-        typer.Option(help="ROS domain; default: a free one; of external nodes: ROS_DOMAIN_ID."),
+        typer.Option(
+            help="ROS domain, 0 to 232.",
+            **_default("one that is free; with external nodes ROS_DOMAIN_ID"),
+        ),
     ] = None,
     json: _Json = False,
 ) -> int:
     """Run the experiment through the node graph: one trial for each joint, then the result."""
-    from armimp_common.compiled import spare_linear_algebra
+    share = None if target_error is None else _share(target_error)
+    with Display() as display:
+        display.phase("starting")
+        from armimp_common.compiled import on_compiling, spare_linear_algebra
 
-    spare_linear_algebra()
-    from armimp_bringup.config import load_config
-    from armimp_bringup.display import LiveDisplay
-    from armimp_bringup.orchestrator import run_experiment
-    from armimp_bringup.presentation import present
-    from armimp_bringup.stopwatch import Stopwatch
-    from armimp_common.spin import stop_on_signals
-    from armimp_estimation.figure_process import FigureProcess
+        spare_linear_algebra()
+        on_compiling(tell_of_compiling)
+        from armimp_bringup.config import load_config
+        from armimp_bringup.orchestrator import run_experiment
+        from armimp_bringup.presentation import Stopwatch, present
+        from armimp_common.spin import stop_on_signals
+        from armimp_common.trial_status import Phase
+        from armimp_estimation.figure_process import FigureProcess
 
-    settings = load_config(
-        config,
-        {
-            "friction": friction,
-            "resolution": resolution,
-            "perturbation": perturbation,
-            "duration": duration,
-            "seed": seed,
-            "mode": mode,
-            "processes": processes,
-            "priority": priority,
-            "joints": joints,
-            "estimators": tuple(estimator) if estimator else None,
-            "until_error": None if until_error is None else _share(until_error),
-            "torque_delay": torque_delay,
-        },
-    )
-    directory = out if out is not None else _new_directory("run")
-    stopwatch = Stopwatch()
-    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
-        if settings.mode == "lockstep":  # in real time, nothing may run beside the experiment
-            figures.start()
-        summary = run_experiment(
-            settings,
-            directory,
-            domain_id=domain_id,
-            on_progress=display.show,
-            on_phase=stopwatch.note,
-            on_over=lambda: figures.draw(directory),
-            interrupted=stopped,
+        settings = load_config(
+            config,
+            {
+                "friction": friction,
+                "resolution": resolution,
+                "perturbation": perturbation,
+                "duration": duration,
+                "seed": seed,
+                "mode": mode,
+                "processes": processes,
+                "priority": priority,
+                "joints": joints,
+                "estimators": tuple(estimator) if estimator else None,
+                "target_error": share,
+                "torque_delay": torque_delay,
+            },
         )
-        return present(summary, directory, figures, as_json=json, stopwatch=stopwatch)
+        directory = out if out is not None else _new_directory("run")
+        stopwatch = Stopwatch()
+
+        def note(entered: Phase) -> None:
+            stopwatch.note(entered)
+            if entered is Phase.DONE:
+                display.complete("estimating")
+
+        with stop_on_signals() as stopped, FigureProcess() as figures:
+            if settings.mode == "lockstep":  # in real time, nothing may run beside the experiment
+                figures.start()
+            summary = run_experiment(
+                settings,
+                directory,
+                domain_id=domain_id,
+                on_progress=display.show,
+                on_phase=note,
+                on_over=lambda: figures.draw(directory),
+                interrupted=stopped,
+            )
+            display.close()
+            return present(summary, directory, figures, as_json=json, stopwatch=stopwatch)
 
 
 @app.command()
@@ -142,46 +288,53 @@ def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     bags: _Bags,
     estimator: _Estimators = None,
     namespace: Annotated[
-        str | None, typer.Option(help="Namespace of the topics; default: found by itself.")
+        str | None, typer.Option(help="Namespace of the topics.", **_default("found by itself"))
     ] = None,
     allow_gaps: _AllowGaps = False,
     torque_timing: _TorqueTiming = None,
     torque_delay: _TorqueDelay = None,
     torque_uncertainty: _TorqueUncertainty = None,
     rate: _Rate = None,
+    trust: _Trust = False,
     out: _Out = None,
     json: _Json = False,
 ) -> int:
     """Estimate the impedance from bags, one trial for each joint among them."""
-    from armimp_bringup.offline_estimate import Declared, estimate_bags
-    from armimp_bringup.orchestrator import prepare_directory
-    from armimp_bringup.presentation import present
-    from armimp_estimation.figure_process import FigureProcess
+    with Display() as display:
+        display.phase("starting")
+        from armimp_bringup.offline_estimate import Declared, estimate_bags
+        from armimp_bringup.presentation import present
+        from armimp_bringup.resources import prepare_directory
+        from armimp_estimation.bags.storage import find_bags
+        from armimp_estimation.figure_process import FigureProcess
 
-    declared = Declared(
-        torque_timing=torque_timing,
-        torque_delay=torque_delay,
-        torque_uncertainty=torque_uncertainty,
-        rate=rate,
-    )
-    with FigureProcess() as figures:
-        if out is not None:
-            prepare_directory(out)
-            figures.start()
-        conclusion, notes = estimate_bags(
-            bags,
-            tuple(estimator or ()),
-            namespace=namespace,
-            allow_gaps=allow_gaps,
-            declared=declared,
+        declared = Declared(
+            torque_timing=torque_timing,
+            torque_delay=torque_delay,
+            torque_uncertainty=torque_uncertainty,
+            rate=rate,
         )
-        for note in notes:
-            say(f"note: {note}")
-        if out is not None:
-            conclusion.write(out)
-        return present(
-            conclusion.summary, out, figures, as_json=json, bags=bags, namespace=namespace
-        )
+        bags = find_bags(bags)
+        with FigureProcess() as figures:
+            if out is not None:
+                prepare_directory(out)
+                figures.start()
+            conclusion, notes = estimate_bags(
+                bags,
+                tuple(estimator or ()),
+                namespace=namespace,
+                allow_gaps=allow_gaps,
+                declared=declared,
+                trust=trust,
+            )
+            display.close()
+            for note in notes:
+                say(f"note: {note}")
+            if out is not None:
+                conclusion.write(out)
+            return present(
+                conclusion.summary, out, figures, as_json=json, bags=bags, namespace=namespace
+            )
 
 
 @app.command()
@@ -189,49 +342,69 @@ def replay(
     bags: _Bags,
     estimator: _Estimators = None,
     allow_gaps: _AllowGaps = False,
+    trust: _Trust = False,
     out: _Out = None,
-    domain_id: Annotated[int | None, typer.Option(help="ROS domain; default: a free one.")] = None,
+    domain_id: _DomainId = None,
     json: _Json = False,
 ) -> int:
     """Play bags through the graph into a live estimator node."""
-    from armimp_bringup.display import LiveDisplay
-    from armimp_bringup.presentation import present
-    from armimp_bringup.replay import replay_bags
-    from armimp_common.spin import stop_on_signals
-    from armimp_estimation.figure_process import FigureProcess
+    with Display() as display:
+        display.phase("starting")
+        from armimp_bringup.presentation import present
+        from armimp_bringup.replay import replay_bags
+        from armimp_common.spin import stop_on_signals
+        from armimp_estimation.bags.storage import find_bags
+        from armimp_estimation.figure_process import FigureProcess
 
-    with stop_on_signals() as stopped, LiveDisplay() as display, FigureProcess() as figures:
-        summary = replay_bags(
-            bags,
-            tuple(estimator or ()),
-            out,
-            allow_gaps=allow_gaps,
-            domain_id=domain_id,
-            on_progress=display.show,
-            interrupted=stopped,
-        )
-        return present(summary, out, figures, as_json=json, bags=bags)
+        bags = find_bags(bags)
+
+        with stop_on_signals() as stopped, FigureProcess() as figures:
+            summary = replay_bags(
+                bags,
+                tuple(estimator or ()),
+                out,
+                allow_gaps=allow_gaps,
+                trust=trust,
+                domain_id=domain_id,
+                on_progress=display.show,
+                interrupted=stopped,
+            )
+            display.close()
+            return present(summary, out, figures, as_json=json, bags=bags)
 
 
 @app.command()
 def reproduce(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     out: Annotated[
-        Path | None, typer.Option("--out", help="Directory, new or of a study to go on with.")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Directory, new or of a study to go on with.",
+            **_default("results/study-TIME"),
+        ),
     ] = None,
     only: Annotated[
         list[str] | None,
-        typer.Option(help="Levels, as in friction=0+3,resolution=0; more than once: all of these."),
+        typer.Option(
+            help="Levels, as in friction=0+3,resolution=0; more than once: all of these. "
+            "The levels are those of `armimp run --help`.",
+            **_default("all 48 conditions"),
+        ),
     ] = None,
     seeds: Annotated[str, typer.Option(help="Seeds, as in 77 or 0:10 or 1,5,10:20.")] = "0",
-    workers: Annotated[int | None, typer.Option(help="Threads; default: one per core.")] = None,
+    workers: _Workers = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Scheduler of a dask cluster to run on: tcp://host:port.")
+        str | None,
+        typer.Option(
+            help="Scheduler of a dask cluster to run on: tcp://host:port.",
+            **_default("none, threads of this machine"),
+        ),
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="YAML file; its levels and seed do not count.")
     ] = None,
-    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Length of each trial, s.")] = None,
+    joints: _Joints = None,
+    duration: _Duration = None,
     estimator: _Estimators = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     json: Annotated[
@@ -239,32 +412,40 @@ def reproduce(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     ] = False,
 ) -> int:
     """Reproduce the paper's study: all levels of friction, resolution and perturbation."""
-    from armimp_bringup.study.command import ReproduceOptions
-    from armimp_bringup.study.command import reproduce as run_study
+    with Display() as display:
+        display.phase("starting")
+        from armimp_bringup.study.command import ReproduceOptions
+        from armimp_bringup.study.command import reproduce as run_study
+        from armimp_common.compiled import on_compiling
 
-    return run_study(
-        ReproduceOptions(
-            config=config,
-            out=out if out is not None else _new_directory("study"),
-            only=only or (),
-            seeds=seeds,
-            workers=workers,
-            scheduler=scheduler,
-            joints=joints,
-            duration=duration,
-            estimators=estimator,
-            figures=figures,
-            json=json,
+        on_compiling(tell_of_compiling)
+        return run_study(
+            ReproduceOptions(
+                config=config,
+                out=out if out is not None else _new_directory("study"),
+                only=only or (),
+                seeds=seeds,
+                workers=workers,
+                scheduler=scheduler,
+                joints=joints,
+                duration=duration,
+                estimators=estimator,
+                figures=figures,
+                json=json,
+            )
         )
-    )
 
 
 @app.command()
 def bench(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME]...", help="Benchmarks; default: all.")
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="Benchmarks.", show_default="all"),
     ] = None,
-    out: Annotated[Path | None, typer.Option("--out", help="Directory for bench.json.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Directory for bench.json.", **_default("results/bench-TIME")),
+    ] = None,
     json: Annotated[
         bool, typer.Option("--json", help="Print bench.json instead of a table.")
     ] = False,
@@ -276,36 +457,17 @@ def bench(
 
 
 @app.command()
-def investigate(
-    name: Annotated[str, typer.Argument(metavar="NAME", help=_INVESTIGATIONS)],
-    out: _Out = None,
-    seeds: Annotated[
-        str | None, typer.Option(help="Seeds, as in 77 or 0:10; default: those of NAME.")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Threads; default: one per core.")] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
-) -> int:
-    """Answer one question by Monte Carlo simulation; what it measured is in the documents."""
-    from armimp_bringup.investigations.options import InvestigationOptions
-    from armimp_bringup.orchestrator import prepare_directory
-
-    run_investigation = find_investigation(name)
-    directory = out if out is not None else _new_directory(name)
-    options = InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
-    prepare_directory(directory)
-    return run_investigation(options)
-
-
-@app.command()
 def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     domain_id: Annotated[
-        int | None, typer.Option(help="ROS domain of the driver; default: ROS_DOMAIN_ID.")
+        int | None, typer.Option(help="ROS domain of the driver.", **_default("ROS_DOMAIN_ID"))
     ] = None,
-    joints: Annotated[int | None, typer.Option(help="Joints of the preset arm, 1 to 7.")] = None,
+    joints: _Joints = None,
     joint: Annotated[
         list[str] | None, typer.Option(help="Name of a joint, in the order of commands; repeat.")
     ] = None,
-    node: Annotated[str | None, typer.Option(help="Name of the node; default: arm_sim.")] = None,
+    node: Annotated[
+        str | None, typer.Option(help="Name of the node.", **_default("arm_sim"))
+    ] = None,
     namespace: Annotated[str, typer.Option(help="Namespace of the driver.")] = "",
     duration: Annotated[float, typer.Option(help="Length of the recording, s.")] = 5.0,
     move: Annotated[
@@ -336,10 +498,13 @@ def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     )
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; every error that a user can cause ends in one line."""
+def main(
+    arguments: Sequence[str] | None = None, program: typer.Typer = app, name: str = "armimp"
+) -> int:
+    """Run a command line; every error that a user can cause ends in one line."""
     try:
-        status = app(args=arguments, prog_name="armimp", standalone_mode=False)
+        require_open_files()
+        status = program(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
         message = error.format_message()
         if message.startswith("Usage: "):
@@ -348,18 +513,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             say(f"armimp: {message}")
         return 2
-    except ConfigurationError as error:
-        say(f"armimp: {error}")
-        return 2
-    except InterruptionError as error:
-        say(f"armimp: {error}")
-        return _INTERRUPTED
     except ArmimpError as error:
         say(f"armimp: {error}")
-        return 1
+        if isinstance(error, ConfigurationError):
+            return 2
+        return _INTERRUPTED if isinstance(error, InterruptionError) else 1
     except (KeyboardInterrupt, typer.Abort):
         status = _INTERRUPTED
     except ImportError as error:
+        if find_spec("rclpy") is None:
+            say("armimp: this needs ROS, which is not installed: pip install 'armimp[ros]'")
+            return 1
         # So compiled modules put it when SIGINT comes while they are imported.
         if not isinstance(error.__cause__ or error.__context__, KeyboardInterrupt):
             raise
@@ -367,6 +531,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # Whoever read the output has left, as `head` does.
         sys.stderr.close()
+        return 1
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        say(f"armimp: {place}{error.strerror or error}")
         return 1
     if status == _INTERRUPTED:
         say("armimp: interrupted")
@@ -388,8 +556,13 @@ def _share(text: str) -> float:
         share = math.nan
     if not 0.0 < share < 1.0:
         hint = "" if percent or not share >= 1.0 else f"; did you mean {text.strip()}%?"
-        raise ConfigurationError(f"--until-error: {text!r} is no share such as 2% or 0.02{hint}")
+        raise ConfigurationError(f"--target-error: {text!r} is no share such as 2% or 0.02{hint}")
     return share
+
+
+def tell_of_compiling() -> None:
+    """Name that phase on the display that is open."""
+    phase("compiling, once for this version")
 
 
 def _new_directory(what: str) -> Path:
@@ -401,13 +574,18 @@ def program() -> NoReturn:
 
     To take everything apart that was imported would take the interpreter half a second.
     """
+    repair_streams()
     status = main()
     atexit._run_exitfuncs()
     try:
         sys.stdout.flush()
         sys.stderr.flush()
-    except (OSError, ValueError):  # whoever read the output has left
+    except (BrokenPipeError, ValueError):  # whoever read the output has left
         status = status or 1
+    except OSError as error:
+        status = status or 1
+        with suppress(OSError):
+            say(f"armimp: the output cannot be written: {error.strerror}")
     os._exit(status)
 
 

@@ -15,14 +15,17 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, m
 from armimp_bringup.offline import Rig
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import build, explain, flatten
+from armimp_common.schema import build, check_names, explain, flatten
 from armimp_common.versions import git_revision, versions
+from armimp_common.yaml_text import Loader, load_yaml
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.conclusion import TIMING_KEY
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
+from armimp_estimation.whole_files import read_text, require_text
 from armimp_sim.parameters import SimulatorParameters
 
 Overrides = dict[str, JsonValue]
+_MOST_BYTES = 1 << 18
 _LARGEST = 1e20
 """Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
 
@@ -38,7 +41,7 @@ class ExperimentConfig(BaseModel):
     friction: int = Field(default=3, ge=0, le=3, description="friction level")
     resolution: int = Field(default=3, ge=0, le=3, description="sensor resolution level, Table II")
     perturbation: int = Field(default=3, ge=1, le=3, description="perturbation level, Table III")
-    duration: float = Field(default=50.0, ge=10.0, le=9000.0, description="of each trial (s)")
+    duration: float = Field(default=50.0, ge=2.0, le=9000.0, description="of each trial (s)")
     seed: int = Field(default=1, ge=0, lt=2**63, description="of all random signals")
     mode: Literal["lockstep", "realtime"] = Field(default="lockstep", description="how time passes")
     processes: Literal["composed", "separate", "external"] = Field(
@@ -52,7 +55,7 @@ class ExperimentConfig(BaseModel):
     estimators: tuple[str, ...] = Field(
         default=("welch_siso", "lpm_full"), description="estimators of the result"
     )
-    until_error: float = Field(
+    target_error: float = Field(
         default=0.0,
         ge=0.0,
         lt=1.0,
@@ -77,13 +80,13 @@ class ExperimentConfig(BaseModel):
         return values
 
 
-class _Loader(yaml.SafeLoader):
+class _Loader(Loader):  # type: ignore[misc]
     """The safe one, which lets errors of Python through where a text is not what it looks like."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:
             return super().construct_object(node, deep=deep)
-        except (ValueError, LookupError, AttributeError):
+        except (ValueError, ArithmeticError, LookupError, AttributeError):
             kind = str(node.tag).rpartition(":")[2]
             raise yaml.constructor.ConstructorError(
                 None, None, f"{node.value!r:.60} is no {kind}", node.start_mark
@@ -108,24 +111,27 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
     values: dict[str, Any] = {}
     if path is not None:
         try:
-            loaded = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+            require_text(path)
+            loaded = load_yaml(read_text(path, _MOST_BYTES), _Loader)
         except OSError as error:
             raise ConfigurationError(f"{path}: {error.strerror}") from None
         except UnicodeDecodeError:
             raise ConfigurationError(f"{path}: is not a text file") from None
         except yaml.YAMLError as error:
             reason = " ".join(str(error).split())
-            raise ConfigurationError(f"{path}: is not YAML: {reason}") from None
-        except RecursionError:
-            raise ConfigurationError(f"{path}: is nested too deeply") from None
+            raise ConfigurationError(f"{path}: is not YAML: {reason:.300}") from None
         if loaded is not None and not isinstance(loaded, dict):
             raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
         values.update(loaded or {})
     values.update({name: value for name, value in options.items() if value is not None})
+    where = f"{path}: " if path is not None else ""
+    try:
+        check_names(map(str, values), ExperimentConfig.model_fields)
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{where}{error}") from None
     try:
         return ExperimentConfig.model_validate(values)
     except ValidationError as error:
-        where = f"{path}: " if path is not None else ""
         raise ConfigurationError(f"{where}{explain(error)}") from None
 
 
@@ -215,6 +221,9 @@ def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePa
         CONTROLLER_NODE,
         config.imbic_controller,
     )
+    if config.target_error:
+        sequence = controller.sequence.model_copy(update={"may_end_early": True})
+        controller = controller.model_copy(update={"sequence": sequence})
     controller.check()
     controller.perturbation_config()
     if simulator.mode != controller.mode:
@@ -225,7 +234,7 @@ def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodePa
     estimator = EstimatorParameters(
         joints=simulator.joints,
         estimators=config.estimators,
-        until_error=config.until_error,
+        target_error=config.target_error,
         torque=TorqueParameters(
             delay=simulator.sensors.torque_delay,
             cutoff=simulator.sensors.torque_cutoff,
@@ -313,5 +322,15 @@ def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         if isinstance(value, Mapping):
             found |= _dotted(value, f"{prefix}{name}.")
         else:
-            found[f"{prefix}{name}"] = value
+            found[f"{prefix}{name}"] = _row_by_row(f"{prefix}{name}", value)
     return found
+
+
+def _row_by_row(name: str, value: Any) -> Any:
+    """A matrix that is written as a list of its rows, as the flat list that parameters are."""
+    if not isinstance(value, list) or not any(isinstance(row, list) for row in value):
+        return value
+    lengths = {len(row) if isinstance(row, list) else None for row in value}
+    if len(lengths) > 1:
+        raise ConfigurationError(f"parameter '{name}' = {value!r:.80}: rows differ in length")
+    return [number for row in value for number in row]

@@ -7,10 +7,10 @@ import os
 from collections.abc import Mapping, Sequence
 
 from pydantic import BaseModel
-from rcl_interfaces.srv import ListParameters, SetParametersAtomically
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from armimp_bringup.remote_parameters import Asked, RemoteParameters
 from armimp_common import contract
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
@@ -19,7 +19,6 @@ from armimp_common.parameters import as_parameters
 from armimp_common.spin import Spinner
 
 _DOMAIN = "ROS_DOMAIN_ID"
-_PATIENCE = 10.0
 
 
 def external_domain(domain_id: int | None) -> int:
@@ -72,8 +71,8 @@ class ExternalNodes:
 
     def prepare(
         self, manager: LifecycleManager, spinner: Spinner, parameters: Mapping[str, BaseModel]
-    ) -> None:
-        """Make sure that the nodes are free, and give them their parameters.
+    ) -> Asked:
+        """Make sure that the nodes are free, and give them their parameters, which are returned.
 
         Raises
         ------
@@ -90,45 +89,14 @@ class ExternalNodes:
                     " or has to be started anew"
                 )
         given = {name: as_parameters(parameters[name]) for name in manager.names}
+        nodes = {name: RemoteParameters(self._supervisor, spinner, name) for name in manager.names}
         if contract.SIM_NODE in given:
-            known = self._known(contract.SIM_NODE, spinner)
+            known = nodes[contract.SIM_NODE].names()
             if not known.issuperset(item.name for item in given[contract.SIM_NODE]):
                 _leave_to_driver(given, known)
-        for name in manager.names:
-            self._set(name, given[name], spinner)
-
-    def _known(self, name: str, spinner: Spinner) -> set[str]:
-        """Names of the parameters that a node has."""
-        client = self._supervisor.create_client(ListParameters, f"{name}/list_parameters")
-        try:
-            if not client.wait_for_service(_PATIENCE):
-                raise GraphError(f"node {name} takes no parameters")
-            future = client.call_async(ListParameters.Request())
-            if not spinner.spin_until(future, _PATIENCE):
-                raise GraphError(f"node {name} did not tell its parameters")
-            return set(future.result().result.names)
-        finally:
-            self._supervisor.destroy_client(client)
-
-    def _set(self, name: str, parameters: Sequence[Parameter], spinner: Spinner) -> None:
-        client = self._supervisor.create_client(
-            SetParametersAtomically, f"{name}/set_parameters_atomically"
-        )
-        try:
-            if not client.wait_for_service(_PATIENCE):
-                raise GraphError(f"node {name} takes no parameters")
-            future = client.call_async(
-                SetParametersAtomically.Request(
-                    parameters=[item.to_parameter_msg() for item in parameters]
-                )
-            )
-            if not spinner.spin_until(future, _PATIENCE):
-                raise GraphError(f"node {name} did not answer when it was given its parameters")
-            result = future.result().result
-        finally:
-            self._supervisor.destroy_client(client)
-        if not result.successful:
-            raise GraphError(f"node {name} refused its parameters: {result.reason}")
+        for name, node in nodes.items():
+            node.set(given[name])
+        return given
 
     def retire(self, manager: LifecycleManager, name: str) -> None:
         """Bring a node back to where the next experiment finds it.

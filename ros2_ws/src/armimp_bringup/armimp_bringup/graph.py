@@ -25,7 +25,7 @@ from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
 from armimp_common.lifeline import Lifeline
 from armimp_common.sockets import reachable_from_outside
-from armimp_common.spin import Spinner
+from armimp_common.spin import NO_LOG_FILES, Spinner
 
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 MODULES: Mapping[str, Sequence[str]] = {
@@ -96,7 +96,8 @@ class GraphContext:
 
     def _join(self) -> None:
         rclpy.init(
-            args=[],
+            # No log files in the home directory, which may be missing or full.
+            args=["--ros-args", NO_LOG_FILES],
             context=self.context,
             domain_id=self.claim.domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
@@ -235,7 +236,7 @@ class SeparateNodes:
         try:
             log_directory.mkdir(parents=True, exist_ok=True)
             for name, module in modules.items():
-                command = [sys.executable, "-m", *module, "--ros-args"]
+                command = [sys.executable, "-m", *module, "--ros-args", NO_LOG_FILES]
                 command += ["--params-file", str(parameters)]
                 with self._logs[name].open("wb") as log:
                     self.processes[name] = subprocess.Popen(

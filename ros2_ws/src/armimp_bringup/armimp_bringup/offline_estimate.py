@@ -99,6 +99,7 @@ def estimate_bags(
     namespace: str | None = None,
     allow_gaps: bool = False,
     declared: Declared | None = None,
+    trust: bool = False,
 ) -> tuple[Conclusion, list[str]]:
     """Identify the impedance from bags that hold one trial for each joint between them.
 
@@ -114,6 +115,8 @@ def estimate_bags(
         Use the intact parts of trials that lost samples.
     declared : Declared, optional
         What is known in the place of what the bags say.
+    trust : bool
+        Whether to lift the limits on what a bag may hold, which grow with its size.
 
     Returns
     -------
@@ -128,7 +131,7 @@ def estimate_bags(
     DataError
         If the bags don't belong together, or a trial can't be estimated.
     """
-    contents = read_bags(bags, namespace=namespace)
+    contents = read_bags(bags, namespace=namespace, trust=trust)
     names = contents[0].joint_names
     notes = [note for content in contents for note in content.notes]
     trials: list[FinishedTrial] = []
@@ -141,14 +144,16 @@ def estimate_bags(
     conclusion = conclude(
         trials,
         metadata=metadata,
-        joints=len(names),
+        joint_names=names,
         estimators=estimators or EstimatorParameters().estimators,
         gaps=GapConfig(allow=allow_gaps),
     )
     return conclusion, notes
 
 
-def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[BagContent]:
+def read_bags(
+    bags: Sequence[Path], *, namespace: str | None = None, trust: bool = False
+) -> list[BagContent]:
     """Read bags which belong to one experiment; those that a killed recorder left are finished.
 
     Raises
@@ -160,8 +165,8 @@ def read_bags(bags: Sequence[Path], *, namespace: str | None = None) -> list[Bag
     """
     contents = []
     for path in bags:
-        finished = finish_bag(path)
-        content = read_bag(path, namespace=namespace)
+        finished = finish_bag(path, trust=trust)
+        content = read_bag(path, namespace=namespace, trust=trust)
         contents.append(replace(content, notes=(finished, *content.notes)) if finished else content)
     for content in contents[1:]:
         if content.joint_names != contents[0].joint_names:

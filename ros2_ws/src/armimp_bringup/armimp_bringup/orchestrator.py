@@ -11,14 +11,17 @@ from typing import Any
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
+from armimp_bringup.remote_parameters import Asked, read_back
+from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract
 from armimp_common.errors import (
     ArmimpError,
-    ConfigurationError,
+    DataError,
     GraphError,
 )
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.parameters import as_parameters
 from armimp_common.schema import to_params_yaml
 from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
@@ -100,13 +103,22 @@ def run_experiment(
         supervisor = Supervisor(graph, on_progress, on_phase=on_phase, on_over=on_over)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
-            care = Care()
+            asked: Asked = {
+                name: as_parameters(model) for name, model in parameters.by_node().items()
+            }
+
+            def confirm() -> list[str]:
+                return read_back(supervisor, spinner, asked, parameter_file)
+
+            care = Care(confirm=confirm)
             if external:
                 nodes = guests = ExternalNodes(supervisor, GRAPH_ORDER)
-                care = Care(
-                    prepare=lambda manager: guests.prepare(manager, spinner, parameters.by_node()),
-                    retire=guests.retire,
-                )
+
+                def prepare(manager: LifecycleManager) -> None:
+                    nonlocal asked
+                    asked = guests.prepare(manager, spinner, parameters.by_node())
+
+                care = Care(prepare=prepare, confirm=confirm, retire=guests.retire)
             elif config.processes == "composed":
                 nodes = ComposedNodes(graph.context, spinner, parameter_file)
             else:
@@ -143,37 +155,6 @@ def _prepare(directory: Path, parameters: NodeParameters) -> Path:
     return parameter_file
 
 
-def prepare_directory(directory: Path) -> None:
-    """Make the output directory; one with anything in it is refused.
-
-    Raises
-    ------
-    ConfigurationError
-        If it exists and is not an empty directory, or can't be made.
-    """
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
-    require_unused(directory)
-
-
-def require_unused(directory: Path) -> None:
-    """Refuse an output directory with anything in it; there need not be one yet.
-
-    Raises
-    ------
-    ConfigurationError
-        If it exists and is not an empty directory.
-    """
-    try:
-        used = directory.exists() and any(directory.iterdir())
-    except OSError as error:
-        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
-    if used:
-        raise ConfigurationError(f"{directory}: is not empty, nothing is overwritten")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Care:
     """What is done with nodes before they are configured, and when they are needed no more.
@@ -181,10 +162,13 @@ class Care:
     Attributes
     ----------
     prepare : called once, when all nodes are there
+    confirm : called before they are activated and when all is over, while none has torque and no
+        time is lost by it; tells what is not as it was asked for
     retire : called for each node that was configured and lives, at the end
     """
 
     prepare: Callable[[LifecycleManager], None] = lambda _: None
+    confirm: Callable[[], Sequence[str]] = tuple
     retire: Callable[[LifecycleManager, str], None] = LifecycleManager.shutdown
 
 
@@ -228,12 +212,15 @@ def lead(
             roll.check()
             begun.append(name)
             manager.configure(name)
-        for name in names:
-            roll.check()
-            manager.activate(name)
-        supervisor.last_news = time.monotonic()
-        drive()
-        problems += _watch(supervisor, spinner, roll)
+        problems += care.confirm()
+        if not problems:
+            for name in names:
+                roll.check()
+                manager.activate(name)
+            supervisor.last_news = time.monotonic()
+            drive()
+            problems += _watch(supervisor, spinner, roll)
+            problems += () if problems else care.confirm()
     except ArmimpError as error:
         # From the graph itself or, where nodes live in this process, from one of their callbacks.
         problems += roll.deaths() or [str(error)]
@@ -343,11 +330,14 @@ def settle(
         conclusion = conclude(
             [],
             metadata=metadata if timing is None else {**metadata, RECORD_KEY: timing.to_json()},
-            joints=len(estimator.joints),
+            joint_names=estimator.joints,
             estimators=estimator.estimators,
             problems=problems,
         )
-        write_summary(path, conclusion.summary)
+        try:
+            write_summary(path, conclusion.summary)
+        except DataError as error:
+            raise DataError("; ".join([*problems, str(error)])) from None
         return conclusion.summary
     summary = read_summary(path)
     update: dict[str, Any] = {}

@@ -19,6 +19,7 @@ from std_msgs.msg import Float64MultiArray, UInt64
 from armimp_common import contract, qos
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 
 PING, PONG, TAP = NAMES = ("ping", "pong", "tap")
 TOOK: Final = "ping/took"
@@ -73,7 +74,7 @@ class PingNode(_Bare):
         self.listen(contract.COMMANDS, self._on_command)
         self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
         self.create_subscription(UInt64, READY, self._on_ready, qos.LATCHED)
-        self._start = self.create_timer(0.02, self._begin)
+        self._start = steady_timer(self, 0.02, self._begin)
 
     def _begin(self) -> None:
         publishers = [publisher for publisher, _ in self._streams]
@@ -119,7 +120,7 @@ class PongNode(_Bare):
         # As the controller, which wants to know whether anything is still recorded.
         self.create_subscription(UInt64, contract.RECEIVED, lambda _: None, qos.LATCHED)
         self._ready = self.create_publisher(UInt64, READY, qos.LATCHED)
-        self._start = self.create_timer(0.02, self._begin)
+        self._start = steady_timer(self, 0.02, self._begin)
 
     def _begin(self) -> None:
         # Both the first node and the recorder listen to commands, the latter to perturbations too.
@@ -144,7 +145,7 @@ class TapNode(_Bare):
         self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
         for topic in _TYPES:
             self.listen(topic, self._on_message)
-        self._start = self.create_timer(0.02, self._begin)
+        self._start = steady_timer(self, 0.02, self._begin)
 
     def _begin(self) -> None:
         if all(self.count_publishers(topic) for topic in _TYPES):

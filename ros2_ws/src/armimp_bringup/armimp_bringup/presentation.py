@@ -1,17 +1,74 @@
-"""What becomes of a result on the command line: figures, report, tables, exit status."""
+"""What becomes of a result on the command line: tables, figures, report, exit status."""
 
 from __future__ import annotations
 
+import math
+import re
+import sys
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from armimp_bringup.say import say
-from armimp_bringup.stopwatch import Stopwatch
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
+from armimp_common.processes import age
+from armimp_common.trial_status import Phase
 from armimp_estimation.conclusion import SUMMARY_FILE
 from armimp_estimation.figure_process import FigureProcess
 from armimp_estimation.problems import Severity
-from armimp_estimation.results import Summary, write_summary
+from armimp_estimation.results import (
+    EstimatorSummary,
+    OriginSummary,
+    Summary,
+    TimingSummary,
+    WallSummary,
+    write_summary,
+)
+
+_COUNTS = ("duplicated", "contradictory", "reordered", "late", "clipped", "excluded")
+_TOO_BUSY = re.compile(r"^real time: |no command for \d+ ticks|ticks behind")
+_UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
+
+
+class Stopwatch:
+    """Wall times of a run; started with the process, however late it is made.
+
+    The trials last from the first sample of the first one to the last sample of the last one that
+    is perturbed. What is before are imports and the bringing up of the graph, what is after the
+    estimates and everything that is written.
+    """
+
+    def __init__(self) -> None:
+        self._began = time.monotonic() - age()
+        self._first = self._last = self._shown = math.nan
+        self._perturbing = False
+
+    def note(self, phase: Phase) -> None:
+        """Take note that a phase of a trial begins."""
+        now = time.monotonic()
+        if phase is Phase.PERTURB:
+            if math.isnan(self._first):
+                self._first = now
+            self._perturbing = True
+        elif self._perturbing:
+            self._last, self._perturbing = now, False
+
+    def shown(self) -> None:
+        """Take note that M, B and K are on the screen."""
+        self._shown = time.monotonic()
+
+    def stop(self) -> WallSummary:
+        """Wall times until now; NaN without any sample."""
+        return WallSummary(
+            before=self._first - self._began,
+            trials=self._last - self._first,
+            result=self._shown - self._last,
+            after=time.monotonic() - self._last,
+        )
 
 
 def present(
@@ -24,7 +81,7 @@ def present(
     namespace: str | None = None,
     stopwatch: Stopwatch | None = None,
 ) -> int:
-    """Draw, report and print a result.
+    """Print a result, and draw and report it afterwards.
 
     Parameters
     ----------
@@ -47,9 +104,23 @@ def present(
         The exit status that the result deserves.
     """
     complete = True
+    summary = summary.model_copy(update={"origin": OriginSummary.of(sys.argv)})
+    if not as_json:
+        print_result(summary)
+        if stopwatch is not None:
+            stopwatch.shown()
+    for finding in summary.findings:
+        # What concerns an estimator that decides nothing makes its own numbers alone not valid.
+        if finding.severity == Severity.NOTE.value or finding.sentence not in summary.problems:
+            say(f"armimp: note: {finding.sentence}")
+    for line in complaints(summary.problems):
+        say(f"armimp: not valid: {line}")
     if directory is not None:
         try:
-            _write(directory, figures, bags, namespace)
+            write_summary(directory / SUMMARY_FILE, summary, anew=True)
+            with Display() as display:
+                display.phase("drawing figures and report")
+                _write(directory, figures, bags, namespace)
             if stopwatch is not None:
                 summary = summary.model_copy(update={"wall": stopwatch.stop()})
                 write_summary(directory / SUMMARY_FILE, summary, anew=True)
@@ -58,20 +129,20 @@ def present(
             say(f"armimp: {error}")
             complete = False
     if as_json:
-        print(summary.model_dump_json(by_alias=True))
+        print(summary.model_dump_json(by_alias=True, ensure_ascii=True))
     else:
-        from armimp_bringup.tables import print_summary
-
-        print_summary(summary, directory)
-    for finding in summary.findings:
-        # What concerns an estimator that decides nothing makes its own numbers alone not valid.
-        if finding.severity == Severity.NOTE.value or finding.sentence not in summary.problems:
-            say(f"armimp: note: {finding.sentence}")
-    for problem in summary.problems:
-        say(f"armimp: not valid: {problem}")
-    if summary.verdict.impedance and not summary.verdict.parameters:
-        say("armimp: Z(f) is valid; M, B and K are not")
+        print_files(summary, directory)
     return 0 if summary.valid and complete else 1
+
+
+def complaints(problems: Sequence[str]) -> list[str]:
+    """Problems, one line for each cause: whatever comes of a machine that is too busy is one."""
+    late = [one for one in problems if _TOO_BUSY.search(one)]
+    if len(late) < 2:
+        return list(problems)
+    told = "; ".join(dict.fromkeys(one.removeprefix("real time: ") for one in late))
+    others = [one for one in problems if one not in late]
+    return [f"the machine was too busy for real time: {told}", *others]
 
 
 def _write(
@@ -110,3 +181,150 @@ def _error_of(step: Callable[[], object]) -> DataError | None:
     except DataError as error:
         return error
     return None
+
+
+def print_result(summary: Summary, console: Console | None = None) -> None:
+    """Print the tables of a result, and the verdict."""
+    out = console if console is not None else Console(soft_wrap=True)
+    for name, result in summary.estimators.items():
+        out.print(_parameter_table(name, result, summary))
+        out.print(_quality_table(result, summary))
+    if summary.trials:
+        out.print(_trial_table(summary))
+    if summary.timing is not None:
+        out.print(_timing_table(summary.timing))
+    for line in _without_precision(summary):
+        out.print(line, highlight=False)
+    out.print("[bold]valid[/]" if summary.valid else "[bold red]not valid[/]")
+    if summary.verdict.impedance and not summary.verdict.parameters:
+        out.print("Z(f) is valid; M, B and K are not", highlight=False)
+
+
+def print_files(summary: Summary, directory: Path | None, console: Console | None = None) -> None:
+    """Print where the files of a result are, and how long everything took."""
+    out = console if console is not None else Console(soft_wrap=True)
+    if directory is not None:
+        out.print(f"results in {directory}", highlight=False)
+    if summary.wall is not None and not math.isnan(summary.wall.trials):
+        out.print(_wall_line(summary.wall), highlight=False)
+
+
+def _wall_line(wall: WallSummary) -> str:
+    return (
+        f"{wall.before:.1f} s until the first sample, {wall.trials:.1f} s to the last one, "
+        f"{wall.result:.1f} s for the result, {wall.after - wall.result:.1f} s for the rest"
+    )
+
+
+def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:
+    title = f"{name}: Z = M s² + B s + K"
+    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("")
+    table.add_column("estimate", justify="right")
+    table.add_column("± s.e.", justify="right")
+    if summary.truth is not None:
+        table.add_column("truth", justify="right")
+        table.add_column("error", justify="right")
+    table.add_column("unit")
+    for letter, unit in _UNITS.items():
+        estimates, errors = getattr(result, letter), getattr(result, f"{letter}_se")
+        for i in range(summary.joints):
+            for k in range(summary.joints):
+                value = estimates[i][k]
+                cells = [f"{letter}{i + 1}{k + 1}", f"{value:.5f}", f"{errors[i][k]:.5f}"]
+                if summary.truth is not None:
+                    true = getattr(summary.truth, letter)[i][k]
+                    cells += [f"{true:.5f}", _relative(value, true)]
+                table.add_row(*cells, unit, end_section=i == k == summary.joints - 1)
+    return table
+
+
+def _quality_table(result: EstimatorSummary, summary: Summary) -> Table:
+    table = Table(box=SIMPLE_HEAD)
+    table.add_column("element")
+    rows: list[tuple[str, list[list[float]] | None, str]] = [
+        ("VAF %", result.vaf, ".2f"),
+        ("R²", result.r2, ".4f"),
+        ("lack of fit", result.lack_of_fit, ".2f"),
+        ("coherence, derived", result.coherence_derived, ".4f"),
+        ("coherence τΔ→τ", result.coherence_torque, ".4f"),
+    ]
+    n = range(summary.joints)
+    for title, matrix, _ in rows:
+        if matrix is not None:
+            table.add_column(title, justify="right")
+    for i in n:
+        for k in n:
+            cells = [format(m[i][k], f) for _, m, f in rows if m is not None]
+            table.add_row(f"Z{i + 1}{k + 1}", *cells)
+    return table
+
+
+def _trial_table(summary: Summary) -> Table:
+    table = Table(title="trials", box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("joint", justify="right")
+    table.add_column("samples", justify="right")
+    table.add_column("lost", justify="right")
+    # What is zero in all trials, as it mostly is, takes no room.
+    counts = [kind for kind in _COUNTS if any(getattr(one, kind) for one in summary.trials)]
+    for kind in counts:
+        table.add_column(kind, justify="right")
+    if saved := any(one.saved for one in summary.trials):
+        table.add_column("saved s", justify="right")
+    table.add_column("lock ratio", justify="right")
+    table.add_column("x real time", justify="right")
+    table.add_column("bag", overflow="fold")
+    for trial in summary.trials:
+        others = [ratio for i, ratio in enumerate(trial.lock_ratio) if i != trial.k - 1]
+        table.add_row(
+            str(trial.k),
+            str(trial.ticks),
+            str(trial.lost),
+            *(_count(kind, getattr(trial, kind)) for kind in counts),
+            *([f"{trial.saved:.1f}"] if saved else []),
+            _largest(others),
+            "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
+            "–" if trial.bag is None else trial.bag,
+        )
+    return table
+
+
+def _timing_table(timing: TimingSummary) -> Table:
+    title = f"timing: {timing.ticks} samples, {timing.late} late, {timing.missed} commands missed"
+    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
+    table.add_column("")
+    for column in ("median", "99 %", "longest"):
+        table.add_column(f"{column}, ms", justify="right")
+    for label, durations in (
+        ("period", (timing.period_p50, timing.period_p99, timing.period_max)),
+        ("sample to command", (timing.latency_p50, timing.latency_p99, timing.latency_max)),
+    ):
+        cells = ("–" if math.isnan(one) else f"{1e3 * one:.3f}" for one in durations)
+        table.add_row(label, *cells)
+    return table
+
+
+def _count(kind: str, value: float) -> str:
+    return f"{100.0 * value:.3g} %" if kind == "excluded" else str(value)
+
+
+def _largest(values: Sequence[float]) -> str:
+    worst = max(values, default=math.nan)
+    return "–" if math.isnan(worst) else f"{worst:.4f}"
+
+
+def _without_precision(summary: Summary) -> list[str]:
+    """Which trials lasted as planned, as their errors did not become as small as was asked for."""
+    experiment = summary.config.get("experiment")
+    bound = experiment.get("target_error") if isinstance(experiment, dict) else None
+    if not isinstance(bound, float) or not bound:
+        return []
+    return [
+        f"joint {trial.k}: planned length, standard errors not below {100.0 * bound:g} % before"
+        for trial in summary.trials
+        if not trial.saved
+    ]
+
+
+def _relative(value: float, true: float) -> str:
+    return f"{100.0 * (value / true - 1.0):+.2f} %" if true else "–"

@@ -17,14 +17,10 @@ from std_msgs.msg import Float64MultiArray
 
 from armimp_bringup.graph import ComposedNodes, GraphContext
 from armimp_bringup.offline_estimate import read_bags
-from armimp_bringup.orchestrator import (
-    PARAMETERS_FILE,
-    lead,
-    prepare_directory,
-    require_unused,
-    settle,
-)
+from armimp_bringup.orchestrator import PARAMETERS_FILE, lead, settle
+from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
+from armimp_bringup.terminal import complete
 from armimp_common import contract, qos
 from armimp_common.cdr import stamp_of
 from armimp_common.channels import RawSubscription
@@ -146,6 +142,7 @@ def replay_bags(
     directory: Path | None,
     *,
     allow_gaps: bool = False,
+    trust: bool = False,
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
@@ -162,6 +159,8 @@ def replay_bags(
         New directory for the results; None keeps no files.
     allow_gaps : bool
         Use the intact parts of trials that lost samples.
+    trust : bool
+        Whether to lift the limits on what a bag may hold, which grow with its size.
     domain_id, on_progress, interrupted
         As for :func:`armimp_bringup.orchestrator.run_experiment`.
 
@@ -174,7 +173,7 @@ def replay_bags(
     """
     if directory is not None:
         require_unused(directory)
-    contents = read_bags(bags)
+    contents = read_bags(bags, trust=trust)
     for content in contents:
         for trial in content.trials:
             trial.intact(allow_gaps=allow_gaps)
@@ -208,6 +207,7 @@ def replay_bags(
                     for content in contents:
                         player.play(content, interrupted)
                     player.finish(contents[-1].trials[-1].window, len(contents))
+                    complete("estimating")
 
                 try:
                     problems = lead(

@@ -19,6 +19,9 @@ from armimp_common.liveliness import SignOfLife
 from armimp_common.trial_status import Phase
 from armimp_estimation.messages import CONCLUSION_NAME
 
+_MANY, _MOST = 1000, 2**53
+"""Trials, and numbers of anything else, beyond which nobody is believed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Progress:
@@ -37,6 +40,45 @@ class Progress:
     """Values and standard errors of M, B and K in the column of the perturbed joint, SI units."""
     largest_error: float | None = None
     """Largest relative one of these standard errors."""
+    preliminary: bool = False
+    """Whether motion of locked joints is in the values, as those had no trial yet."""
+
+    @classmethod
+    def from_values(cls, values: dict[str, str]) -> Progress:
+        """Read what the estimator tells.
+
+        Raises
+        ------
+        MalformedMessageError
+            If something is missing, is no number, or cannot be.
+        """
+        try:
+            progress = cls(
+                trial=int(values["trial"]),
+                trials=int(values["trials"]),
+                joint=int(values["joint"]),
+                phase=Phase(values["phase"]).value,
+                samples=int(values["samples"]),
+                planned=int(values["planned"]),
+                rate=float(values["rate"]),
+                coherence_motion=_optional(values.get("coherence_motion")),
+                coherence_torque=_optional(values.get("coherence_torque")),
+                column=_column(values),
+                largest_error=_optional(values.get("largest_error")),
+                preliminary=values.get("preliminary") == "true",
+            )
+        except KeyError as error:
+            raise MalformedMessageError(f"{error} is missing") from None
+        except ValueError as error:
+            raise MalformedMessageError(f"{error}"[:200]) from None
+        counts = (progress.trial, progress.joint, progress.samples, progress.planned)
+        if not (
+            1 <= progress.trial <= progress.trials <= _MANY
+            and 0 <= min(counts) <= max(counts) < _MOST
+            and 0.0 <= progress.rate < _MOST
+        ):
+            raise MalformedMessageError(f"numbers that cannot be: {counts}, {progress.rate:g} Hz")
+        return progress
 
 
 class Supervisor(Node):
@@ -81,20 +123,11 @@ class Supervisor(Node):
         return self.concluded and self.finished
 
     def _on_progress_message(self, message: DiagnosticStatus) -> None:
-        values = values_of(message)
-        progress = Progress(
-            trial=int(values["trial"]),
-            trials=int(values["trials"]),
-            joint=int(values["joint"]),
-            phase=values["phase"],
-            samples=int(values["samples"]),
-            planned=int(values["planned"]),
-            rate=float(values["rate"]),
-            coherence_motion=_optional(values.get("coherence_motion")),
-            coherence_torque=_optional(values.get("coherence_torque")),
-            column=_column(values),
-            largest_error=_optional(values.get("largest_error")),
-        )
+        try:
+            progress = Progress.from_values(values_of(message))
+        except MalformedMessageError as error:
+            self.get_logger().warning(f"{contract.PROGRESS}: refused: {error}", once=True)
+            return
         if progress.samples:
             self.last_news = time.monotonic()
         self._on_progress(progress)
@@ -152,7 +185,10 @@ def _column(
     def row(key: str) -> tuple[float, ...]:
         return tuple(float(text) for text in values[key].split())
 
-    return tuple((row(letter), row(f"{letter}_se")) for letter in "MBK")
+    column = tuple((row(letter), row(f"{letter}_se")) for letter in "MBK")
+    if len({len(numbers) for pair in column for numbers in pair}) != 1:
+        raise ValueError("M, B and K are not equally many numbers")
+    return column
 
 
 def _optional(text: str | None) -> float | None:

@@ -1,5 +1,5 @@
 """Fixtures of all tests of this package."""
 
-from armimp_common.testing import interruptible
+from support.graph import interruptible
 
 __all__ = ["interruptible"]

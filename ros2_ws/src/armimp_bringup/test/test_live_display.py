@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import pytest
 from rich.console import Console
+from rich.text import Text
 
-from armimp_bringup.display import LiveDisplay, describe, describe_column
 from armimp_bringup.supervisor import Progress
+from armimp_bringup.terminal import Display, describe_column, describe_trial
 
 SNAPSHOT = Progress(
     trial=1,
@@ -47,27 +48,54 @@ def test_any_error_can_be_shown(error: float) -> None:
     assert len(describe_column(replace(SNAPSHOT, column=column, largest_error=error))) == 4
 
 
-def test_first_line_has_place_speed_coherence_and_time_left() -> None:
-    assert describe(SNAPSHOT) == (
-        " 10.0 of 50.0 s   5.0x real time  coherence θ 0.988 τ 0.990  18 s left"
-    )
+def test_without_the_columns_of_other_joints_no_standard_error_is_stated() -> None:
+    lines = describe_column(replace(SNAPSHOT, preliminary=True))
+    assert lines == [
+        "M12 0.0837   M22 0.0598 kg·m²",
+        "B12 0.236   B22 0.41 N·m·s/rad",
+        "K12 3.11   K22 7 N·m/rad",
+        "preliminary; random errors up to 1.1 %",
+    ]
+
+
+def test_first_line_has_place_speed_and_time_left() -> None:
+    assert describe_trial(SNAPSHOT) == "10.0/50.0 s  5.0x  18 s left"
+
+
+@pytest.mark.parametrize("joints", [2, 7])
+def test_80_columns_hold_bar_joint_and_time_left(joints: int) -> None:
+    output = io.StringIO()
+    with Display(Console(file=output, force_terminal=True, width=80, height=24)) as display:
+        late = replace(SNAPSHOT, samples=9_000_000, planned=9_000_000, rate=99.0, trials=joints)
+        display.show(replace(late, trial=joints - 1, joint=joints))
+        display.phase("drawing")
+    (line,) = {
+        one.strip() for one in Text.from_ansi(output.getvalue()).plain.splitlines() if "left" in one
+    }
+    assert line.startswith(f"trial {joints - 1}/{joints}  joint {joints}")
+    assert "━" * 16 in line
+    assert line.endswith("left")
+    assert "…" not in line
 
 
 def test_a_terminal_shows_coherence_and_column_and_follows_an_earlier_end() -> None:
     output = io.StringIO()
     console = Console(file=output, force_terminal=True, width=120, height=20)
-    with LiveDisplay(console) as display:
+    with Display(console) as display:
         display.show(SNAPSHOT)
+        display.phase("")
         display.show(replace(SNAPSHOT, samples=20_000, planned=20_000))
+        display.complete("estimating")
     text = output.getvalue()
     for part in ("trial 1/2", "coherence θ 0.988", "M12 0.08370 ± 0.00021", "K22 6.9 ± 1.5"):
         assert part in text
-    assert "20.0 of 20.0 s" in text
+    assert "20.0 s" in text
+    assert "estimating" in text
 
 
 def test_elsewhere_only_the_beginning_of_each_trial_is_told() -> None:
     output = io.StringIO()
-    with LiveDisplay(Console(file=output, width=120)) as display:
+    with Display(Console(file=output, width=120)) as display:
         for samples in (0, 10, 20_000):
             display.show(replace(SNAPSHOT, samples=samples))
-    assert output.getvalue().count("trial 1 of 2") == 1
+    assert output.getvalue().count("trial 1/2") == 1

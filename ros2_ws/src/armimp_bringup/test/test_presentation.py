@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.presentation import present
-from armimp_bringup.stopwatch import Stopwatch
+from armimp_bringup.presentation import Stopwatch, complaints, present
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase
 from armimp_estimation.figure_process import FigureProcess
-from armimp_estimation.report.testing import make_result
 from armimp_estimation.results import read_summary
+from support.results import make_result
 
 
 class NoProcess(FigureProcess):
@@ -47,6 +46,7 @@ def names(directory: Path) -> set[str]:
     return {path.name for path in directory.iterdir() if path.is_file()}
 
 
+@pytest.mark.slow
 def test_when_the_process_for_figures_is_gone_expect_them_to_be_drawn_all_the_same(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -67,6 +67,7 @@ def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     assert "report.html" in names(directory)
 
 
+@pytest.mark.slow
 def test_when_the_report_cannot_be_written_expect_the_figures_all_the_same(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -78,7 +79,7 @@ def test_when_the_report_cannot_be_written_expect_the_figures_all_the_same(
     assert {"impedance.png", "impedance.pdf"} <= names(directory)
 
 
-def test_wall_times_become_part_of_the_summary_and_change_nothing_else(
+def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_else(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     stopwatch = Stopwatch()
@@ -91,7 +92,8 @@ def test_wall_times_become_part_of_the_summary_and_change_nothing_else(
     assert after.wall.before > 0.0
     assert after.wall.trials >= 0.0
     assert after.wall.after > 0.0
-    assert after.model_copy(update={"wall": None}) == before
+    assert after.origin is not None
+    assert after.model_copy(update={"wall": None, "origin": None}) == before
     assert "until the first sample" in capsys.readouterr().out
 
 
@@ -127,3 +129,20 @@ def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -
     whole = stopwatch.stop()
     assert whole.before == first.before
     assert whole.trials > inside.trials >= 0.0
+
+
+def test_what_a_busy_machine_spoils_is_told_in_one_line_and_the_rest_as_it_is() -> None:
+    late = [
+        "real time: 300 of 20000 samples were sent more than 0.25 ms late, 1.5 % (limit 1 %)",
+        "arm_sim: watchdog: no command for 5 ticks",
+        "real time: 400 of 20000 commands did not come in time, 2 % (limit 1 %)",
+    ]
+    first, *others = complaints([late[0], "no trial perturbs joint 2 (elbow)", *late[1:]])
+    assert others == ["no trial perturbs joint 2 (elbow)"]
+    assert first == (
+        "the machine was too busy for real time: "
+        "300 of 20000 samples were sent more than 0.25 ms late, 1.5 % (limit 1 %); "
+        "arm_sim: watchdog: no command for 5 ticks; "
+        "400 of 20000 commands did not come in time, 2 % (limit 1 %)"
+    )
+    assert complaints(late[:1]) == late[:1]

@@ -83,6 +83,7 @@ class TestBenchmark:
         summary = Summary(
             config={},
             joints=1,
+            joint_names=["elbow"],
             seed=None,
             valid=False,
             problems=["no use"],

@@ -142,6 +142,7 @@ def distributed() -> Any:
     return pytest.importorskip("distributed")
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of what other packages do while a cluster starts and ends
 def test_cluster_gives_the_same_files_as_threads(distributed: Any, tmp_path: Path) -> None:
     conditions = select_conditions(["friction=0,resolution=0+3,perturbation=1"], "0")

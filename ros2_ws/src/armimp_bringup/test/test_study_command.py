@@ -13,9 +13,9 @@ import pytest
 from rich.console import Console
 
 from armimp_bringup.cli import main
-from armimp_bringup.study.display import StudyDisplay, describe, duration
 from armimp_bringup.study.entry import read_study
 from armimp_bringup.study.verdict import StudyVerdict
+from armimp_bringup.terminal import Display, describe, duration, phase, progress
 
 SHORT = ("--duration", "10", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
 
@@ -89,6 +89,7 @@ def test_estimator_without_targets_exits_with_0_and_prints_json_alone(
     assert "2 of 2 conditions" in told.err
 
 
+@pytest.mark.slow
 def test_three_joints_are_studied_in_the_same_way(tmp_path: Path) -> None:
     _reproduce(tmp_path / "out", *SHORT, "--joints", "3", "--estimator", "lpm_full")
     (entry,) = read_study(tmp_path / "out" / "study.json")
@@ -167,25 +168,31 @@ def test_durations_are_told_as_people_say_them(seconds: float, words: str) -> No
 
 
 def test_time_left_follows_from_what_was_done_since_the_start() -> None:
-    assert describe(0, 48, 0, 3.0) == "0 of 48 conditions"
-    assert describe(12, 48, 0, 10.0) == "12 of 48 conditions, 30 s left"
-    assert describe(24, 48, 12, 10.0) == "24 of 48 conditions, 12 of them from before, 20 s left"
-    assert describe(48, 48, 0, 65.0) == "48 of 48 conditions, took 1 min 5 s"
-    assert describe(48, 48, 48, 0.1) == "48 of 48 conditions, 48 of them from before"
+    assert describe(0, 48, 0, 3.0, things="conditions") == "0 of 48 conditions"
+    assert describe(12, 48, 0, 10.0, things="conditions") == "12 of 48 conditions, 30 s left"
+    assert (
+        describe(24, 48, 12, 10.0, things="conditions")
+        == "24 of 48 conditions, 12 of them from before, 20 s left"
+    )
+    assert describe(48, 48, 0, 65.0, things="conditions") == "48 of 48 conditions, took 1 min 5 s"
+    assert (
+        describe(48, 48, 48, 0.1, things="conditions")
+        == "48 of 48 conditions, 48 of them from before"
+    )
 
 
 def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere() -> None:
     for terminal in (True, False):
         file = io.StringIO()
         console = Console(file=file, force_terminal=terminal, width=100)
-        with StudyDisplay(console) as display:
-            display.show(1, 4, 0)
-            display.show(4, 4, 0)
-            display.tell("drawing the figures")
+        with Display(console):
+            progress(1, 4, things="conditions")
+            progress(4, 4, things="conditions")
+            phase("drawing the figures")
         text = file.getvalue()
-        assert "drawing the figures" in text
         if terminal:
+            assert "drawing the figures" in text
             assert "━" in text
         else:
-            assert len(text.splitlines()) == 3
+            assert len(text.splitlines()) == 2
             assert text.startswith("1 of 4 conditions")

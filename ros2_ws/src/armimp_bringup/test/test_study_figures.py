@@ -43,10 +43,7 @@ class Results:
 
     def curves(self, condition: Condition) -> Mapping[str, ImpedanceCurve]:
         (result,) = [one for one in self._results if one.condition == condition]
-        return {
-            name: ImpedanceCurve(f=one.f, Z=one.Z, variance=one.variance, averages=one.averages)
-            for name, one in result.estimates.items()
-        }
+        return {name: ImpedanceCurve.of(one) for name, one in result.results.items()}
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +57,7 @@ def _labels(figure: Any) -> set[str]:
     return {text.get_text() for text in legend.get_texts()}
 
 
+@pytest.mark.slow
 def test_every_figure_is_written_as_png_and_pdf_of_the_width_of_two_columns(
     results: Results, tmp_path: Path
 ) -> None:
@@ -77,6 +75,7 @@ def test_every_figure_is_written_as_png_and_pdf_of_the_width_of_two_columns(
         assert b"CreationDate" not in document
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_alike_when_they_are_drawn_again(
     results: Results, tmp_path: Path
 ) -> None:

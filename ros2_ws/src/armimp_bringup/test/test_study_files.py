@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study.backends import Threads
@@ -21,8 +22,9 @@ from armimp_bringup.study.engine import Batch, ConditionResult, Provenance, run_
 from armimp_bringup.study.entry import read_study
 from armimp_bringup.study.errors import StudyError
 from armimp_bringup.study.store import StudyStore
-from armimp_bringup.study.study import Watcher, run_study
+from armimp_bringup.study.study import run_study
 from armimp_bringup.study.verdict import StudyVerdict, judge, relative_error
+from armimp_bringup.terminal import Display
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 
 BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
@@ -125,12 +127,14 @@ def test_interrupted_study_does_only_what_is_missing(
     assert 0 < len(first.asked) < len(CONDITIONS)
     assert not (tmp_path / "study.json").exists()
 
-    second, told = Recorded(results), []
-    watcher = Watcher(on_progress=lambda *numbers: told.append(numbers))
-    run_study(BASE, CONDITIONS, tmp_path, second, figures=False, watcher=watcher)
+    second = Recorded(results)
+    told = io.StringIO()
+    with Display(Console(file=told)):
+        run_study(BASE, CONDITIONS, tmp_path, second, figures=False)
     assert sorted(first.asked + second.asked) == list(CONDITIONS)
-    assert told[0] == (2, 4, 2)
-    assert told[-1] == (4, 4, 2)
+    lines = told.getvalue().splitlines()
+    assert lines[0] == "2 of 4 conditions, 2 of them from before"
+    assert lines[-1].startswith("4 of 4 conditions, 2 of them from before, took ")
     assert _bytes(tmp_path) == _bytes(study[0])
 
     third = Recorded(results)
@@ -163,7 +167,7 @@ def test_curves_without_a_result_are_made_again(
     assert not list((tmp_path / "conditions").glob(".*"))
     with StudyStore(tmp_path, BASE, Provenance.here()) as store:
         curve = store.curves(CONDITIONS[1])["lpm_full"]
-    np.testing.assert_array_equal(curve.Z, results[1].estimates["lpm_full"].Z)
+    np.testing.assert_array_equal(curve.Z, results[1].results["lpm_full"].estimate.Z)
 
 
 @pytest.mark.parametrize(

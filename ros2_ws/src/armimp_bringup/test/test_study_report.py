@@ -18,7 +18,7 @@ from armimp_bringup.study.engine import Batch, Provenance, run_batch
 from armimp_bringup.study.entry import StudyEntry, read_study
 from armimp_bringup.study.levels import fit_scores, statistics
 from armimp_bringup.study.report_accuracy import explanation
-from armimp_bringup.study.report_verdict import verdict_section
+from armimp_bringup.study.report_verdict import verdict_content
 from armimp_bringup.study.study import run_study
 from armimp_bringup.study.verdict import COLUMNS, judge
 from armimp_estimation.mbk import MBK
@@ -65,7 +65,8 @@ def test_report_is_the_same_after_interruptions_and_in_another_order(
 def test_verdict_says_how_far_each_missed_target_is(entries: Sequence[StudyEntry]) -> None:
     verdict = judge(entries)
     assert not verdict.met  # ten seconds are too short
-    words = _words(verdict_section(entries, verdict))
+    content = verdict_content(entries, verdict)
+    words = " ".join([content["title"], *(text for _, text in content["sentences"])])
     for one in verdict.worst:
         if one.met is False:
             column = next(column for column in COLUMNS if column.quantity == one.quantity)

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from rich.console import Console
 
+from armimp_bringup.study.command import print_verdict
 from armimp_bringup.study.csv_tables import results_csv, verdict_csv
-from armimp_bringup.study.display import print_verdict
 from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.verdict import (
     COLUMNS,
@@ -55,6 +55,10 @@ def _estimator(joints: int = 2) -> EstimatorSummary:
         lack_of_fit=_square(1.0, joints),
         vaf=_square(GOOD["vaf"], joints),
         r2=_square(GOOD["r2"], joints),
+        M_ci=[[[0.0, 0.0]] * joints] * joints,
+        B_ci=[[[0.0, 0.0]] * joints] * joints,
+        K_ci=[[[0.0, 0.0]] * joints] * joints,
+        covariance=[[0.0] * (3 * joints**2)] * (3 * joints**2),
         coherence_derived=_square(GOOD["coherence_derived"], joints),
         coherence_torque=_square(0.98, joints),
         coherence_motion=[0.97] * joints,
@@ -67,6 +71,7 @@ def _entry(
     values: dict[str, Any] = {
         "config": {},
         "joints": joints,
+        "joint_names": [f"joint {k + 1}" for k in range(joints)],
         "seed": 0,
         "valid": True,
         "problems": [],

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from armimp_bringup.graph import GraphContext
-from armimp_bringup.supervisor import Supervisor
+from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract, qos
 from armimp_common.diagnostics import (
     Level,
@@ -19,10 +19,11 @@ from armimp_common.diagnostics import (
     timing_status,
     trial_status_message,
 )
+from armimp_common.errors import MalformedMessageError
 from armimp_common.jitter import TimingFigures
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE
 from armimp_common.trial_status import Phase, TrialStatus
+from support.graph import PATIENCE
 
 STATUS = TrialStatus(
     phase=Phase.ABORTED,
@@ -74,3 +75,55 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
 
     assert supervisor.timing is not None
     assert supervisor.timing.ticks == (1000 if told_before else 1600)
+
+
+PROGRESS = {
+    "trial": "1",
+    "trials": "2",
+    "joint": "1",
+    "phase": "perturb",
+    "samples": "100",
+    "planned": "10000",
+    "rate": "1000.0",
+}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"samples": "many"},
+        {"samples": "-1"},
+        {"trial": "9" * 5000},
+        {"trial": "3"},
+        {"rate": "nan"},
+        {"phase": "lunch"},
+        {"K_se": "1.0"},
+        {"coherence_motion": "high"},
+    ],
+    ids=str,
+)
+def test_progress_that_cannot_be_is_refused(change: dict[str, str]) -> None:
+    assert Progress.from_values(PROGRESS).samples == 100
+    with pytest.raises(MalformedMessageError):
+        Progress.from_values({**PROGRESS, **change})
+    for key in PROGRESS:
+        with pytest.raises(MalformedMessageError, match=key):
+            Progress.from_values({name: text for name, text in PROGRESS.items() if name != key})
+
+
+def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
+    told: list[Progress] = []
+    with GraphContext() as graph:
+        supervisor = Supervisor(graph, told.append)
+        other = Node("other", context=graph.context, use_global_arguments=False)
+        channel = other.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
+        with Spinner([supervisor, other]) as spinner:
+            end = time.monotonic() + PATIENCE
+            spinner.spin(lambda: channel.get_subscription_count() == 1 or time.monotonic() > end)
+            channel.publish(b"\0\1\0\0rubbish")
+            channel.publish(make_status("a stranger", Level.OK, "", {"trial": "x"}))
+            channel.publish(make_status("a friend", Level.OK, "", PROGRESS))
+            spinner.spin(lambda: bool(told) or time.monotonic() > end)
+        for node in (other, supervisor):
+            node.destroy_node()
+    assert [progress.samples for progress in told] == [100]

@@ -20,9 +20,11 @@ from armimp_common.cdr import (
     CommandEncoder,
     JointStateDecoder,
     JointStateEncoder,
+    command_number,
     decode_count,
     encode_clock,
     encode_count,
+    next_number,
 )
 from armimp_common.contract import ValueField
 from armimp_common.errors import MalformedMessageError
@@ -72,12 +74,13 @@ class JointStatePublisher:
 
 
 class CommandPublisher:
-    """Publisher of commands for `n` joints; see `JointStatePublisher`."""
+    """Publisher of commands for `n` joints, numbered from 1 on; see `JointStatePublisher`."""
 
     def __init__(self, node: Node, topic: str, n: int, *, profile: QoSProfile = qos.SAMPLE) -> None:
         self.publisher: Publisher = node.create_publisher(Float64MultiArray, topic, profile)
         self._send = sender(self.publisher)
         self._encode = CommandEncoder(n).encode
+        self._number = 0
 
     def publish(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Publish (n,) torques (N·m), and return the bytes sent.
@@ -87,7 +90,9 @@ class CommandPublisher:
         MalformedMessageError
             If the number of values is wrong.
         """
-        data = self._encode(values)
+        number = next_number(self._number)
+        data = self._encode(values, number)
+        self._number = number
         self._send(data)
         return data
 
@@ -201,7 +206,13 @@ class JointStateSubscription(RawSubscription):
 
 
 class CommandSubscription(RawSubscription):
-    """Subscription to commands for `n` joints; see `JointStateSubscription`."""
+    """Subscription to commands for `n` joints; see `JointStateSubscription`.
+
+    Parameters
+    ----------
+    on_number
+        Called before `callback` with the number of the command, 0 if it has none.
+    """
 
     def __init__(
         self,
@@ -210,6 +221,7 @@ class CommandSubscription(RawSubscription):
         n: int,
         callback: Callable[[tuple[float, ...]], None],
         *,
+        on_number: Callable[[int], None] = lambda _: None,
         on_malformed: OnMalformed | None = None,
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
@@ -223,13 +235,14 @@ class CommandSubscription(RawSubscription):
                     raise
                 on_malformed(error)
             else:
+                on_number(command_number(data))
                 callback(values)
 
         super().__init__(node, topic, Float64MultiArray, on_message, profile=profile)
 
 
 class CountSubscription(RawSubscription):
-    """Subscription to counts; see `JointStateSubscription`."""
+    """Subscription to counts; one that cannot be decoded is logged and dropped."""
 
     def __init__(
         self,
@@ -237,16 +250,13 @@ class CountSubscription(RawSubscription):
         topic: str,
         callback: Callable[[int], None],
         *,
-        on_malformed: OnMalformed | None = None,
         profile: QoSProfile = qos.LATCHED,
     ) -> None:
         def on_message(data: bytes) -> None:
             try:
                 count = decode_count(data)
             except MalformedMessageError as error:
-                if on_malformed is None:
-                    raise
-                on_malformed(error)
+                node.get_logger().warning(f"{topic}: {error}")
             else:
                 callback(count)
 
@@ -278,7 +288,7 @@ def unmatched(
             lonely.append(publisher.topic_name)
     for entry in subscriptions:
         subscription = entry if isinstance(entry, Subscription) else entry.subscription
-        if _publisher_count(node, subscription) == 0:
+        if publisher_count(node, subscription) == 0:
             lonely.append(subscription.topic_name)
     return tuple(lonely)
 
@@ -311,7 +321,8 @@ def wait_until_matched(
     return ()
 
 
-def _publisher_count(node: Node, subscription: Subscription) -> int:
+def publisher_count(node: Node, subscription: Subscription) -> int:
+    """Return how many publish to a subscription."""
     # Counting the matched ones came to rclpy late; the graph's count may run ahead of matching.
     if hasattr(subscription, "get_publisher_count"):
         return int(subscription.get_publisher_count())

@@ -23,6 +23,7 @@ from types import FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core.event import Event, Listener, register
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -50,6 +51,24 @@ def compiled_entry(function: Function) -> Function:
         return cast(Function, compiler(function))
     finally:
         config.CACHE_DIR = before
+
+
+class _OnStart(Listener):
+    """Calls something when an event starts."""
+
+    def __init__(self, action: Callable[[], None]) -> None:
+        self._action = action
+
+    def on_start(self, event: Event) -> None:
+        self._action()
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
+def on_compiling(action: Callable[[], None]) -> None:
+    """Have something called whenever a function is compiled, as none was found on disk."""
+    register("numba:compile", _OnStart(action))
 
 
 def spare_linear_algebra() -> None:

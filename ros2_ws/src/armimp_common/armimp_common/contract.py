@@ -68,3 +68,22 @@ VALUE_FIELD: Final[dict[str, ValueField]] = {
 def alive(node: str) -> str:
     """Return the topic on which a node offers its sign of life."""
     return f"{node}/alive"
+
+
+def clock_step(before_ns: int, stamp_ns: int) -> str:
+    """Say that the clock behind the stamps of samples was set between two of them; else empty.
+
+    No stall is that long: samples of a rig that were lost for a second end a trial by other means.
+
+    Parameters
+    ----------
+    before_ns, stamp_ns
+        Stamps of two samples, one after the other (ns).
+    """
+    ahead_ns = stamp_ns - before_ns
+    if abs(ahead_ns) < NS_PER_S:
+        return ""
+    return (
+        f"stamps jump by {ahead_ns / NS_PER_S:+.6g} s, from {before_ns} ns to {stamp_ns} ns:"
+        " the clock of the rig was set, or started anew"
+    )

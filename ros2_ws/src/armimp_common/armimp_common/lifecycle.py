@@ -10,7 +10,7 @@ from typing import Any, Final, Literal, Protocol, TypeAlias, TypeVar
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
-from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.task import Future
 
@@ -27,8 +27,8 @@ _REPEAT: Final = 2.0
 class LifecycleManager:
     """Asks lifecycle nodes, of this process or of others, to change their state.
 
-    A node ends with an exception when it is asked for a transition that its state does not
-    have, so what is possible is always asked first.
+    A node of others may end with an exception when it is asked for a transition that its state does
+    not have (:class:`ManagedNode` does not), so what is possible is always asked first.
 
     Parameters
     ----------
@@ -187,6 +187,34 @@ class LifecycleManager:
             if time.monotonic() >= deadline:
                 return False
         return True
+
+
+class ManagedNode(LifecycleNode):
+    """A lifecycle node that refuses a transition which there is not, where rclpy lets it end.
+
+    Attributes
+    ----------
+    transition_error : why the last transition failed; see :func:`reported`
+    """
+
+    def __init__(self, name: str, **kwargs: Any) -> None:
+        self.transition_error = ""
+        super().__init__(name, **kwargs)
+
+    def _LifecycleNodeMixin__on_change_state(
+        self, request: ChangeState.Request, response: ChangeState.Response
+    ) -> ChangeState.Response:
+        try:
+            # Stubs know no private names; that of rclpy is this one since there is a mixin.
+            parent: Any = super()
+            answer: ChangeState.Response = parent._LifecycleNodeMixin__on_change_state(
+                request, response
+            )
+            return answer
+        except RuntimeError as error:  # of rcl, which has made no transition then
+            self.get_logger().error(f"transition {request.transition.id} is refused: {error}")
+            response.success = False
+            return response
 
 
 class HasTransitionError(Protocol):

@@ -25,6 +25,7 @@ from std_msgs.msg import String
 
 from armimp_common import contract, qos
 from armimp_common.processes import Life, identity, life_of
+from armimp_common.steady import steady_timer
 
 _LOOK_PERIOD = 0.02
 
@@ -95,7 +96,7 @@ class _Lookout:
     def __init__(self, node: Node) -> None:
         # Each is kept by its subscription; here it would keep its node, and that this.
         self._watches: WeakSet[Watch] = WeakSet()
-        self._timer = node.create_timer(_LOOK_PERIOD, self._look, autostart=False)
+        self._timer = steady_timer(node, _LOOK_PERIOD, self._look, autostart=False)
 
     @classmethod
     def of(cls, node: Node) -> "_Lookout":

@@ -15,9 +15,10 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from armimp_common import schema
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.schema import Leaf, Schema, build, leaves, to_params_yaml
 from armimp_common.schema import flatten as to_ros_parameters
+from armimp_common.steady import refuse_simulated_time
 
 __all__ = [
     "Schema",
@@ -46,6 +47,7 @@ _OWN_PREFIX_OF_ROS: Final = "qos_overrides."
 _INT64: Final = (-(2**63), 2**63 - 1)
 
 _schemas: WeakKeyDictionary[Node, type[BaseModel]] = WeakKeyDictionary()
+_loaded: WeakKeyDictionary[Node, dict[str, object]] = WeakKeyDictionary()
 
 
 def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> ModelT:
@@ -68,10 +70,11 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
     Raises
     ------
     ConfigurationError
-        If a value from outside has no such parameter (misspelt, or meant for another node: do
-        not put parameters of one node under ``/**``), has a wrong type, or is refused by the
-        schema. Integers may stand for doubles.
+        If ``use_sim_time`` is true; or if a value from outside has no such parameter (misspelt, or
+        meant for another node: do not put parameters of one node under ``/**``), has a wrong type,
+        or is refused by the schema. Integers may stand for doubles.
     """
+    refuse_simulated_time(node)
     known = leaves(model)
     # rclpy ignores overrides without a parameter, and has no public list of them.
     overrides: dict[str, Parameter] = node._parameter_overrides
@@ -120,7 +123,22 @@ def load(node: Node, model: type[ModelT]) -> ModelT:
     ConfigurationError
         If the schema refuses them; the message names the parameter, its value and the reason.
     """
-    return build(model, _present(node, model))
+    present = _loaded[node] = _present(node, model)
+    return build(model, present)
+
+
+def require_unchanged(node: Node) -> None:
+    """Refuse to begin with other parameters than those that a node shows.
+
+    Raises
+    ------
+    GraphError
+        If they were changed since they were loaded; the message names those.
+    """
+    loaded, present = _loaded[node], _present(node, _schemas[node])
+    changed = ", ".join(name for name, value in loaded.items() if present[name] != value)
+    if changed:
+        raise GraphError(f"changed since the node was configured: {changed}; clean it up first")
 
 
 def guard(

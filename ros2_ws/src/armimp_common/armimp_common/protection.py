@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from pydantic import Field
 
+from armimp_common.cdr import next_number
 from armimp_common.errors import GraphError
 from armimp_common.schema import Schema
 
@@ -19,6 +20,29 @@ A controller that works through old samples is none any more.
 RAMP_PERIODS = 10
 """Periods in which it then falls to zero."""
 _SPAN = 5
+
+
+class CommandSequence:
+    """Tells by their numbers whether commands come from one publisher, each of them once.
+
+    Two publishers can't go unnoticed: whichever number comes next, one of them sends another.
+    """
+
+    def __init__(self) -> None:
+        self._last = 0
+
+    def restart(self) -> None:
+        """Let the next command have any number."""
+        self._last = 0
+
+    def check(self, number: int) -> str:
+        """Take the number of a command, 0 if it has none; return what is wrong with it, or ""."""
+        last, self._last = self._last, number
+        if not number:
+            return "a command without a number, which no controller sent"
+        if last and number != next_number(last):
+            return f"command {number} came after command {last}"
+        return ""
 
 
 class ProtectionLimits(Schema):
@@ -49,14 +73,23 @@ class Protection:
         self._limits = limits
         self._zero = self.applied = (0.0,) * joints
         self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
-        self._silent = self._owed = self._fading = 0
+        self._silent = self._owed = self._spare = self._seen = self._fading = 0
         self._begun = self._resting = False
         self.fault = ""
 
     def command(self, torque: Sequence[float]) -> None:
         """Take a command (n,), N·m; one that cannot be obeyed is a fault."""
+        if not self._begun:
+            # Which of the last samples it answers is not known.
+            self._spare = min(self._seen, WATCHDOG_PERIODS)
         self._begun, self._silent = True, 0
-        self._owed = max(self._owed - 1, 0)
+        if self._owed:
+            self._owed -= 1
+        elif self._spare:
+            self._spare -= 1
+        elif any(torque):
+            # One of zero torque more, as whoever stops sends it, does no harm.
+            self.latch("more commands than samples")
         self._resting = not any(torque)
         # Written so that NaN fails.
         if len(torque) != len(self._zero) or not all(
@@ -68,6 +101,7 @@ class Protection:
 
     def sample(self, angles: Sequence[float]) -> None:
         """Look at angles (n,), rad, of a sample that the next command is to answer."""
+        self._seen += 1
         self._owed += self._begun
         self._history.append(tuple(angles))
         if not all(abs(angle) <= self._limits.position for angle in angles):
@@ -103,7 +137,7 @@ class Protection:
         """Forget the last command, as whoever gave it is not obeyed any more."""
         self.applied, self._fading = self._zero, 0
         self._begun, self._resting = False, True
-        self._silent = self._owed = 0
+        self._silent = self._owed = self._seen = 0
         self._history.clear()
 
     def reset(self) -> None:

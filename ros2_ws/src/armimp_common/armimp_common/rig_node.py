@@ -14,22 +14,26 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandSubscription, JointStatePublisher
+from armimp_common.channels import CommandSubscription, JointStatePublisher, publisher_count
 from armimp_common.diagnostics import Level, make_array, make_status, timing_status
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TimingFigures
-from armimp_common.lifecycle import reported
+from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard
+from armimp_common.protection import CommandSequence
+from armimp_common.steady import steady_timer
 
 _STOPPED = "emergency stop"
+_LOOK_PERIOD = 0.02
+"""How often it is looked whether something has happened (s)."""
 
 
 class Gate(Protocol):
@@ -65,7 +69,7 @@ class Gate(Protocol):
 GateT = TypeVar("GateT", bound=Gate)
 
 
-class RigNode(LifecycleNode, ABC, Generic[GateT]):
+class RigNode(ManagedNode, ABC, Generic[GateT]):
     """A lifecycle node in the place of the rig; subclasses say where torque goes.
 
     `on_configure` calls :meth:`open_gate`, `on_activate` sets `active` once commands are obeyed,
@@ -83,15 +87,17 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
     controller : watch over the one who commands
     joint_states, torque_sensors, commands, diagnostics : topics that every rig has, once configured
     told : the fault that was reported last
-    transition_error : why the last transition failed
     """
 
     def __init__(self, parameters: BaseModel, busy: str, **kwargs: Any) -> None:
         super().__init__(contract.SIM_NODE, **kwargs)
-        self.transition_error = self.told = ""
+        self.told = ""
         self.active = self._stopped = False
         self.gate: GateT | None = None
         self._owned: list[Publisher | Subscription | Timer] = []
+        self._sequence = CommandSequence()
+        self._accusation = ""
+        self._names: set[str] = set()
         self._sign = SignOfLife(self, contract.SIM_NODE)
         self.controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
         self.create_service(Trigger, contract.SIM_STOP_SERVICE, self._on_stop)
@@ -116,10 +122,15 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
             DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
         )
         self.commands = CommandSubscription(
-            self, contract.COMMANDS, len(joints), on_command, on_malformed=on_malformed
+            self,
+            contract.COMMANDS,
+            len(joints),
+            on_command,
+            on_number=self._on_number,
+            on_malformed=on_malformed,
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
-        self.own(self.commands.subscription)
+        self.own(self.commands.subscription, steady_timer(self, _LOOK_PERIOD, self.look))
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Have these destroyed when the node is cleaned up."""
@@ -161,6 +172,54 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
     def timing(self) -> TimingFigures | None:
         """Timing for reports, in real time."""
         return None
+
+    # One command for one sample, from one publisher.
+
+    def look(self) -> None:
+        """See whether somebody else commands, and tell what is new; called every 20 ms."""
+        if self.active:
+            publishers = publisher_count(self, self.commands.subscription)
+            if publishers > 1:
+                self.accuse(f"{publishers} publishers")
+            elif not publishers:
+                self._sequence.restart()
+        if self._accusation and self.gate is not None:
+            self._name_publishers(self.gate)
+        self.report_news()
+
+    def accuse(self, reason: str) -> None:
+        """Latch a fault of whoever commands, with the names of all who do."""
+        gate = self.gate
+        if gate is None or gate.fault:
+            return
+        when = self.stamp_ns() / contract.NS_PER_S
+        accusation = f"{contract.COMMANDS}: {reason} at {when:.3f} s; published by "
+        self.latch(accusation)
+        if gate.fault == accusation:
+            self._accusation = accusation
+            self._name_publishers(gate)
+        self.report_news()
+
+    def _name_publishers(self, gate: GateT) -> None:
+        """Add who publishes to an accusation; torque has gone, and names may come later."""
+        topic = self.commands.subscription.topic_name
+        for one in self.get_publishers_info_by_topic(topic):
+            if "UNKNOWN" not in one.node_name:  # of a participant that is hardly known yet
+                self._names.add(f"{one.node_namespace.rstrip('/')}/{one.node_name}")
+        with self.alone:
+            if self._accusation and gate.fault.startswith(self._accusation):
+                gate.fault = self._accusation + (
+                    ", ".join(sorted(self._names)) or "nobody any more"
+                )
+            else:
+                self._accusation = ""
+                self._names.clear()
+
+    def _on_number(self, number: int) -> None:
+        if not self.active:
+            self._sequence.restart()
+        elif reason := self._sequence.check(number):
+            self.accuse(reason)
 
     # Faults: one latch for all of them.
 
@@ -217,6 +276,7 @@ class RigNode(LifecycleNode, ABC, Generic[GateT]):
             response.success, response.message = False, str(error)
             return response
         self._stopped = False
+        self._sequence.restart()
         self.report()
         response.success, response.message = True, "commands are obeyed"
         return response

@@ -9,6 +9,7 @@ of nodes must be ordinary functions. What those raise arrives at the caller of `
 """
 
 import math
+import os
 import signal
 import sys
 import time
@@ -28,6 +29,7 @@ from rclpy.utilities import remove_ros_args
 
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.lifeline import follow_lifeline
+from armimp_common.steady import refuse_simulated_time, steady_timer
 from armimp_common.transports import avoid_shared_memory
 
 if TYPE_CHECKING:
@@ -39,6 +41,9 @@ NodeT_co = TypeVar("NodeT_co", bound=Node, covariant=True)
 
 PERIOD: Final = 0.05
 """How often stop conditions are looked at (s); a node that is told to end does so that soon."""
+
+NO_LOG_FILES: Final = "--disable-external-lib-logs"
+"""ROS argument with which nothing is written to the log directory of ROS, nor is it made."""
 
 _RESOLUTION: Final = 0.02
 
@@ -75,7 +80,14 @@ class Spinner:
             self.add_node(node)
 
     def add_node(self, node: Node) -> None:
-        """Execute the callbacks of this node too."""
+        """Execute the callbacks of this node too.
+
+        Raises
+        ------
+        ConfigurationError
+            If it was started with ``use_sim_time``, which is refused from now on, too.
+        """
+        refuse_simulated_time(node)
         self.executor.add_node(node)
         self._nodes.append(node)
         self._keep_time()
@@ -127,7 +139,7 @@ class Spinner:
     def _keep_time(self) -> None:
         """Have the timer that ends a spin at its deadline on the first node there is."""
         if self._timer is None and self._nodes:
-            self._timer = self._nodes[0].create_timer(_RESOLUTION, self._on_timer)
+            self._timer = steady_timer(self._nodes[0], _RESOLUTION, self._on_timer)
 
     def _on_timer(self) -> None:
         if time.monotonic() >= self._deadline and not self._gate.done():
@@ -270,6 +282,9 @@ def _run(
 @contextmanager
 def _initialised(arguments: list[str]) -> Iterator[Context]:
     context = Context()
+    logs = "ROS_LOG_DIR" in os.environ or "ROS_HOME" in os.environ
+    if not logs and not os.access(os.environ.get("HOME", ""), os.W_OK):
+        arguments = [*arguments, "--ros-args", NO_LOG_FILES]
     try:
         rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
         unknown = remove_ros_args(arguments)[1:]

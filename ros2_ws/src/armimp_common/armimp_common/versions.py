@@ -16,7 +16,7 @@ _DISTRIBUTIONS: Final = {
     "rclpy": "ros-jazzy-rclpy",
     "rosbags": "rosbags",
     "mcap": "mcap",
-    "armimp": "armimp_common",
+    "armimp": "armimp",
 }
 
 
@@ -31,6 +31,8 @@ def versions() -> dict[str, str]:
         found[name] = _version(distribution)
     if found["rclpy"] == UNKNOWN:
         found["rclpy"] = _version("rclpy")
+    if found["armimp"] == UNKNOWN:
+        found["armimp"] = _version("armimp_common")  # a workspace may hold some of the packages
     return found
 
 

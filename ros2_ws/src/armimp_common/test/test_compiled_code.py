@@ -67,6 +67,7 @@ def _run(folder: Path, caller: str, *, factor: float, expression: str) -> tuple[
     return float(value), int(hits), digest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("caller", CALLERS)
 def test_when_only_a_called_function_changes_expect_its_caller_compiled_anew(
     tmp_path: Path, caller: str
@@ -134,6 +135,7 @@ def _refuse(*_: Any, **__: Any) -> None:
     raise PermissionError("read-only")
 
 
+@pytest.mark.slow
 def test_without_linear_algebra_compiled_code_runs_and_scipy_is_there_when_asked_for(
     tmp_path: Path,
 ) -> None:

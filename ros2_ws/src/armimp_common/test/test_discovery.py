@@ -18,7 +18,7 @@ from armimp_common.channels import wait_until_matched
 from armimp_common.discovery import wait_until_known_to
 from armimp_common.errors import GraphError
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, eventually
+from support.graph import PATIENCE, eventually
 
 ROUNDS = 20
 OTHER = """

@@ -3,11 +3,14 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from armimp_common.errors import GraphError
 from armimp_common.protection import (
     RAMP_PERIODS,
     WATCHDOG_PERIODS,
+    CommandSequence,
     Protection,
     ProtectionLimits,
 )
@@ -15,7 +18,10 @@ from armimp_common.protection import (
 
 @pytest.fixture
 def protection() -> Protection:
-    return Protection(2, ProtectionLimits(position=3.0, velocity=20.0, torque=100.0))
+    """One with a sample that the first command is to answer."""
+    protection = Protection(2, ProtectionLimits(position=3.0, velocity=20.0, torque=100.0))
+    protection.sample((0.0, 0.0))
+    return protection
 
 
 def test_commands_within_the_limits_are_obeyed(protection: Protection) -> None:
@@ -28,8 +34,10 @@ def test_a_command_that_cannot_be_obeyed_takes_all_torque_away(
     protection: Protection, bad: tuple[float, ...]
 ) -> None:
     protection.command((3.0, -4.0))
+    protection.sample((0.0, 0.0))
     protection.command(bad)
     assert protection.applied == (0.0, 0.0)
+    protection.sample((0.0, 0.0))
     protection.command((3.0, -4.0))
     assert protection.applied == (0.0, 0.0)
     assert "cannot be obeyed" in protection.fault
@@ -71,14 +79,52 @@ def test_commands_that_answer_ever_older_samples_are_as_good_as_none(
 
 
 def test_a_controller_may_be_behind_for_a_moment_and_catch_up(protection: Protection) -> None:
+    protection.command((10.0, 0.0))
     for _ in range(50):
-        protection.command((10.0, 0.0))
         for _ in range(WATCHDOG_PERIODS):
             protection.sample((0.0, 0.0))
             protection.period()
-        for _ in range(WATCHDOG_PERIODS + 1):  # one more than needed is no advance
+        for _ in range(WATCHDOG_PERIODS):
             protection.command((10.0, 0.0))
     assert not protection.fault
+
+
+def test_a_command_more_than_samples_takes_the_torque_away_unless_it_is_zero(
+    protection: Protection,
+) -> None:
+    protection.command((10.0, 0.0))
+    protection.command((0.0, 0.0))
+    assert protection.applied == (0.0, 0.0)
+    assert not protection.fault
+    protection.command((10.0, 0.0))
+    assert (str(protection.fault), protection.applied) == (
+        "more commands than samples",
+        (0.0, 0.0),
+    )
+
+
+def test_first_commands_may_answer_any_of_the_last_samples(protection: Protection) -> None:
+    for _ in range(100):
+        protection.sample((0.0, 0.0))
+    for _ in range(WATCHDOG_PERIODS):
+        protection.command((10.0, 0.0))
+    assert not protection.fault
+    protection.command((10.0, 0.0))
+    assert "more commands than samples" in protection.fault
+
+
+@given(
+    first=st.integers(1, 1000),
+    alone=st.integers(0, 50),
+    strays=st.lists(st.integers(0, 1100), min_size=1, max_size=5),
+)
+def test_whatever_numbers_another_publisher_sends_it_is_found_by_the_next_command(
+    first: int, alone: int, strays: list[int]
+) -> None:
+    sequence = CommandSequence()
+    own = list(range(first, first + alone + 2))
+    assert not any(sequence.check(number) for number in own[:alone])
+    assert any(sequence.check(number) for number in [*strays, *own[alone:]])
 
 
 def test_before_the_first_command_nothing_is_missed(protection: Protection) -> None:
@@ -113,5 +159,6 @@ def test_the_reset_is_refused_under_torque_and_granted_without(protection: Prote
     assert protection.fault == "a reason"
     protection.command((0.0, 0.0))
     protection.reset()
+    protection.sample((0.0, 0.0))
     protection.command((1.0, 0.0))
     assert (protection.applied, protection.fault) == ((1.0, 0.0), "")

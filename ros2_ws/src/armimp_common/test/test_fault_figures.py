@@ -1,6 +1,6 @@
 """One line for each hazard, with the worst of all tries."""
 
-from armimp_common.fault_figures import Figures
+from support.fault_figures import Figures
 
 
 def test_worst_of_all_tries_is_told_in_one_line_for_each_hazard() -> None:

@@ -13,7 +13,7 @@ from std_msgs.msg import UInt64
 
 from armimp_common.lean_subscription import LeanSubscription, make_lean
 from armimp_common.spin import ExecutorKind, Spinner
-from armimp_common.testing import PATIENCE
+from support.graph import PATIENCE
 
 PROFILE = QoSProfile(depth=10)
 

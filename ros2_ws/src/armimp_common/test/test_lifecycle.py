@@ -6,21 +6,22 @@ import time
 from collections.abc import Iterator
 
 import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rclpy.context import Context
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 
 from armimp_common.errors import ConfigurationError, GraphError
-from armimp_common.lifecycle import LifecycleManager, reported
+from armimp_common.lifecycle import LifecycleManager, ManagedNode, reported
 from armimp_common.spin import Spinner
 
 PATIENCE = 10.0
 
 
-class Managed(LifecycleNode):
+class Managed(ManagedNode):
     def __init__(self, name: str, *, context: Context, namespace: str = "") -> None:
         super().__init__(name, context=context, namespace=namespace)
-        self.transition_error = ""
         self.fault: Exception | None = None
         self.delay = 0.0
 
@@ -64,6 +65,20 @@ def test_node_of_the_same_process_goes_through_all_states(manager: LifecycleMana
     assert manager.state("managed") == "unconfigured"
     manager.shutdown("managed")
     assert manager.state("managed") == "finalized"
+
+
+@pytest.mark.parametrize("number", [0, 3, 4, 99, 255])
+def test_a_transition_that_there_is_not_is_refused_and_the_node_lives(
+    manager: LifecycleManager, node: Node, spinner: Spinner, number: int
+) -> None:
+    manager.wait_for_nodes()
+    client = node.create_client(ChangeState, "managed/change_state")
+    assert client.wait_for_service(PATIENCE)
+    future = client.call_async(ChangeState.Request(transition=Transition(id=number)))
+    assert spinner.spin_until(future, PATIENCE)
+    assert not future.result().success
+    manager.configure("managed")
+    assert manager.state("managed") == "inactive"
 
 
 @pytest.mark.parametrize("before", [(), ("configure",), ("configure", "activate")])

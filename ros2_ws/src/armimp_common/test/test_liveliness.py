@@ -19,7 +19,7 @@ from armimp_common.channels import wait_until_matched
 from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.processes import Life
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, a_moment, eventually
+from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, set_clock
 
 pytestmark = pytest.mark.alone
 
@@ -157,15 +157,22 @@ def test_when_one_of_two_watched_processes_has_left_expect_the_other_to_be_looke
         eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence", patience=1.0)
 
 
+@pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
 def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_runs_out(
-    node: Node, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
+    node: Node,
+    spinner: Spinner,
+    changes: list[Presence],
+    monkeypatch: pytest.MonkeyPatch,
+    clock_step: float | None,
 ) -> None:
     monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
     watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        if clock_step is not None:
+            set_clock(node, clock_step)
         process.kill()
-        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death", patience=1.0)
+        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death")
 
     assert watch.ghost
 

@@ -96,7 +96,7 @@ def test_when_other_defaults_are_given_expect_those(make_node: MakeNode) -> None
 
 def test_when_file_and_command_line_give_values_expect_them(make_node: MakeNode) -> None:
     node = make_node(
-        file("law: {gamma: 7, mass: [1, 2]}", "count: 4", "quiet: true", "use_sim_time: true"),
+        file("law: {gamma: 7, mass: [1, 2]}", "count: 4", "quiet: true", "use_sim_time: false"),
         "-p",
         "count:=5",
     )

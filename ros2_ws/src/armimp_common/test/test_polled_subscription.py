@@ -13,7 +13,7 @@ from armimp_common.cdr import decode_count
 from armimp_common.channels import unmatched, wait_until_matched
 from armimp_common.polled_subscription import PolledSubscription, PollingNode
 from armimp_common.spin import ExecutorKind, Spinner
-from armimp_common.testing import PATIENCE, eventually
+from support.graph import PATIENCE, eventually
 
 PROFILE = QoSProfile(depth=10)
 

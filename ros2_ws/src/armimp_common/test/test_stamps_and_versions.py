@@ -1,5 +1,7 @@
 """Stamps, versions, revision, diagnostics and domain ids."""
 
+import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +11,7 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_common import diagnostics, stamps
+from armimp_common import diagnostics, domain, stamps
 from armimp_common.diagnostics import Level
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError, GraphError
@@ -163,6 +165,36 @@ def test_when_a_domain_is_taken_expect_graph_error_until_released() -> None:
             DomainClaim(domain_id)
     with DomainClaim(domain_id) as again:
         assert again.domain_id == domain_id
+
+
+def test_when_a_program_of_another_kind_is_in_a_domain_expect_it_avoided() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, DomainClaim() as first:
+        free = first.domain_id
+        other.bind(("0.0.0.0", 7400 + 250 * free + 10))
+        first.release()
+        assert free in set().union(*domain._occupied().values())
+
+
+def test_when_one_user_holds_every_domain_expect_no_other_kept_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    me = os.getuid()
+    everything = set(range(domain.LOWEST, domain.HIGHEST + 1))
+    theirs, rest = everything - {7}, {7}
+    monkeypatch.setattr(DomainClaim, "_bind", _taken)
+    monkeypatch.setattr(domain, "_occupied", lambda: {me + 1: theirs, me + 2: rest})
+    with DomainClaim() as claim:
+        assert claim.domain_id in theirs
+
+    # One's own experiments are kept apart however many there are.
+    monkeypatch.setattr(domain, "_occupied", lambda: {me: everything})
+    with pytest.raises(GraphError, match="no domain id is free"):
+        DomainClaim()
+
+
+def _taken(claim: DomainClaim, domain_id: int) -> bool:
+    claim.domain_id = domain_id
+    return False
 
 
 @pytest.mark.parametrize("domain_id", [-1, 101])

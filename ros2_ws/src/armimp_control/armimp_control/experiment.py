@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
+from armimp_common.contract import PERIOD_NS, clock_step
 from armimp_common.judgement import NOTICE_TICKS, Judgement
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.clips import ClipLedger
@@ -195,6 +195,9 @@ class Experiment:
         if self._next_ns is None:
             return
         last = self._next_ns - PERIOD_NS
+        if jump := clock_step(last, stamp_ns):
+            self.abort(jump)
+            return
         if stamp_ns <= last:
             self.abort(f"stamp {stamp_ns} ns follows {last} ns: samples must move forward")
             return

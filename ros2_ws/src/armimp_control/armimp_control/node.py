@@ -8,7 +8,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.duration import Duration
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
@@ -30,10 +30,11 @@ from armimp_common.diagnostics import (
 from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
 from armimp_common.judgement import Judgement
-from armimp_common.lifecycle import reported
+from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.liveliness import Presence, SignOfLife, Watch
-from armimp_common.parameters import declare, guard, load
+from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_common.urgency import Urgency
 from armimp_control.experiment import Experiment
@@ -52,12 +53,11 @@ _NO_SAMPLE = "no sensor sample arrived any more"
 _NO_JUDGEMENT = "the estimator does not say whether the trial is over"
 
 
-class ImbicControllerNode(LifecycleNode):
+class ImbicControllerNode(ManagedNode):
     """Answers each sample with one command and one perturbation message."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(contract.CONTROLLER_NODE, **kwargs)
-        self.transition_error = ""
         self._active = self._lockstep = False
         self._experiment: Experiment | None = None
         self._sign = SignOfLife(self, contract.CONTROLLER_NODE)
@@ -74,9 +74,7 @@ class ImbicControllerNode(LifecycleNode):
         self._diagnostics: Publisher | None = None
         self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
-        CountSubscription(
-            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
-        )
+        CountSubscription(self, contract.RECEIVED, self._on_received)
         self.create_subscription(
             DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
         )
@@ -113,13 +111,14 @@ class ImbicControllerNode(LifecycleNode):
             on_malformed=self._on_malformed,
         )
         period = _WATCHDOG_PERIODS[parameters.mode]
-        self._timer = self.create_timer(period, self._on_watchdog, autostart=False)
-        self._ramp = self.create_timer(PERIOD, self._on_watchdog, autostart=False)
+        self._timer = steady_timer(self, period, self._on_watchdog, autostart=False)
+        self._ramp = steady_timer(self, PERIOD, self._on_watchdog, autostart=False)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the other end, then answer samples; refused while a fault is latched."""
+        require_unchanged(self)
         if self._fault:
             raise GraphError(
                 f"a fault is latched: {self._fault}; call {contract.CONTROLLER_RESET_SERVICE} first"
@@ -300,13 +299,16 @@ class ImbicControllerNode(LifecycleNode):
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
 
-    def _on_malformed_count(self, error: ArmimpError) -> None:
-        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
-
     def _on_judgement(self, message: DiagnosticStatus) -> None:
         """Hear from the estimator how good the trial is already."""
         experiment = self._experiment
         if not self._active or experiment is None:
+            return
+        if not self._settings.sequence.may_end_early:
+            self.get_logger().warning(f"{contract.JUDGEMENT}: refused, as nobody asked for it")
+            return
+        if (publishers := self.count_publishers(contract.JUDGEMENT)) > 1:
+            self._take_away(f"{contract.JUDGEMENT} has {publishers} publishers")
             return
         try:
             experiment.judge(Judgement.from_values(values_of(message)))

@@ -111,6 +111,9 @@ class SequenceParameters(Schema):
     duration: float = Field(default=50.0, gt=0.0, description="perturbation (s)")
     settle: float = Field(default=0.5, ge=0.05, description="before it (s)")
     rest: float = Field(default=0.5, ge=0.05, description="after it (s)")
+    may_end_early: bool = Field(
+        default=False, description="whether the estimator may end a trial before its planned end"
+    )
 
 
 class TareParameters(Schema):

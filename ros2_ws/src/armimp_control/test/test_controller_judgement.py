@@ -16,11 +16,11 @@ from armimp_common.diagnostics import judgement_message
 from armimp_common.judgement import NOTICE_TICKS, Judgement
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
-from armimp_common.testing import ScriptedDriver, a_moment, eventually, overrides
 from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
 from armimp_control.watchdog import Watchdog
+from support.graph import ScriptedDriver, a_moment, eventually, overrides
 
 NAMES = ("shoulder", "elbow")
 POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
@@ -73,6 +73,7 @@ def start(
     made: list[ImbicControllerNode] = []
 
     def factory(changes: Mapping[str, Value] | None = None, **kwargs: Any) -> ImbicControllerNode:
+        changes = {"sequence.may_end_early": True, **(changes or {})}
         controller = ImbicControllerNode(
             context=context, parameter_overrides=overrides(PARAMETERS, changes), **kwargs
         )

@@ -23,17 +23,19 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value, build, flatten
 from armimp_common.spin import Spinner, run_node
 from armimp_common.stamps import to_time
-from armimp_common.testing import (
+from armimp_common.trial_status import Phase
+from armimp_control.experiment import Experiment
+from armimp_control.node import ImbicControllerNode
+from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
+from support.graph import (
+    CLOCK_STEPS,
     PATIENCE,
     ScriptedDriver,
     a_moment,
     eventually,
     overrides,
+    set_clock,
 )
-from armimp_common.trial_status import Phase
-from armimp_control.experiment import Experiment
-from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
 
 NAMES = ("shoulder", "elbow")
 POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
@@ -313,11 +315,19 @@ class TestFaults:
         eventually(spinner, lambda: len(driver.commands) >= 64, "an answer to every sample")
         assert set(driver.commands[60:]) == {(0.0, 0.0)}
 
+    @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
     def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
+        self,
+        make: MakeController,
+        driver: ScriptedDriver,
+        spinner: Spinner,
+        clock_step: float | None,
     ) -> None:
         ramp_time = 0.05
-        self.start(make({**IMPATIENT, "safety.ramp_time": ramp_time}), driver, spinner)
+        controller = make({**IMPATIENT, "safety.ramp_time": ramp_time})
+        self.start(controller, driver, spinner)
+        if clock_step is not None:
+            set_clock(controller, clock_step)
 
         last = np.abs(driver.commands[59])
         eventually(

@@ -14,11 +14,11 @@ from rclpy.node import Node
 from armimp_common.contract import PERIOD_NS
 from armimp_common.schema import Value, build, flatten
 from armimp_common.spin import Spinner
-from armimp_common.testing import ScriptedDriver, a_moment, eventually, overrides
 from armimp_common.trial_status import Phase
 from armimp_control.experiment import Experiment
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import PERIOD, ControllerParameters
+from support.graph import ScriptedDriver, a_moment, eventually, overrides
 
 pytestmark = pytest.mark.alone
 

@@ -16,10 +16,10 @@ from armimp_common.contract import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_common.processes import Life
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
-from armimp_common.testing import ScriptedDriver, a_moment, eventually, overrides
 from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
+from support.graph import ScriptedDriver, a_moment, eventually, overrides
 
 pytestmark = pytest.mark.alone
 

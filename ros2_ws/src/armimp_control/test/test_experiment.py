@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
+from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
@@ -221,7 +221,7 @@ def test_when_the_law_overflows_expect_zero_torque_and_an_abort() -> None:
     assert "not finite" in bench.statuses[-1].reason
 
 
-@pytest.mark.parametrize("step", [0, -PERIOD_NS, -START])
+@pytest.mark.parametrize("step", [0, -PERIOD_NS, -500 * PERIOD_NS])
 def test_when_stamps_do_not_move_forward_expect_an_abort(step: int) -> None:
     bench = Bench()
     bench.wobble(10)
@@ -236,6 +236,21 @@ def test_when_stamps_do_not_move_forward_expect_an_abort(step: int) -> None:
         f"stamp {START + 9 * PERIOD_NS + step} ns follows {START + 9 * PERIOD_NS} ns: "
         "samples must move forward"
     )
+
+
+@pytest.mark.parametrize("step", [-20.0, -1.0, 1.0, 3600.0])
+def test_when_the_clock_of_the_rig_is_set_expect_an_abort_that_names_it(step: float) -> None:
+    bench = Bench()
+    bench.wobble(SETTLE + 10)
+    bench.stamp_ns += round(step * NS_PER_S) - PERIOD_NS
+
+    bench.answer(POSTURE)
+
+    assert not bench.commands[-1].any()
+    status = bench.statuses[-1]
+    assert status.phase is Phase.ABORTED
+    assert f"stamps jump by {step:+g} s" in status.reason
+    assert "the clock of the rig was set" in status.reason
 
 
 @pytest.mark.parametrize("gap_at", [SETTLE, SETTLE + 1, SETTLE + PERTURB - 1])

@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.fault_figures import Figures
-from armimp_control import gate_campaign, presets
+from armimp_control import presets
 from armimp_control.gate import RAMP, RATE, RULE_ROWS, STOPS, TORQUE
-from armimp_control.gate_campaign import PROMISES, campaign
 from armimp_control.law import Controller
 from armimp_control.safety import Action, SafetyConfig
+from support import gate_campaign
+from support.fault_figures import Figures
+from support.gate_campaign import PROMISES, campaign
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 SENSIBLE = st.floats(-0.6, 0.6)
@@ -85,17 +86,17 @@ def test_whatever_comes_in_the_torque_is_finite_limited_and_gone_after_a_fault(
         assert not law.command.any()
 
 
-def test_hundred_thousand_random_sequences_break_no_promise() -> None:
-    result = campaign(100_000, seed=2026)
+def test_ten_thousand_random_sequences_break_no_promise() -> None:
+    result = campaign(10_000, seed=2026)
     assert result.violations == dict.fromkeys(PROMISES, 0)
-    assert (result.sequences, result.ticks) == (100_000, 8_000_000)
+    assert (result.sequences, result.ticks) == (10_000, 800_000)
     # It was no walk in the park.
-    assert result.faults > 50_000
-    assert result.poisoned > 50_000
-    assert result.clipped > 1_000_000
+    assert result.faults > 5_000
+    assert result.poisoned > 5_000
+    assert result.clipped > 100_000
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_million_random_sequences_break_no_promise(figures: Figures) -> None:
     result = campaign(1_000_000, seed=1)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
 from armimp_control.layout import NO_JOINT
-from armimp_control.testing import torque_only
+from support.safety import torque_only
 
 Array = NDArray[np.float64]
 PERIOD, GAMMA = 1e-3, 70.0

@@ -13,7 +13,7 @@ from armimp_control import presets
 from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
 from armimp_control.layout import APPROACH, DITHER, DITHER_ANGLE
-from armimp_control.testing import torque_only
+from support.safety import torque_only
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3

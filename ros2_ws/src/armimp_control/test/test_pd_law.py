@@ -20,7 +20,7 @@ from armimp_control.layout import DAMPING, DITHER, STIFFNESS
 from armimp_control.parameters import ControllerParameters
 from armimp_control.pd import PdConfig
 from armimp_control.stability import check_stability, spectral_radius
-from armimp_control.testing import torque_only
+from support.safety import torque_only
 
 Array = NDArray[np.float64]
 ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])

@@ -24,7 +24,7 @@ from armimp_control.gate import (
     let_through,
 )
 from armimp_control.safety import Action, Limit, SafetyConfig
-from armimp_control.testing import torque_only
+from support.safety import torque_only
 
 PERIOD = 1e-3
 WIDE = torque_only(1e6)

@@ -16,7 +16,7 @@ from armimp_control.imbic import ImbicConfig
 from armimp_control.law import Controller
 from armimp_control.rig_dynamics import RigDynamics
 from armimp_control.stability import check_stability, spectral_radius
-from armimp_control.testing import torque_only
+from support.safety import torque_only
 
 Array = NDArray[np.float64]
 ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])

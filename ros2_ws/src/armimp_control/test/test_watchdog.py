@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from armimp_control.parameters import SafetyParameters
 from armimp_control.safety import SafetyConfig
 from armimp_control.watchdog import Watchdog
 
@@ -98,3 +99,12 @@ def test_longest_allowed_setting_is_over_within_two_hundred_milliseconds() -> No
     watchdog = _watchdog(ticks=100, ramp=0.05)
     watchdog.feed(0.0)
     assert watchdog.ticks_due(0.2) == 50
+
+
+def test_by_default_a_rig_in_lockstep_may_be_silent_for_almost_five_seconds() -> None:
+    safety = SafetyParameters()
+    watchdog = _watchdog(ticks=safety.watchdog_ticks, slowest=safety.slowest_tick)
+    watchdog.feed(100.0)
+
+    assert not watchdog.expired(104.99)
+    assert watchdog.expired(105.0)

@@ -21,10 +21,11 @@ from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.jitter import TimingFigures, TimingLedger
 from armimp_common.lifecycle import reported
-from armimp_common.parameters import load
+from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.urgency import wake_up_exactly
 from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Device, Frame
@@ -35,8 +36,8 @@ from armimp_sim.backlog import Backlog
 _FRAME_TIMEOUT, _PATIENCE = 0.002, 0.1
 """How long a frame is waited for (s): two periods on a bus, longer where commands set the pace."""
 _LOST_FRAMES = 5
-_REPORT_PERIOD, _LOOK_PERIOD = 1.0, 0.02
-"""How often it is reported how things are, and looked whether something has happened (s)."""
+_REPORT_PERIOD = 1.0
+"""How often it is reported how things are (s)."""
 
 
 def make_device(parameters: DriverParameters) -> Device:
@@ -72,8 +73,7 @@ class ExoDriver(RigNode[Protection]):
         self._backlog = Backlog()
         self.own(
             self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED),
-            self.create_timer(_REPORT_PERIOD, self.report),
-            self.create_timer(_LOOK_PERIOD, self.report_news),
+            steady_timer(self, _REPORT_PERIOD, self.report),
         )
         return TransitionCallbackReturn.SUCCESS
 
@@ -81,6 +81,7 @@ class ExoDriver(RigNode[Protection]):
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Start the thread that listens to the device."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             publishers=[self.joint_states, self.torque_sensors],

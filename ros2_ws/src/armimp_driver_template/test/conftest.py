@@ -1,5 +1,5 @@
 """Fixtures of all tests of this package."""
 
-from armimp_common.testing import context, domain_id, node
+from support.graph import context, domain_id, node
 
 __all__ = ["context", "domain_id", "node"]

@@ -13,11 +13,11 @@ from armimp_common.channels import CommandPublisher, JointStateSubscription
 from armimp_common.diagnostics import Level
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, eventually
 from armimp_driver_template import node as template
 from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver
 from armimp_driver_template.parameters import DriverParameters
+from support.graph import PATIENCE, eventually
 
 pytestmark = pytest.mark.alone
 

@@ -27,8 +27,10 @@ from armimp_estimation.sampling import judge_stamps, sampling_period
 from armimp_estimation.trial_problems import TrialProblems, find_problems
 from armimp_estimation.trial_streams import TrialStreams, decode_streams
 from armimp_estimation.trial_windows import (
+    MOST_TICKS,
     TrialWindow,
     infer_windows,
+    require_few_trials,
     tick_numbers,
     windows_from_statuses,
 )
@@ -44,11 +46,12 @@ class AssembledTrial:
         What the trial was meant to be.
     record : TrialRecord or None
         The samples, if there is a usable one for every control period. Duplicates are dropped
-        (the first one stays) and the order is that of the stamps.
+        (the first one stays, if all say the same) and the order is that of the stamps.
     segments : tuple of TrialRecord
         The longest runs of usable periods, in their order; the record is the only one where
-        there is a record. Periods are not usable if a stream with stamps has no sample of them or
-        one that is not finite, nor while the controller clipped its command.
+        there is a record. Periods are not usable if a stream with stamps has no sample of them,
+        one that is not finite, or several that contradict each other, nor while the controller
+        clipped its command.
     ledger : SampleLedger
         The account of the samples.
     problem : str
@@ -176,15 +179,25 @@ def assemble_trials(
     else:
         perturbation = streams.stamped[contract.PERTURBATION]
         windows = infer_windows(perturbation.stamps, perturbation.values, period)
+    require_few_trials(len(windows))
+    received = streams.stamped[contract.PERTURBATION].stamps.size
+    if (announced := sum(window.ticks for window in windows)) > MOST_TICKS + 2 * received:
+        raise DataError(f"trials of {announced} samples are announced, and there are {received}")
     # The controller, which tells of its trials, works at the rate of the contract.
     planned = NS_PER_S / PERIOD_NS if statuses else None
     began_ns = min(int(stream.stamps.min()) for stream in streams.stamped.values())
-    return tuple(
-        assemble_trial(window, streams, source=source, period=period, planned=planned)
-        for window in windows
+    trials: list[AssembledTrial] = []
+    used = 0
+    for window in windows:
         # A latched topic repeats the statuses of trials that were over before the recording.
-        if window.start_ns + window.ticks * period > began_ns
-    )
+        if window.start_ns + window.ticks * period > began_ns:
+            trials.append(
+                assemble_trial(window, streams, source=source, period=period, planned=planned)
+            )
+            used += sum(segment.samples for segment in trials[-1].segments)
+            if used > received:
+                raise DataError(f"trial {window.trial} overlaps with others: they share samples")
+    return tuple(trials)
 
 
 def assemble_trial(
@@ -226,14 +239,17 @@ def assemble_trial(
 
     usable = np.ones(span, np.bool_)
     for one in kept.values():
-        usable &= one.finite(span)
+        usable &= one.finite(span) & ~one.contradicted(span)
     counts = {topic: one.count(span, last_ns) for topic, one in kept.items()}
     problems = find_problems(window, kept, counts, stamps[:inside], numbers[:inside], usable)
     for first, last in window.clipped_intervals:
         # A command acts until the next sample, which is the first to show it.
         usable[first : last + 2] = False
     runs = _runs(usable)
-    counts[contract.COMMANDS] = _count_commands(streams, kept[contract.PERTURBATION], span)
+    counts[contract.COMMANDS], wrong = _count_commands(streams, kept[contract.PERTURBATION], span)
+    problems = problems.and_commands(
+        wrong, counts[contract.COMMANDS], cut=not window.ended or bool(window.fault)
+    )
     ledger = SampleLedger(
         streams={topic: counts[topic] for topic in contract.DATA_STREAMS if topic in counts},
         clipped=window.clipped,
@@ -292,11 +308,28 @@ def _span(window: TrialWindow, kept: Mapping[str, KeptStream]) -> int:
     return span
 
 
-def _count_commands(streams: TrialStreams, perturbation: KeptStream, span: int) -> StreamCount:
-    """Count commands by their ordinal number, as every one goes with one perturbation."""
-    before = int((streams.stamped[contract.PERTURBATION].stamps < perturbation.start_ns).sum())
+def _count_commands(
+    streams: TrialStreams, perturbation: KeptStream, span: int
+) -> tuple[StreamCount, int]:
+    """Count commands by their place, as every one goes with one perturbation.
+
+    Returns
+    -------
+    StreamCount
+    int
+        Those that nobody asked for: that do not follow the one before by their numbers or, where
+        they have none, that are more than perturbations in the whole recording.
+    """
+    stamps = streams.stamped[contract.PERTURBATION].stamps
+    before = int((stamps < perturbation.start_ns).sum())
     received = min(max(streams.commands - before, 0), span)
-    return StreamCount(expected=span, received=received, lost=span - received)
+    numbers = streams.command_numbers[before : before + span]
+    if numbers.any():
+        wrong = int((np.diff(numbers) != 1).sum())
+    else:
+        # A recording may end between the two messages of a tick.
+        wrong = max(streams.commands - stamps.size - 1, 0)
+    return StreamCount(expected=span, received=received, lost=span - received), wrong
 
 
 def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:

@@ -99,10 +99,7 @@ class Conclusion:
             If a file exists already or cannot be written.
         """
         if self.identification is not None:
-            write_frf(
-                directory / FRF_FILE,
-                {name: r.estimate for name, r in self.identification.estimators.items()},
-            )
+            write_frf(directory / FRF_FILE, self.identification.estimators)
         write_summary(directory / SUMMARY_FILE, self.summary)
 
 
@@ -110,7 +107,7 @@ def conclude(
     trials: Sequence[FinishedTrial],
     *,
     metadata: Mapping[str, str],
-    joints: int,
+    joint_names: Sequence[str],
     estimators: Sequence[str | Estimator],
     config: IdentifyConfig | None = None,
     gaps: GapConfig | None = None,
@@ -125,8 +122,8 @@ def conclude(
     metadata : mapping of str to str
         That of the bags: configuration, seed, from a simulator the truth, and the timing of a run
         in real time.
-    joints : int
-        Number of joints n.
+    joint_names : sequence of str
+        Names of the n joints.
     estimators : sequence of str or Estimator
         As for :func:`armimp_estimation.identify.identify`.
     config : IdentifyConfig, optional
@@ -147,6 +144,7 @@ def conclude(
     found = list(problems)
     options = gaps if gaps is not None else GapConfig()
     identification = None
+    joints = len(joint_names)
     told = understand(metadata, joints)
     truth, seed = told.truth, told.seed
     found += [] if told.timing is None else told.timing.problems
@@ -175,6 +173,7 @@ def conclude(
             summary=Summary(
                 config=told.config,
                 joints=joints,
+                joint_names=list(joint_names),
                 seed=seed,
                 valid=False,
                 problems=found,

@@ -4,10 +4,12 @@ import struct
 import tokenize
 import zipfile
 import zlib
-from typing import Any, Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from armimp_estimation.results import ImpedanceCurve
 
 UNREADABLE: Final = (
     *(OSError, ValueError, LookupError, TypeError, SyntaxError, EOFError),
@@ -18,30 +20,39 @@ UNREADABLE: Final = (
 """All that zipfile and numpy let out when bytes of an archive have changed."""
 
 
-def check_curve(name: str, f: NDArray[Any], Z: NDArray[Any], variance: NDArray[Any]) -> None:
+def check_curve(name: str, curve: "ImpedanceCurve") -> None:
     """Check the arrays of one estimator.
-
-    Parameters
-    ----------
-    name : str
-        The estimator.
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    Z : ndarray, shape (n, n, n_freq)
-        Impedance, N·m/rad.
-    variance : ndarray, shape (n, n, n_freq)
-        Variance of each complex value.
 
     Raises
     ------
     ValueError
-        If they have other shapes or types, or Z is not finite.
+        If they have other shapes or types than they should, or a curve is not finite.
     """
-    if f.ndim != 1 or f.dtype.kind != "f" or not f.size or not (np.diff(f) > 0.0).all():
-        raise ValueError(f"the frequencies of {name} are not an ascending row of numbers")
-    if Z.ndim != 3 or Z.shape != (len(Z), len(Z), f.size) or Z.dtype.kind != "c":
-        raise ValueError(f"Z_{name} has shape {Z.shape} of {Z.dtype} at {f.size} frequencies")
-    if variance.shape != Z.shape or variance.dtype.kind != "f":
-        raise ValueError(f"var_{name} has shape {variance.shape}, Z_{name} {Z.shape}")
-    if not (np.isfinite(f).all() and np.isfinite(Z).all()):
-        raise ValueError(f"Z_{name} is not finite")
+    n, size, spectra = len(curve.Z), curve.f.size, curve.coherence
+    for where, f in ((name, curve.f), ("the coherences", spectra.f)):
+        if f.ndim != 1 or f.dtype.kind != "f" or not f.size or not (np.diff(f) > 0.0).all():
+            raise ValueError(f"the frequencies of {where} are not an ascending row of numbers")
+    square = (n, n, size)
+    expected = {
+        f"Z_{name}": (curve.Z, square, "c"),
+        f"T_{name}": (curve.T, square, "c"),
+        f"R_{name}": (curve.R, square, "c"),
+        f"var_{name}": (curve.variance, square, "f"),
+        f"correlation_{name}": (curve.correlation, (curve.correlation.size,), "f"),
+        f"covariance_{name}": (curve.covariance, (n, 2 * n, 2 * n, size), "c"),
+        f"disturbance_{name}": (curve.disturbance, (n, n, n, size), "c"),
+        f"inverse_{name}": (curve.inverse, square, "c"),
+        f"systematics_{name}": (curve.systematics, (len(curve.systematics), *square), "c"),
+        "coherence_motion": (spectra.motion, (n, spectra.f.size), "f"),
+        "coherence_torque": (spectra.torque, (n, n, spectra.f.size), "f"),
+        f"derived_{name}": (spectra.derived, (n, n, spectra.f.size), "f"),
+    }
+    for key, (values, shape, kind) in expected.items():
+        if values is not None and (values.shape != shape or values.dtype.kind != kind):
+            raise ValueError(
+                f"{key} has shape {values.shape} of {values.dtype} for {n} joints, "
+                f"{size} frequencies"
+            )
+    for key in ("f", "Z", "T", "R"):
+        if not np.isfinite(getattr(curve, key)).all():
+            raise ValueError(f"{key}_{name} is not finite")

@@ -8,14 +8,14 @@ opposite sign. Averaging does not help. Noise of the encoder biases it, too. It 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimate import ImpedanceColumn, ImpedanceEstimate
-from armimp_estimation.frf import noise_gain, residual_power
+from armimp_estimation.frf import noise_gain, order_trials, residual_power
 from armimp_estimation.trial import TrialData, TrialSpectra
 from armimp_estimation.welch import estimate_by_columns
 
@@ -65,4 +65,21 @@ class Direct:
         DataError
             If a joint has no trial, or as :meth:`column`.
         """
-        return estimate_by_columns(self.name, trials, self.column)
+        estimate = estimate_by_columns(self.name, trials, self.column)
+        n = estimate.joints
+        left = [self._unexplained(trial.spectra) for trial in order_trials(trials)]
+        inverse = np.eye(n, dtype=np.complex128)[:, :, None] * np.ones(estimate.f.size)
+        return replace(estimate, disturbance=np.stack(left), inverse=inverse)
+
+    def _unexplained(self, trial: TrialSpectra) -> ComplexArray:
+        """Covariance of a column, shape (n, n, n_freq): that of torques without the motion."""
+        angle = trial.position_channel(trial.perturbed_joint)
+        first = trial.torque_channel(0)
+        matrix, motion = trial.spectra.matrix, trial.spectra.power(angle)
+        crossed = matrix[angle, first:]
+        left = (
+            np.swapaxes(matrix[first:, first:], 0, 1)
+            - crossed[:, None] * np.conj(crossed[None]) / motion
+        )
+        covariance: ComplexArray = noise_gain(trial) * trial.input_power / motion * left
+        return covariance

@@ -94,6 +94,13 @@ class ImpedanceEstimate:
         Standard errors of corrections that the values contain, or of biases that they are known to
         have, N·m/rad: complex, since each is the same error at all frequencies, in this proportion.
         The variance includes them.
+    covariance : ndarray, shape (n, 2n, 2n, n_freq), or None
+        ``E[δ_a conj(δ_b)]`` of the errors of ``R_1k … R_nk, T_1k … T_nk``, for each trial k;
+        responses from different trials are independent. None if that is not so.
+    disturbance : ndarray, shape (n, n, n, n_freq), or None
+        ``E[V_ik conj(V_mk)]`` by k, i, m for the ``V = T - Z R`` that the disturbances leave.
+    inverse : ndarray, shape (n, n, n_freq), or None
+        What takes it to the errors of the impedance: ``δZ = V · inverse``.
     weight_floor : float or None
         Relative error beside the variance that the M-B-K fit should allow for in its weights, see
         :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit.
@@ -116,6 +123,9 @@ class ImpedanceEstimate:
     T: ComplexArray
     R: ComplexArray
     systematics: tuple[ComplexArray, ...] = ()
+    covariance: ComplexArray | None = None
+    disturbance: ComplexArray | None = None
+    inverse: ComplexArray | None = None
     weight_floor: float | None = None
     delay_uncertainty: float | None = None
     delay_unknown: float = 0.0

@@ -11,6 +11,7 @@ from __future__ import annotations
 import gc
 import io
 import json
+import logging
 import os
 import select
 import signal
@@ -22,6 +23,9 @@ from pathlib import Path
 from typing import Any
 
 from armimp_common.errors import DataError
+
+# Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.
+logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 # Everything else is imported when the thread that gets things ready has made itself nice.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armimp_common.errors import DataError
+from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.lean_fonts import lean_fonts
 from armimp_estimation.report.curves import (
     BodeCurve,
@@ -24,7 +25,7 @@ from armimp_estimation.report.curves import (
     phase_step,
     true_curve,
 )
-from armimp_estimation.report.html import plain
+from armimp_estimation.report.formats import plain
 from armimp_estimation.report.look import (
     MOTION_COLOUR,
     TORQUE_COLOUR,
@@ -33,7 +34,7 @@ from armimp_estimation.report.look import (
     joint_colour,
     looks,
 )
-from armimp_estimation.report.result import Result, TrialEvidence
+from armimp_estimation.report.result import Result
 from armimp_estimation.report.traces import PERIOD, rows_of
 from armimp_estimation.results import ImpedanceCurve, Summary
 
@@ -201,7 +202,7 @@ def coherence_figure(
 
 
 def trace_figure(
-    trials: Sequence[TrialEvidence], *, seconds: float = 5.0, width: float = TWO_COLUMNS
+    trials: Sequence[AssembledTrial], *, seconds: float = 5.0, width: float = TWO_COLUMNS
 ) -> Figure:
     """Signals of the trials over time: one column for each trial.
 
@@ -217,8 +218,8 @@ def trace_figure(
     from matplotlib import rc_context
 
     stop = max(round(seconds / PERIOD), 2)
-    shown = [rows_of(one.assembled.segments, one.assembled.window.start_ns) for one in trials]
-    names = trials[0].assembled.segments[0].joint_names
+    shown = [rows_of(one.segments, one.window.start_ns) for one in trials]
+    names = trials[0].segments[0].joint_names
     count = max(len(rows) for rows in shown)
     with rc_context(_STYLE):
         figure, grid = _Frame(
@@ -244,7 +245,7 @@ def trace_figure(
                     axes.set_ylabel(f"{row.title}\n({row.unit})", fontsize=7)
                     labelled.append(axes)
                 if number == 0:
-                    _title(axes, f"{_tex(names[one.joint])} perturbed")
+                    _title(axes, f"{_tex(names[one.window.joint])} perturbed")
                 if number == len(rows) - 1:
                     axes.set_xlabel("time (s)")
         figure.align_ylabels(labelled)
@@ -264,13 +265,9 @@ def drawings(result: Result) -> dict[str, Callable[[], Figure]]:
     found: dict[str, Callable[[], Figure]] = {}
     if curves:
         found["impedance"] = lambda: impedance_figure(result.summary, curves)
-        spectra = result.spectra
-        elements = {
-            (i, k): coherence_curves(spectra[k], curves, i) for i in range(n) for k in spectra
-        }
-        if elements:
-            found["coherence"] = lambda: coherence_figure(elements, n)
-    trials = [one for one in result.trials if one.assembled.segments]
+        elements = coherence_curves(curves, n)
+        found["coherence"] = lambda: coherence_figure(elements, n)
+    trials = [one for one in result.trials if one.segments]
     if trials and len(trials) <= n:
         found["traces"] = lambda: trace_figure(trials)
     return found

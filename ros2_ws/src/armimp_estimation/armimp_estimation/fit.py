@@ -98,6 +98,8 @@ class MBKFit:
         What chance alone doesn't exceed: 2, or more for few frequencies.
     delay : CommonDelay or None
         Delay that was fitted and corrected, if the estimate leaves that open.
+    covariance : ndarray, shape (3n², 3n²)
+        Of all parameters: those of M row by row, then B, then K.
     """
 
     mbk: MBK
@@ -106,6 +108,7 @@ class MBKFit:
     K_se: FloatArray
     r2: FloatArray
     Z: ComplexArray
+    covariance: FloatArray
     lack: FloatArray
     lack_limit: float
     delay: CommonDelay | None = None
@@ -229,8 +232,65 @@ def fit_impedance(
         lack=problem.lack(values).reshape(n, n),
         lack_limit=lack_limit(estimate.f.size, estimate.bin_correlation),
         delay=delay,
+        covariance=_parameter_covariance(estimate, problem),
     )
     return estimate, fit
+
+
+def _parameter_covariance(estimate: ImpedanceEstimate, problem: "_Elements") -> FloatArray:
+    """Covariance of all parameters.
+
+    As the sandwich of one element, with the coherency κ of two: ``½ Σ_fg a_f b_g σ_f ς_g
+    ρ(|f - g|) (κ_f + κ_g)/2``, of which errors of like parts take the real and others the
+    imaginary part. An estimate without covariances has independent elements. The error of a
+    correction is that of one transducer, so it is common to a row.
+    """
+    n, size = estimate.joints, estimate.f.size
+    shape = (n, n, 3, size)
+    coefficients = np.stack([problem.coefficients(row) for row in range(n * n)]).reshape(shape)
+    deviation = np.sqrt(problem.noise).reshape(n, n, size)
+    terms = coefficients * (np.sqrt(0.5) * deviation)[:, :, None]
+    rho = estimate.bin_correlation[: min(estimate.bin_correlation.size, size)]
+    kernel = np.concatenate((rho[:0:-1], rho))
+    spread = np.apply_along_axis(np.convolve, 3, terms, kernel)[..., rho.size - 1 :][..., :size]
+    # Whether the parts are unlike, and the sign of the imaginary part: M and K are real, B is not.
+    imaginary = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
+    covariance = np.zeros((3, n, n, 3, n, n))
+    for i, j, m, l in np.ndindex(n, n, n, n):
+        if (i, j) > (m, l):
+            continue
+        coherency = _coherency(estimate, (i, j), (m, l), deviation)
+        a, b = terms[i, j], terms[m, l]
+        wide_a, wide_b = spread[i, j], spread[m, l]
+        both = 0.5 * ((a * coherency) @ wide_b.T + (wide_a * coherency) @ b.T)
+        block = np.where(imaginary == 0, both.real, imaginary * both.imag)
+        if i == m:
+            for one in problem.systematics:
+                shift, other = _apply(coefficients[i, j], one[i * n + j]), one[m * n + l]
+                block = block + np.outer(shift, _apply(coefficients[m, l], other))
+        if (i, j) == (m, l):
+            block = block + np.diag(problem.change_by_more_terms(i * n + j))
+        covariance[:, i, j, :, m, l] = block
+        covariance[:, m, l, :, i, j] = block.T
+    return covariance.reshape(3 * n * n, 3 * n * n)
+
+
+def _coherency(
+    estimate: ImpedanceEstimate, one: tuple[int, int], other: tuple[int, int], sigma: FloatArray
+) -> ComplexArray:
+    """Correlation of the errors of two elements at each frequency."""
+    if one == other:
+        return np.ones(estimate.f.size, dtype=np.complex128)
+    if estimate.disturbance is None or estimate.inverse is None:
+        return np.zeros(estimate.f.size, dtype=np.complex128)
+    (i, j), (m, l) = one, other
+    shared: ComplexArray = np.sum(
+        estimate.disturbance[:, i, m] * estimate.inverse[:, j] * np.conj(estimate.inverse[:, l]),
+        axis=0,
+    )
+    size = sigma[one] * sigma[other]
+    ratio: ComplexArray = np.divide(shared, size, out=np.zeros_like(shared), where=size > 0.0)
+    return ratio
 
 
 def fit_column(
@@ -316,19 +376,22 @@ class _Elements:
             values[:, row], errors[:, row] = self._fit_element(row)
         return values, errors
 
+    def coefficients(self, row: int) -> FloatArray:
+        """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f`` for one element."""
+        return mbk_coefficients(self.omega, self.weights(row))
+
     def _fit_element(self, row: int) -> tuple[FloatArray, FloatArray]:
-        weights = self.weights(row)
-        coefficients = mbk_coefficients(self.omega, weights)
+        coefficients = self.coefficients(row)
         values = _apply(coefficients, self.Z[row])
         squares = _sandwich(coefficients, self.noise[row], self.correlation)
         for systematic in self.systematics:
             squares += _apply(coefficients, systematic[row]) ** 2
-        return values, np.sqrt(squares + self._change_by_more_terms(row, weights, coefficients))
+        return values, np.sqrt(squares + self.change_by_more_terms(row))
 
-    def _change_by_more_terms(
-        self, row: int, weights: FloatArray, coefficients: FloatArray
-    ) -> FloatArray:
+    def change_by_more_terms(self, row: int) -> FloatArray:
         """Squared change of M, B, K by ``c s³`` and ``c s⁴``, where c is significant."""
+        weights = self.weights(row)
+        coefficients = mbk_coefficients(self.omega, weights)
         relative = self.omega / self.omega[-1]
         squares = np.zeros(3)
         for term in (-1j * relative**3, relative**4 + 0j):

@@ -56,6 +56,8 @@ class FrfMatrix:
         perturbed joint.
     R_variance, T_variance : ndarray, shape (n, n, n_freq)
         Variance of each complex value.
+    covariance : ndarray, shape (n, 2n, 2n, n_freq)
+        See :class:`armimp_estimation.estimate.ImpedanceEstimate`.
     """
 
     f: FloatArray
@@ -63,6 +65,7 @@ class FrfMatrix:
     T: ComplexArray
     R_variance: FloatArray
     T_variance: FloatArray
+    covariance: ComplexArray
 
 
 def noise_gain(trial: TrialSpectra) -> FloatArray:
@@ -161,7 +164,17 @@ def frf_matrix(trials: Sequence[TrialSpectra]) -> FrfMatrix:
         T=np.stack([column.T for column in columns], axis=1),
         R_variance=np.stack([column.R_variance for column in columns], axis=1),
         T_variance=np.stack([column.T_variance for column in columns], axis=1),
+        covariance=np.stack([_covariance(trial) for trial in trials]),
     )
+
+
+def _covariance(trial: TrialSpectra) -> ComplexArray:
+    """Covariance of R and T of a trial: that of what the perturbation does not explain."""
+    matrix = trial.spectra.matrix
+    crossed = matrix[0, 1:]
+    explained = crossed[:, None] * np.conj(crossed[None]) / trial.input_power
+    covariance: ComplexArray = noise_gain(trial) * (np.swapaxes(matrix[1:, 1:], 0, 1) - explained)
+    return covariance
 
 
 def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:

@@ -36,18 +36,29 @@ class EstimatorResult:
         M, B, K with standard errors and R².
     vaf : ndarray, shape (n, n), or None
         Variance accounted for, %, if the truth is known.
-    coherence_derived, coherence_torque : ndarray, shape (n, n)
-        Band means of the derived coherence, and of ``γ²(τΔ_k, τ_i)``.
-    coherence_motion : ndarray, shape (n,)
-        Band mean of ``γ²(τΔ_k, θ_k)``.
+    coherence : Coherences
+        Over frequency.
     """
 
     estimate: ImpedanceEstimate
     fit: MBKFit
     vaf: FloatArray | None
-    coherence_derived: FloatArray
-    coherence_torque: FloatArray
-    coherence_motion: FloatArray
+    coherence: scores.Coherences
+
+    @property
+    def coherence_derived(self) -> FloatArray:
+        """Band mean of the derived coherence, shape (n, n)."""
+        return scores.band_mean(self.coherence.derived)
+
+    @property
+    def coherence_torque(self) -> FloatArray:
+        """Band mean of ``γ²(τΔ_k, τ_i)``, shape (n, n)."""
+        return scores.band_mean(self.coherence.torque)
+
+    @property
+    def coherence_motion(self) -> FloatArray:
+        """Band mean of ``γ²(τΔ_k, θ_k)``, shape (n,)."""
+        return scores.band_mean(self.coherence.motion)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -175,35 +186,34 @@ def identify(
         scores.require_motion(trial.record)
     locks = scores.lock_ratio(spectra, frf)
     bounds = scores.bias_bound(frf)
-    motion = scores.mean_coherence_motion(spectra)
-    torque = scores.mean_coherence_torque(spectra)
-
-    problems: list[Problem] = []
-    for trial in ordered:
-        problems += judge_angles(trial.record) + judge_signals(trial.record)
-    problems += verdict.judge_coherence(names, motion, torque, level)
-    if verdict.SINGLE in distinct:
-        problems += verdict.judge_locking(names, locks, bounds, options.limits)
     results: dict[str, EstimatorResult] = {}
+    of_estimates: list[Problem] = []
     for worker in workers:
         estimate, fit = fit_impedance(worker.estimate(ordered), options.fit)
-        derived = scores.mean_coherence_derived(spectra, estimate)
         results[worker.name] = EstimatorResult(
             estimate=estimate,
             fit=fit,
             vaf=None if truth is None else scores.vaf(estimate, truth),
-            coherence_derived=derived,
-            coherence_torque=torque,
-            coherence_motion=motion,
+            coherence=scores.Coherences.of(spectra, estimate),
         )
         declared = options.lpm.reading.sentence
-        problems += verdict.judge_estimate(names, estimate, fit, declared)
+        of_estimates += verdict.judge_estimate(names, estimate, fit, declared)
+    first = next(iter(results.values()))
+    problems: list[Problem] = []
+    for trial in ordered:
+        problems += judge_angles(trial.record) + judge_signals(trial.record)
+    problems += verdict.judge_coherence(
+        names, first.coherence_motion, first.coherence_torque, level
+    )
+    if verdict.SINGLE in distinct:
+        problems += verdict.judge_locking(names, locks, bounds, options.limits)
+    problems += of_estimates
     best = next((r for r in results.values() if r.estimate.unbiased), None)
     if best is not None:
         for trial in ordered:
             problems += judge_stiffness(trial.record, best.fit.mbk)
     if balance is not None:
-        arm = best if best is not None else next(iter(results.values()))
+        arm = best if best is not None else first
         problems += judge_balance(names, balance, arm.fit)
     return Identification(
         joint_names=names,

@@ -31,16 +31,12 @@ class KeptStream:
         self.stream = stream
         self.start_ns = start_ns
         self.period = period
-        if (np.diff(stream.stamps) > 0).all():
-            self.stamps: NDArray[np.int64] = stream.stamps
-            self.order: NDArray[np.intp] = np.arange(stream.stamps.size)
-            self._orderly = True
-        else:
-            self.stamps, self.order = np.unique(stream.stamps, return_index=True)
-            self._orderly = False
-        first = int(np.searchsorted(self.stamps, start_ns))
-        self.stamps = self.stamps[first:]
-        self.order = self.order[first:]
+        stamps, order, contradicted = stream.ordered
+        self._orderly = stamps is stream.stamps
+        first = int(np.searchsorted(stamps, start_ns))
+        self.stamps: NDArray[np.int64] = stamps[first:]
+        self.order: NDArray[np.intp] = order[first:]
+        self._contradicted = contradicted[first:]
         self.numbers: NDArray[np.int64] = np.empty(0, np.int64)
 
     def number(self, stamps: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
@@ -49,6 +45,7 @@ class KeptStream:
         single = np.diff(self.numbers, prepend=-1) > 0
         if not single.all():
             self.stamps, self.order = self.stamps[single], self.order[single]
+            self._contradicted = self._contradicted[single]
             self.numbers = self.numbers[single]
             self._orderly = False
 
@@ -71,6 +68,7 @@ class KeptStream:
             received=received,
             lost=span - distinct,
             duplicated=received - distinct,
+            contradictory=int(self._contradicted[:distinct].sum()),
             reordered=reordered,
             late=int((steps > _LATE * self.period).sum()),
         )
@@ -88,6 +86,13 @@ class KeptStream:
         finite = np.zeros(span, np.bool_)
         finite[self.numbers[:inside]] = np.isfinite(values).all(axis=0)
         return finite
+
+    def contradicted(self, span: int) -> NDArray[np.bool_]:
+        """Whether each period of the span has samples that contradict each other."""
+        inside = self.inside(span)
+        found = np.zeros(span, np.bool_)
+        found[self.numbers[:inside]] = self._contradicted[:inside]
+        return found
 
     def values(self, start: int, stop: int) -> NDArray[np.float64]:
         """(n, stop - start) values of a run of periods, all of which are there."""

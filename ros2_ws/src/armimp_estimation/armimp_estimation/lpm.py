@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.drift import drift_of
 from armimp_estimation.estimate import ImpedanceEstimate
-from armimp_estimation.fit import FitConfig, fit_column
+from armimp_estimation.fit import FitConfig, fit_column, fit_mbk
 from armimp_estimation.frf import order_trials
 from armimp_estimation.local_polynomial import (
     LocalPolynomialConfig,
@@ -95,12 +95,16 @@ class FittedColumn:
     values : ndarray, shape (3, n)
         M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque.
     errors : ndarray, shape (3, n)
-        Their standard errors, in the same units.
+        Their standard errors, in the same units, which know of random errors alone.
+    preliminary : bool
+        Whether the motion of a locked joint is not accounted for, as it had no trial yet. The
+        values may then be off by many standard errors.
     """
 
     joint: int
     values: FloatArray
     errors: FloatArray
+    preliminary: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +140,10 @@ class LpmFull:
         DataError
             If a joint has no trial, a record is too short, or R cannot be inverted.
         """
-        records = [trial.record for trial in order_trials(trials)]
+        return self._estimate([trial.record for trial in order_trials(trials)])
+
+    def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
+        """As :meth:`estimate`, from one record for each joint, in their order."""
         options = self.config
         jump = self._jump(records)
         columns = self._columns(records, with_steps=jump is not None)
@@ -171,24 +178,50 @@ class LpmFull:
             delay_uncertainty=self._delay_uncertainty(jump, records[0].rate),
             delay_unknown=0.5 / records[0].rate,
             unbiased=True,
+            covariance=_covariance(columns, _angles_and(skew, n)),
+            disturbance=_covariance(columns, coefficients),
+            inverse=inverse,
         )
 
-    def column(self, record: TrialRecord, fit: FitConfig | None = None) -> FittedColumn:
-        """Column k of M, B and K from the trial of joint k alone, with locked joints at rest.
+    def column(
+        self,
+        record: TrialRecord,
+        others: Sequence[TrialRecord] = (),
+        fit: FitConfig | None = None,
+    ) -> FittedColumn:
+        """Column k of M, B and K from the trial of joint k so far, and trials that are over.
 
-        As :meth:`estimate` with ``R`` diagonal: ``Z_ik = (T + S C)_ik / R_kk``. What locked joints
-        move nonetheless is in the values, which are for watching a trial; the standard errors are
-        those of the whole estimate as far as the joints are locked.
+        With a trial of every other joint, it is that of :meth:`estimate`. Else it is preliminary:
+        with ``R`` diagonal, ``Z_ik = (T + S C)_ik / R_kk``, what locked joints move nonetheless is
+        in the values. The standard errors are those of the whole estimate as far as the joints are
+        locked.
+
+        Parameters
+        ----------
+        record : TrialRecord
+            The trial so far.
+        others : sequence of TrialRecord
+            Trials of other joints; of two trials of one joint, the later counts.
+        fit : FitConfig, optional
+            Options of the fit.
 
         Raises
         ------
         DataError
-            If the record is too short, or joint k does not move.
+            If a record is too short, joint k does not move, or R cannot be inverted.
         """
-        drift = drift_of(record)
-        if drift is not None and drift.significant:
-            record = drift.removed_from(record)
+        by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
         n, k = record.joints, record.perturbed_joint
+        options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
+        if len(by_joint) == n:
+            found = self._estimate([by_joint[joint] for joint in range(n)])
+            fitted = fit_mbk(found, options)
+            values = np.stack(
+                [matrix[:, k] for matrix in (fitted.mbk.M, fitted.mbk.B, fitted.mbk.K)]
+            )
+            errors = np.stack([matrix[:, k] for matrix in (fitted.M_se, fitted.B_se, fitted.K_se)])
+            return FittedColumn(joint=k, values=values, errors=errors, preliminary=False)
+        record = by_joint[k]
         jump = self._jump([record])
         (response,) = self._columns([record], with_steps=jump is not None)
         f, stacked = response.f, response.response
@@ -205,7 +238,6 @@ class LpmFull:
             coefficients[k] = -impedance[i]
             coefficients[n:] = skew[i]
             variance[i] += response.combined_variance(coefficients) / np.abs(stacked[k]) ** 2
-        options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
         correlation = response.bin_correlation()
         values, errors = fit_column(
             f,
@@ -217,7 +249,7 @@ class LpmFull:
             delay_uncertainty=self._delay_uncertainty(jump, record.rate),
             delay_unknown=0.5 / record.rate,
         )
-        return FittedColumn(joint=k, values=values, errors=errors)
+        return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
 
     def _skew(
         self, jump: UpdateJump | None, f: FloatArray, rate: float, joints: int
@@ -282,6 +314,30 @@ class LpmFull:
                 )
             )
         return columns
+
+
+def _without_drift(record: TrialRecord) -> TrialRecord:
+    drift = drift_of(record)
+    return drift.removed_from(record) if drift is not None and drift.significant else record
+
+
+def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
+    """Coefficients of all channels in angles and corrected torques, shape (2n, C, n_freq)."""
+    chosen = np.zeros((2 * joints, joints + skew.shape[1], skew.shape[2]), dtype=np.complex128)
+    chosen[np.arange(joints), np.arange(joints)] = 1.0
+    chosen[joints:, joints:] = skew
+    return chosen
+
+
+def _covariance(columns: Sequence[LocalResponse], combined: ComplexArray) -> ComplexArray:
+    """Covariance of combinations (m, C, n_freq) of the responses of each trial, (n, m, m, ...)."""
+    return np.stack(
+        [
+            one.gain
+            * np.einsum("acf,cdf,bdf->abf", combined, one.noise, np.conj(combined), optimize=True)
+            for one in columns
+        ]
+    )
 
 
 def _mean(correlations: Sequence[FloatArray]) -> FloatArray:

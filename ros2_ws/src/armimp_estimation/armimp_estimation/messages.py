@@ -93,7 +93,7 @@ def progress_message(
     column: FittedColumn | None = None,
 ) -> DiagnosticStatus:
     """Where the recording stands; ``rate`` in samples per second of wall time."""
-    values: dict[str, str | int | float | list[float]] = {
+    values: dict[str, str | bool | int | float | list[float]] = {
         "trial": status.trial,
         "trials": status.trials,
         "joint": status.joint + 1,
@@ -108,6 +108,7 @@ def progress_message(
         for letter, found, error in zip("MBK", column.values, column.errors, strict=True):
             values[letter], values[f"{letter}_se"] = found.tolist(), error.tolist()
         values["largest_error"] = largest_error(column)[0]
+        values["preliminary"] = column.preliminary
     text = f"trial {status.trial} of {status.trials}: {samples} of {status.ticks}"
     return make_status(PROGRESS_NAME, Level.OK, text, values)
 

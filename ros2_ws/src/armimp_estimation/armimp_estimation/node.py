@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -29,11 +29,12 @@ from armimp_common.errors import (
     MalformedMessageError,
 )
 from armimp_common.jitter import TIMING_NAME, TimingFigures
-from armimp_common.lifecycle import reported
+from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.liveliness import SignOfLife, Watch
-from armimp_common.parameters import declare, guard, load
+from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.polled_subscription import PolledSubscription, PollingNode, take_all
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
@@ -50,7 +51,7 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.recording import Recording
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
 from armimp_estimation.trial import TrialData
-from armimp_estimation.trial_windows import only_missed_samples
+from armimp_estimation.trial_windows import AnnouncedTrials, only_missed_samples
 from armimp_estimation.welch import WelchSiso
 
 _LATE_PERIOD = 0.005
@@ -64,12 +65,11 @@ _MESSAGE_CLASSES = {
 _RECORDED_BESIDE = {contract.CLOCK: Clock, contract.DIAGNOSTICS: DiagnosticArray}
 
 
-class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
+class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     """Records every trial, estimates each as it ends, and the whole matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(contract.ESTIMATOR_NODE, **kwargs)
-        self.transition_error = ""
         self._active = False
         self._sign = SignOfLife(self, contract.ESTIMATOR_NODE)
         self._rig = Watch(self, contract.SIM_NODE, lambda _: None)
@@ -98,7 +98,7 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             topic: PolledSubscription(self, topic, _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]])
             for topic in FETCHED
         }
-        self._late = self.create_timer(_LATE_PERIOD, self._on_late, autostart=False)
+        self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
         self._inbox = Inbox(
             {topic: stream.take for topic, stream in fetched.items()},
             self._on_samples,
@@ -119,14 +119,15 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             )
             for topic, kind in _RECORDED_BESIDE.items()
         ]
-        self._timer = self.create_timer(
-            self._settings.progress_period, self._on_timer, autostart=False
+        self._timer = steady_timer(
+            self, self._settings.progress_period, self._on_timer, autostart=False
         )
         return TransitionCallbackReturn.SUCCESS
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Wait for the streams, then record."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             subscriptions=[*self._streams, self._trial],
@@ -179,6 +180,8 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
         directory = self._settings.directory
         self._directory = Path(directory) if directory else None
         self._finished: list[FinishedTrial] = []
+        # Whoever only listens to a recording cannot know which trials may end early.
+        self._announced = AnnouncedTrials(strict=self._settings.record)
         self._problems: list[str] = []
         self._ended = 0
         self._done_at = math.inf
@@ -228,6 +231,7 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
         if self._active:
             # First, so that in lockstep the judgement is there before the samples go on.
             if (judgement := self._recording.judge()) is not None:
+                self._announced.note(judgement)
                 self._judgement.publish(judgement_message(judgement))
             self._acknowledged = samples
             self._received.publish(samples)
@@ -277,6 +281,9 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             return
         try:
             status = TrialStatus.from_values(values_of(message))
+            if reason := self._announced.contradiction(status):
+                self._note(f"{contract.TRIAL}: {reason}")
+                return
             healed = self._settings.allow_gaps and only_missed_samples(status)
             if status.reason and not healed:
                 self._note(f"trial {status.trial}: {status.reason}")
@@ -284,6 +291,9 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
             if not self._active:
                 return
             self._recording.add_status(status)
+        except MalformedMessageError as error:
+            self._note(f"{contract.TRIAL}: {error}")
+            return
         except ArmimpError as error:
             self._give_up(str(error))
             return
@@ -344,7 +354,7 @@ class ImpedanceEstimatorNode(PollingNode, LifecycleNode):
         return conclude(
             self._finished,
             metadata={**self._metadata, **told},
-            joints=len(self._settings.joints),
+            joint_names=self._settings.joints,
             estimators=self._settings.estimators,
             gaps=self._settings.gaps(),
             problems=self._problems,

@@ -90,7 +90,7 @@ class EstimatorParameters(Schema):
     )
     torque: TorqueParameters = TorqueParameters()
     realtime: RealtimeParameters = RealtimeParameters()
-    until_error: float = Field(
+    target_error: float = Field(
         default=0.0,
         ge=0.0,
         lt=1.0,
@@ -105,7 +105,7 @@ class EstimatorParameters(Schema):
 
     def goal(self) -> PrecisionGoal:
         """When trials may end before their time."""
-        return PrecisionGoal(bound=self.until_error, least=self.least_duration)
+        return PrecisionGoal(bound=self.target_error, least=self.least_duration)
 
     def gaps(self) -> GapConfig:
         """What to do with trials that have gaps."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialAccumulator
-from armimp_estimation.trial_streams import Stream, TrialStreams
+from armimp_estimation.trial_streams import Stream, TrialStreams, numbers_of
 
 _STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
@@ -46,6 +46,8 @@ class RunningTrial:
         Its number, 1-based.
     lpm : LpmFull, optional
         The estimator of the column.
+    others : sequence of TrialRecord
+        Trials before this one.
     """
 
     def __init__(
@@ -57,8 +59,10 @@ class RunningTrial:
         planned: int,
         trial: int = 1,
         lpm: LpmFull | None = None,
+        others: Sequence[TrialRecord] = (),
     ) -> None:
         self._names = joint_names
+        self._others = others
         self._joint = joint
         self._rate = rate
         self._trial = trial
@@ -135,7 +139,8 @@ class RunningTrial:
                     start_ns=0,
                     seed=None,
                     command=commands.first(count) if commands.count >= count else None,
-                )
+                ),
+                self._others,
             )
         except (MalformedMessageError, DataError):
             return None
@@ -165,6 +170,7 @@ class RunningTrial:
             },
             commands=taken[COMMANDS],
             command_values=values[COMMANDS],
+            command_numbers=numbers_of(messages[COMMANDS]),
         )
 
     def _take(self, messages: Messages) -> None:

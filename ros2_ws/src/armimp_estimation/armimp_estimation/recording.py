@@ -12,17 +12,17 @@ from armimp_common.judgement import Judgement
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
-from armimp_estimation.bags.reserve import DiskReserve, reserve_bytes
 from armimp_estimation.bags.statuses import encode_trial_status
+from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.blocks import TickBlock
 from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.precision import Judge, PrecisionGoal
 from armimp_estimation.progress import RunningTrial
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
-BAGS = "bags"
 LEDGER = "ledger"
 """Metadata of a bag: the account of its samples, as JSON."""
 _RATE = NS_PER_S / PERIOD_NS
@@ -75,10 +75,10 @@ class Recording:
         self._judge: Judge | None = None
         self._column: FittedColumn | None = None
         self._column_at = 0.0
+        self._past: list[TrialRecord] = []
         self._began = self._opened_at = self._told_at = 0.0
         self._last_ns = 0
         self._statuses_written = 0
-        self._reserve: DiskReserve | None = None
         self._seen = 0
         self._latest_ns: dict[str, int] = {}
         self.timing: TimingRecord | None = None
@@ -177,6 +177,7 @@ class Recording:
                 planned=status.ticks,
                 trial=status.trial,
                 lpm=self._lpm,
+                others=self._past,
             )
         return self._running
 
@@ -194,10 +195,6 @@ class Recording:
         BagError
             If the bag can't be finished; it stays readable.
         """
-        if self._reserve is not None:
-            # What ends a bag, and a result, still has to be written when the disk is full.
-            self._reserve.release()
-            self._reserve = None
         if self._writer is not None:
             writer, self._writer = self._writer, None
             writer.close()
@@ -235,9 +232,7 @@ class Recording:
         if self._directory is not None:
             self._bag = self._directory / BAGS / f"trial_{status.trial}_joint_{status.joint + 1}"
             room = expected_bytes(status.ticks, len(self._joint_names))
-            reserve = reserve_bytes(status.ticks)
-            require_free_space(self._bag, room + reserve)
-            self._reserve = DiskReserve(self._directory, reserve)
+            require_free_space(self._bag, room)
             self._writer = BagWriter(self._bag, metadata=self._metadata)
 
     def _write(self, topic: str, message: bytes, time_ns: int) -> None:
@@ -305,4 +300,6 @@ class Recording:
         if len(trials) != 1:
             number = collected.statuses[0].trial
             raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")
+        if trials[0].record is not None:
+            self._past.append(trials[0].record)
         return trials[0]

@@ -1,10 +1,12 @@
 """Files of a result: ``summary.json`` for the figures, ``frf.npz`` for the curves."""
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +14,27 @@ from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from armimp_common.errors import DataError
 from armimp_estimation.curve_checks import UNREADABLE, check_curve
-from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, Severity, spoiled
 from armimp_estimation.sample_ledger import SampleLedger
+from armimp_estimation.scores import Coherences
 from armimp_estimation.torque_reading import ReadingSummary
 from armimp_estimation.whole_files import write_whole
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Complex64Array = NDArray[np.complex64]
+
+
+Intervals = list[Matrix]
+"""Lower and upper end of an interval for each element of a matrix."""
+NORMAL_95 = 1.959963984540054
+"""Standard errors on either side of an estimate that make a 95 % confidence interval."""
+
+
+_COUNTS = ("duplicated", "contradictory", "reordered", "late")
 
 
 class StreamSummary(JsonModel):
@@ -32,6 +44,7 @@ class StreamSummary(JsonModel):
     received: int
     lost: int
     duplicated: int
+    contradictory: int
     reordered: int
     late: int
 
@@ -94,6 +107,7 @@ class TrialSummary(JsonModel):
     rtf: Number = math.nan
     """Times real time at which the trial ran; null if it was not run live."""
     duplicated: int = 0
+    contradictory: int = 0
     reordered: int = 0
     late: int = 0
     clipped: int = 0
@@ -114,7 +128,7 @@ class TrialSummary(JsonModel):
         about = {}
         if (samples := ledger.samples) is not None:
             about = {
-                **{kind: samples.total(kind) for kind in ("duplicated", "reordered", "late")},
+                **{kind: samples.total(kind) for kind in _COUNTS},
                 "clipped": samples.clipped,
                 "excluded": samples.excluded_share,
                 "stretches": samples.stretches,
@@ -144,6 +158,10 @@ class EstimatorSummary(JsonModel):
     M_se: Matrix
     B_se: Matrix
     K_se: Matrix
+    M_ci: Intervals
+    B_ci: Intervals
+    K_ci: Intervals
+    covariance: Matrix
     lack_of_fit: Matrix
     vaf: Matrix | None
     r2: Matrix
@@ -161,22 +179,30 @@ class EstimatorSummary(JsonModel):
     def of(cls, result: EstimatorResult, verdict: VerdictSummary) -> "EstimatorSummary":
         """Summary of the result of one estimator."""
         fit = result.fit
-        return cls(
-            M=fit.mbk.M.tolist(),
-            B=fit.mbk.B.tolist(),
-            K=fit.mbk.K.tolist(),
-            M_se=fit.M_se.tolist(),
-            B_se=fit.B_se.tolist(),
-            K_se=fit.K_se.tolist(),
-            lack_of_fit=fit.lack.tolist(),
-            lack_limit=fit.lack_limit,
-            verdict=verdict,
-            delay=None if fit.delay is None else DelaySummary(**vars(fit.delay)),
-            vaf=None if result.vaf is None else result.vaf.tolist(),
-            r2=fit.r2.tolist(),
-            coherence_derived=result.coherence_derived.tolist(),
-            coherence_torque=result.coherence_torque.tolist(),
-            coherence_motion=result.coherence_motion.tolist(),
+        values = {name: getattr(fit.mbk, name) for name in ("M", "B", "K")}
+        errors = {name: getattr(fit, f"{name}_se") for name in values}
+        ends = np.array((-NORMAL_95, NORMAL_95))
+        return cls.model_validate(
+            {
+                **{name: found.tolist() for name, found in values.items()},
+                **{f"{name}_se": found.tolist() for name, found in errors.items()},
+                **{
+                    f"{name}_ci": (
+                        values[name][..., None] + ends * errors[name][..., None]
+                    ).tolist()
+                    for name in values
+                },
+                "covariance": fit.covariance.tolist(),
+                "lack_of_fit": fit.lack.tolist(),
+                "lack_limit": fit.lack_limit,
+                "verdict": verdict,
+                "delay": None if fit.delay is None else DelaySummary(**vars(fit.delay)),
+                "vaf": None if result.vaf is None else result.vaf.tolist(),
+                "r2": fit.r2.tolist(),
+                "coherence_derived": result.coherence_derived.tolist(),
+                "coherence_torque": result.coherence_torque.tolist(),
+                "coherence_motion": result.coherence_motion.tolist(),
+            }
         )
 
 
@@ -215,11 +241,29 @@ class TimingSummary(JsonModel):
 
 
 class WallSummary(JsonModel):
-    """Wall time of a run from the command line, s; see `armimp_bringup.stopwatch`."""
+    """Wall time of a run from the command line, s; see `armimp_bringup.presentation`."""
 
     before: Number
     trials: Number
     after: Number
+    result: Number = math.nan
+    """From the last sample until M, B and K are on the screen, a part of what is after it."""
+
+
+class OriginSummary(JsonModel):
+    """How a result came about."""
+
+    command: str
+    """Command line."""
+    date: str
+    """When it was made: local time with its distance from UTC, ISO 8601."""
+
+    @classmethod
+    def of(cls, arguments: Sequence[str]) -> "OriginSummary":
+        """That of a command which runs now, from its program and arguments."""
+        program, *others = arguments
+        date = datetime.now().astimezone().isoformat(" ", timespec="minutes")
+        return cls(command=shlex.join([Path(program).name, *others]), date=date)
 
 
 class Summary(JsonModel):
@@ -228,6 +272,7 @@ class Summary(JsonModel):
     schema_version: Literal[1] = Field(default=1, alias="schema")
     config: dict[str, JsonValue]
     joints: int = Field(ge=1)
+    joint_names: list[str]
     seed: int | None
     valid: bool
     problems: list[str]
@@ -244,6 +289,8 @@ class Summary(JsonModel):
     """Of a run from the command line."""
     torque_reading: ReadingSummary | None = None
     """What is known of the torque readings, and so was corrected."""
+    origin: OriginSummary | None = None
+    """Of a result from the command line."""
 
     def judged(self, problems: Sequence[str]) -> "Summary":
         """Return the same with these problems in the place of its own, and verdicts to match."""
@@ -254,9 +301,16 @@ class Summary(JsonModel):
 
     @model_validator(mode="after")
     def _check_shapes(self) -> "Summary":
+        self._check_length("joint_names", self.joint_names)
         for name, estimator in self.estimators.items():
             self._check_matrices(f"estimators.{name}", estimator)
             self._check_length(f"estimators.{name}.coherence_motion", estimator.coherence_motion)
+            parameters = 3 * self.joints**2
+            if any(
+                size != parameters
+                for size in (len(estimator.covariance), *map(len, estimator.covariance))
+            ):
+                raise ValueError(f"estimators.{name}.covariance is not of {parameters} parameters")
         if self.truth is not None:
             self._check_matrices("truth", self.truth)
         for number, trial in enumerate(self.trials):
@@ -268,7 +322,7 @@ class Summary(JsonModel):
 
     def _check_matrices(self, name: str, part: JsonModel) -> None:
         for field, value in part:
-            if isinstance(value, list) and field != "coherence_motion":
+            if isinstance(value, list) and field not in ("coherence_motion", "covariance"):
                 self._check_length(f"{name}.{field}", value)
                 for row in value:
                     self._check_length(f"a row of {name}.{field}", row)
@@ -370,6 +424,7 @@ def summarise(
     return Summary(
         config=dict(config),
         joints=len(identification.joint_names),
+        joint_names=list(identification.joint_names),
         seed=seed,
         valid=not everything,
         problems=everything,
@@ -424,30 +479,67 @@ def read_summary(path: Path) -> Summary:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpedanceCurve:
-    """Impedance over frequency as ``frf.npz`` holds it.
+    """What an estimator found over frequency, as ``frf.npz`` holds it.
 
     Attributes
     ----------
     f : ndarray, shape (n_freq,)
         Frequencies, Hz.
-    Z : ndarray, shape (n, n, n_freq)
-        Impedance, N·m/rad.
+    Z, T, R : ndarray, shape (n, n, n_freq)
+        Impedance (N·m/rad), and responses of torques and of angles (rad/(N·m)) behind it.
     variance : ndarray, shape (n, n, n_freq)
-        Variance of each complex value.
+        Variance of each complex value of Z.
     averages : float
         Effective number of averages behind it, for confidence bands.
+    correlation : ndarray, shape (lags,)
+        Of the errors at neighbouring frequencies.
+    systematics : ndarray, shape (errors, n, n, n_freq)
+    covariance, disturbance, inverse : ndarray or None
+        As those of :class:`armimp_estimation.estimate.ImpedanceEstimate`; the first two in single
+        precision.
+    coherence : Coherences
+        Over the frequencies of the spectra.
     """
 
     f: FloatArray
     Z: ComplexArray
+    T: ComplexArray
+    R: ComplexArray
     variance: FloatArray
     averages: float
+    correlation: FloatArray
+    covariance: Complex64Array | None
+    disturbance: Complex64Array | None
+    inverse: ComplexArray | None
+    systematics: ComplexArray
+    coherence: Coherences
+
+    @classmethod
+    def of(cls, result: EstimatorResult) -> "ImpedanceCurve":
+        """That of a result, as it comes back from the file."""
+        estimate = result.estimate
+        covariance, disturbance = (
+            None if values is None else values.astype(np.complex64)
+            for values in (estimate.covariance, estimate.disturbance)
+        )
+        return cls(
+            f=estimate.f,
+            Z=estimate.Z,
+            T=estimate.T,
+            R=estimate.R,
+            variance=estimate.variance,
+            averages=estimate.averages,
+            correlation=estimate.bin_correlation,
+            covariance=covariance,
+            disturbance=disturbance,
+            inverse=estimate.inverse,
+            systematics=np.array(estimate.systematics).reshape(-1, *estimate.Z.shape),
+            coherence=result.coherence,
+        )
 
 
-def write_frf(path: Path, estimates: Mapping[str, ImpedanceEstimate]) -> None:
-    """Write ``frf.npz``: ``f``, and for each estimator ``Z_<name>``, ``var_<name>``.
-
-    ``averages_<name>`` is the effective number of averages.
+def write_frf(path: Path, results: Mapping[str, EstimatorResult]) -> None:
+    """Write ``frf.npz``; ``docs/interfaces.md`` lists its arrays.
 
     ``f`` is the grid of the first estimator; one with another grid has its own ``f_<name>``.
 
@@ -456,20 +548,37 @@ def write_frf(path: Path, estimates: Mapping[str, ImpedanceEstimate]) -> None:
     DataError
         If there is no estimate, or the file exists already or cannot be written.
     """
-    if not estimates:
+    if not results:
         raise DataError(f"{path}: no estimate to write")
-    common = next(iter(estimates.values())).f
-    arrays: dict[str, FloatArray | ComplexArray] = {"f": common}
-    for name, estimate in estimates.items():
-        if not np.array_equal(estimate.f, common):
-            arrays[f"f_{name}"] = estimate.f
-        arrays[f"Z_{name}"] = estimate.Z
-        arrays[f"var_{name}"] = estimate.variance
-        arrays[f"averages_{name}"] = np.array(estimate.averages)
+    first = next(iter(results.values()))
+    common, spectra = first.estimate.f, first.coherence
+    arrays: dict[str, NDArray[Any] | None] = {
+        "f": common,
+        "f_coherence": spectra.f,
+        "coherence_motion": spectra.motion,
+        "coherence_torque": spectra.torque,
+    }
+    for name, result in results.items():
+        curve = ImpedanceCurve.of(result)
+        arrays |= {
+            f"f_{name}": None if np.array_equal(curve.f, common) else curve.f,
+            f"Z_{name}": curve.Z,
+            f"T_{name}": curve.T,
+            f"R_{name}": curve.R,
+            f"var_{name}": curve.variance,
+            f"averages_{name}": np.array(curve.averages),
+            f"correlation_{name}": curve.correlation,
+            f"covariance_{name}": curve.covariance,
+            f"disturbance_{name}": curve.disturbance,
+            f"inverse_{name}": curve.inverse,
+            f"systematics_{name}": curve.systematics,
+            f"derived_{name}": curve.coherence.derived,
+        }
 
     def save(part: Path) -> None:
+        known = {name: values for name, values in arrays.items() if values is not None}
         with part.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
+            np.savez(file, allow_pickle=False, **known)
 
     write_whole(path, save)
 
@@ -486,18 +595,37 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
         # Opened here, as numpy leaves a file that it cannot read open.
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             names = [key[2:] for key in file.files if key.startswith("Z_")]
-            curves = {
-                name: ImpedanceCurve(
-                    f=file[f"f_{name}" if f"f_{name}" in file.files else "f"],
-                    Z=file[f"Z_{name}"],
-                    variance=file[f"var_{name}"],
-                    averages=float(file[f"averages_{name}"]),
-                )
-                for name in names
-            }
+            curves = {name: _curve(file, name) for name in names}
         for name, curve in curves.items():
-            check_curve(name, curve.f, curve.Z, curve.variance)
+            check_curve(name, curve)
     except UNREADABLE as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
     return curves
+
+
+def _curve(file: Any, name: str) -> ImpedanceCurve:
+    def optional(kind: str) -> Any:
+        key = f"{kind}_{name}"
+        return file[key] if key in file.files else None
+
+    own = optional("f")
+    return ImpedanceCurve(
+        f=file["f"] if own is None else own,
+        Z=file[f"Z_{name}"],
+        T=file[f"T_{name}"],
+        R=file[f"R_{name}"],
+        variance=file[f"var_{name}"],
+        averages=float(file[f"averages_{name}"]),
+        correlation=file[f"correlation_{name}"],
+        covariance=optional("covariance"),
+        disturbance=optional("disturbance"),
+        inverse=optional("inverse"),
+        systematics=file[f"systematics_{name}"],
+        coherence=Coherences(
+            f=file["f_coherence"],
+            motion=file["coherence_motion"],
+            torque=file["coherence_torque"],
+            derived=file[f"derived_{name}"],
+        ),
+    )

@@ -23,6 +23,8 @@ class StreamCount:
         Periods without a message.
     duplicated : int
         Messages whose stamp was already there.
+    contradictory : int
+        Periods with several messages of one stamp and different numbers: none of them is used.
     reordered : int
         Messages, without repetitions, that came after one with a later stamp.
     late : int
@@ -34,6 +36,7 @@ class StreamCount:
     received: int
     lost: int
     duplicated: int = 0
+    contradictory: int = 0
     reordered: int = 0
     late: int = 0
 
@@ -49,8 +52,8 @@ class SampleLedger:
     clipped : int
         Commands that the controller had to limit, by its own account.
     excluded : int
-        Control periods that no estimate may use: lost or not finite on a stream with stamps, or
-        under a command that was clipped or faulty.
+        Control periods that no estimate may use: lost, contradictory or not finite on a stream
+        with stamps, or under a command that was clipped or faulty.
     stretches : int
         Runs of at least two periods between those.
     """

@@ -4,6 +4,7 @@ Means over the band are plain means over its frequencies.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,33 +177,53 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
     return bound
 
 
-def mean_coherence_torque(trials: Sequence[TrialSpectra]) -> FloatArray:
-    """Band mean of ``γ²(τΔ_k, τ_i)``, shape (n, n): row i, column k; trials in order of k."""
-    return np.array(
-        [
-            [float(np.mean(coherence(t.spectra, 0, t.torque_channel(i)))) for t in trials]
-            for i in range(len(trials))
-        ]
-    )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Coherences:
+    """Coherences behind an estimate, at the frequencies of the spectra.
+
+    Attributes
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    motion : ndarray, shape (n, n_freq)
+        ``γ²(τΔ_k, θ_k)`` by k.
+    torque : ndarray, shape (n, n, n_freq)
+        ``γ²(τΔ_k, τ_i)`` by i, k.
+    derived : ndarray, shape (n, n, n_freq)
+        See :func:`derived_coherence`; by i, k.
+    """
+
+    f: FloatArray
+    motion: FloatArray
+    torque: FloatArray
+    derived: FloatArray
+
+    @classmethod
+    def of(cls, trials: Sequence[TrialSpectra], estimate: ImpedanceEstimate) -> "Coherences":
+        """Those of an estimate, from trials in order of the perturbed joint."""
+        n = len(trials)
+        return cls(
+            f=trials[0].f,
+            motion=np.stack(
+                [coherence(t.spectra, 0, t.position_channel(t.perturbed_joint)) for t in trials]
+            ),
+            torque=np.stack(
+                [
+                    [coherence(t.spectra, 0, t.torque_channel(i)) for t in trials]
+                    for i in range(n)
+                ]
+            ),
+            derived=np.stack(
+                [
+                    [derived_coherence(t, i, estimate.f, estimate.Z[i, k])
+                     for k, t in enumerate(trials)]
+                    for i in range(n)
+                ]
+            ),
+        )  # fmt: skip
 
 
-def mean_coherence_motion(trials: Sequence[TrialSpectra]) -> FloatArray:
-    """Band mean of ``γ²(τΔ_k, θ_k)``, shape (n,); trials in order of k."""
-    return np.array(
-        [
-            float(np.mean(coherence(t.spectra, 0, t.position_channel(t.perturbed_joint))))
-            for t in trials
-        ]
-    )
-
-
-def mean_coherence_derived(
-    trials: Sequence[TrialSpectra], estimate: ImpedanceEstimate
-) -> FloatArray:
-    """Band mean of :func:`derived_coherence`, shape (n, n); trials in order of k."""
-    n = len(trials)
-    mean = np.empty((n, n))
-    for i in range(n):
-        for k, trial in enumerate(trials):
-            mean[i, k] = np.mean(derived_coherence(trial, i, estimate.f, estimate.Z[i, k]))
-    return mean
+def band_mean(values: FloatArray) -> FloatArray:
+    """Mean over frequency, the last axis."""
+    rows = [float(np.mean(row)) for row in values.reshape(-1, values.shape[-1])]
+    return np.reshape(rows, values.shape[:-1])

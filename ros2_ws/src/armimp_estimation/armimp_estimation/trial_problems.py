@@ -1,12 +1,12 @@
 """What speaks against estimating a trial, in words."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import NS_PER_S
+from armimp_common.contract import COMMANDS, NS_PER_S
 from armimp_estimation.kept_stream import KeptStream
 from armimp_estimation.sample_ledger import StreamCount
 from armimp_estimation.trial_windows import TrialWindow
@@ -30,6 +30,30 @@ class TrialProblems:
     def and_also(self, lasting: str) -> "TrialProblems":
         """Return the same, with one more that gaps have no part in."""
         return TrialProblems(all=self.all or lasting, lasting=self.lasting or lasting)
+
+    def and_commands(self, wrong: int, count: StreamCount, *, cut: bool) -> "TrialProblems":
+        """Return the same, with what speaks against the commands.
+
+        Parameters
+        ----------
+        wrong : int
+            Commands that nobody asked for.
+        count : StreamCount
+            Their account. A recording without any is not judged by them.
+        cut : bool
+            Whether the recording may end between the messages of a tick.
+        """
+        if not count.received:
+            return self
+        if wrong:
+            return self.and_also(
+                f"{_samples(wrong)} of {COMMANDS} too many or out of turn: somebody else commanded"
+            )
+        if count.lost > cut:
+            missing = f"{count.lost} commands fewer than samples"
+            everything = _one_line(filter(None, (self.all, missing)))
+            return TrialProblems(all=everything, lasting=self.lasting)
+        return self
 
 
 def find_problems(
@@ -96,6 +120,10 @@ def _gaps(
             parts.append(
                 f"{_samples(ticks.size)} of {topic} {verb} not finite {_where(ticks, period)}"
             )
+        ticks = np.flatnonzero(one.contradicted(span))
+        if ticks.size:
+            verb = "contradicts itself" if ticks.size == 1 else "contradict themselves"
+            parts.append(f"{_samples(ticks.size)} of {topic} {verb} {_where(ticks, period)}")
         if count.duplicated:
             parts.append(f"{_samples(count.duplicated)} of {topic} came more than once")
         if count.reordered:
@@ -103,7 +131,7 @@ def _gaps(
     return parts
 
 
-def _one_line(parts: Sequence[str]) -> str:
+def _one_line(parts: Iterable[str]) -> str:
     return " ".join("; ".join(parts).split())
 
 

@@ -1,13 +1,14 @@
 """The streams of a recording, decoded in the order in which their messages arrived."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common import contract
-from armimp_common.cdr import CommandDecoder, JointStateDecoder
+from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number
 from armimp_common.errors import DataError, MalformedMessageError
 
 
@@ -32,6 +33,29 @@ class Stream:
     malformed: int = 0
     defect: str = ""
 
+    @cached_property
+    def ordered(self) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.bool_]]:
+        """The messages in the order of their stamps, without repetitions.
+
+        Returns
+        -------
+        stamps : ndarray, shape (M,)
+            Ascending, ns.
+        order : ndarray, shape (M,)
+            Index of the first message with each stamp.
+        contradicted : ndarray, shape (M,)
+            Whether another one with the same stamp has other numbers.
+        """
+        if (np.diff(self.stamps) > 0).all():
+            count = self.stamps.size
+            return self.stamps, np.arange(count), np.zeros(count, np.bool_)
+        stamps, order, place = np.unique(self.stamps, return_index=True, return_inverse=True)
+        first = self.values[:, order[place]]
+        same = (self.values == first) | (np.isnan(self.values) & np.isnan(first))
+        contradicted = np.zeros(stamps.size, np.bool_)
+        contradicted[place[~same.all(axis=0)]] = True
+        return stamps, order, contradicted
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialStreams:
@@ -48,12 +72,15 @@ class TrialStreams:
     command_values : ndarray, shape (n, commands), or None
         Commands in order of arrival, N·m; None unless all can be decoded. They have no stamps, and
         are taken to be in the order of `joint_names`.
+    command_numbers : ndarray, shape (commands,)
+        The number that each of them carries, 0 for none.
     """
 
     joint_names: tuple[str, ...]
     stamped: Mapping[str, Stream]
     commands: int
     command_values: NDArray[np.float64] | None = None
+    command_numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
 
 
 def decode_streams(
@@ -83,7 +110,13 @@ def decode_streams(
         },
         commands=len(commands),
         command_values=_decode_commands(len(joint_names), commands),
+        command_numbers=numbers_of(commands),
     )
+
+
+def numbers_of(commands: Sequence[bytes]) -> NDArray[np.int64]:
+    """Return the number that each command carries, 0 for none."""
+    return np.fromiter(map(command_number, commands), np.int64, len(commands))
 
 
 def _decode_commands(joints: int, messages: Sequence[bytes]) -> NDArray[np.float64] | None:

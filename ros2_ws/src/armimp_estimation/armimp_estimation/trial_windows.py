@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
+from armimp_common.judgement import Judgement
 from armimp_common.trial_status import Phase, TrialStatus
 
 PAUSE_NS: Final = 250_000_000
@@ -20,6 +21,8 @@ MOST_TICKS: Final = 10_000_000
 """Samples of the longest trial that is believed: almost three hours."""
 
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
+
+_MOST_TRIALS: Final = 1000
 
 _ABORTED: Final = "aborted: "
 _NOT_VALID: Final = "not valid: "
@@ -97,6 +100,39 @@ class TrialWindow:
             raise DataError(f"trial {self.trial} cannot start at {self.start_ns} ns")
 
 
+class AnnouncedTrials:
+    """Lengths of the trials that were announced, to tell statuses that the controller can't send.
+
+    Parameters
+    ----------
+    strict : bool
+        Whether a trial may end early only if a judgement was :meth:`note`-d that it is long enough.
+    """
+
+    def __init__(self, *, strict: bool) -> None:
+        self._strict = strict
+        self._planned: dict[int, int] = {}
+        self._enough: set[int] = set()
+
+    def note(self, judgement: Judgement) -> None:
+        """Take what was found of a trial."""
+        if judgement.enough:
+            self._enough.add(judgement.trial)
+
+    def contradiction(self, status: TrialStatus) -> str:
+        """Return what a status says that cannot be; empty if it is as it should be."""
+        trial, ticks = status.trial, status.ticks
+        planned = self._planned.setdefault(trial, ticks)
+        if ticks > planned:
+            return f"trial {trial} has {ticks} samples, not {planned} any more"
+        if ticks < planned and self._strict and trial not in self._enough:
+            return (
+                f"trial {trial} ends after {ticks} samples, which nobody asked for, not {planned}"
+            )
+        self._planned[trial] = ticks
+        return ""
+
+
 def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:
     """Find the trials that the controller announced.
 
@@ -111,6 +147,7 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
         One for every trial whose perturbation began, in their order.
     """
     windows: list[TrialWindow] = []
+    known: set[tuple[int, int]] = set()
     current: TrialWindow | None = None
     for status in statuses:
         if status.phase is Phase.SETTLE:
@@ -122,8 +159,9 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
         ):
             _close(current, windows)
             current = None
-            if any((w.trial, w.start_ns) == (status.trial, status.start_ns) for w in windows):
+            if (status.trial, status.start_ns) in known:
                 continue  # the last status again, as a latched topic may repeat it
+            known.add((status.trial, status.start_ns))
             current = TrialWindow(
                 trial=status.trial,
                 joint=status.joint,
@@ -211,8 +249,9 @@ def infer_windows(
     if not samples.size:
         raise DataError("no joint is perturbed and there is no trial status")
     joint = active.argmax(axis=0)[samples]
-    apart = (np.diff(stamps[samples]) > PAUSE_NS) | (np.diff(joint) != 0)
-    runs = np.split(np.arange(samples.size), np.flatnonzero(apart) + 1)
+    apart = np.flatnonzero((np.diff(stamps[samples]) > PAUSE_NS) | (np.diff(joint) != 0))
+    require_few_trials(apart.size + 1)
+    runs = np.split(np.arange(samples.size), apart + 1)
     return tuple(
         TrialWindow(
             trial=number,
@@ -249,6 +288,18 @@ def tick_numbers(stamps: NDArray[np.int64], period: float = PERIOD_NS) -> NDArra
     steps = np.floor(np.diff(stamps) / period + 0.5).astype(np.int64)
     np.cumsum(steps, out=numbers[1:])
     return numbers
+
+
+def require_few_trials(trials: int) -> None:
+    """Refuse a recording with more trials than anyone makes without a pause.
+
+    Raises
+    ------
+    DataError
+        If there are so many.
+    """
+    if trials > _MOST_TRIALS:
+        raise DataError(f"{trials} trials are more than the {_MOST_TRIALS} of one recording")
 
 
 def _close(current: TrialWindow | None, windows: list[TrialWindow]) -> None:

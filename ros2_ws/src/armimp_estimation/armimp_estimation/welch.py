@@ -77,8 +77,12 @@ class WelchSiso:
         estimate = estimate_by_columns(self.name, trials, self.column)
         n = estimate.joints
         locked = estimate.R * (1.0 - np.eye(n))[:, :, None]
+        # Each column takes its own angle alone.
         still = estimate.R * np.eye(n)[:, :, None]
         inverse = invert(still, estimate.f)
+        estimate = with_disturbance(
+            estimate, np.einsum("ikf,kl->klif", -estimate.Z, np.eye(n)), inverse
+        )
         biases = known_biases(estimate, still, inverse, trials[0].record.rate)
         return with_biases(estimate, (*biases, multiply(multiply(estimate.Z, locked), inverse)))
 
@@ -116,6 +120,8 @@ class WelchFull:
                 disturbance = gain * residual_power(trial, coefficients)
                 variance[i] += disturbance * np.abs(inverse[k]) ** 2
         estimate = matrix_estimate(self.name, spectra, frf, impedance, variance)
+        taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
+        estimate = with_disturbance(estimate, taken, inverse)
         return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record.rate))
 
 
@@ -153,6 +159,30 @@ def with_biases(estimate: ImpedanceEstimate, biases: tuple[ComplexArray, ...]) -
 def _second_difference(values: ComplexArray) -> ComplexArray:
     inner = values[..., 2:] - 2.0 * values[..., 1:-1] + values[..., :-2]
     return np.concatenate([inner[..., :1], inner, inner[..., -1:]], axis=-1)
+
+
+def with_disturbance(
+    estimate: ImpedanceEstimate, taken: ComplexArray, inverse: ComplexArray
+) -> ImpedanceEstimate:
+    """Add the covariance of the disturbance, which follows from that of R and T.
+
+    Parameters
+    ----------
+    estimate : ImpedanceEstimate
+        With the covariance of R and T.
+    taken : ndarray, shape (n, n, n, n_freq)
+        Share of the error of ``R_lk`` in ``V_ik``, by k, l, i.
+    inverse : ndarray, shape (n, n, n_freq)
+        See :class:`armimp_estimation.estimate.ImpedanceEstimate`.
+    """
+    assert estimate.covariance is not None  # made from averaged spectra
+    n = estimate.joints
+    torques = np.broadcast_to(np.eye(n)[None, :, :, None], taken.shape)
+    shares = np.concatenate((taken, torques), axis=1)
+    disturbance = np.einsum(
+        "kaif,kabf,kbmf->kimf", shares, estimate.covariance, np.conj(shares), optimize=True
+    )
+    return replace(estimate, disturbance=disturbance, inverse=inverse)
 
 
 def estimate_by_columns(
@@ -234,4 +264,5 @@ def matrix_estimate(
         averages=shortest.effective_averages,
         T=frf.T,
         R=frf.R,
+        covariance=frf.covariance,
     )

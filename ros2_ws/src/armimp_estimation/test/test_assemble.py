@@ -8,19 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common import contract
-from armimp_common.cdr import JointStateEncoder
+from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trial, assemble_trials
 from armimp_estimation.bags.statuses import decode_trial_statuses
-from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial_streams import decode_streams
 from armimp_estimation.trial_windows import (
     windows_from_statuses,
 )
+from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
 STAMPED = (contract.JOINT_STATES, contract.TORQUE_SENSORS, contract.PERTURBATION)
@@ -77,6 +77,7 @@ class TestWholeTrials:
                 "received": TICKS,
                 "lost": 0,
                 "duplicated": 0,
+                "contradictory": 0,
                 "reordered": 0,
                 "late": 0,
             }
@@ -183,13 +184,32 @@ class TestLedger:
         count = assemble(topics).ledger.streams[contract.TORQUE_SENSORS]
         assert (count.received, count.duplicated, count.reordered) == (TICKS + 1, 1, 0)
 
-    def test_first_of_two_messages_with_one_stamp_is_kept(self) -> None:
+    def test_a_message_that_came_twice_is_used_once(self) -> None:
         topics = RECORDING.by_topic()
-        stamp = START + 3 * PERIOD_NS
-        topics[contract.TORQUE_SENSORS].insert(FIRST + 4, effort(stamp, (99.0, 99.0)))
+        raws = topics[contract.TORQUE_SENSORS]
+        raws.insert(FIRST + 4, raws[FIRST + 3])
         trial = assemble(topics)
+        assert trial.ledger.total("contradictory") == 0
         assert trial.record is not None
         assert_part(trial.record, RECORDING.records[0], 0, TICKS)
+
+    @pytest.mark.parametrize("after", [0, 1, 9])
+    @pytest.mark.parametrize("value", [99.0, np.nan])
+    def test_of_two_messages_that_contradict_each_other_none_is_used(
+        self, after: int, value: float
+    ) -> None:
+        topics = RECORDING.by_topic()
+        other = effort(START + 3 * PERIOD_NS, (99.0, value))
+        topics[contract.TORQUE_SENSORS].insert(FIRST + 3 + after, other)
+        trial = assemble(topics)
+        assert trial.record is None
+        assert [segment.samples for segment in trial.segments] == [3, TICKS - 4]
+        assert_part(trial.segments[1], RECORDING.records[0], 4, TICKS)
+        count = trial.ledger.streams[contract.TORQUE_SENSORS]
+        assert (count.lost, count.duplicated, count.contradictory) == (0, 1, 1)
+        assert trial.ledger.excluded == 1
+        assert "1 sample of torque_sensors contradicts itself at 0.003 s" in trial.problem
+        assert trial.fault == ""
 
     def test_period_lost_by_all_streams_is_counted(self) -> None:
         topics = RECORDING.by_topic()
@@ -215,15 +235,38 @@ class TestLedger:
         assert segment.samples == TICKS - 1
         assert segment.start_ns == START + (PERIOD_NS if lost == 0 else 0)
 
-    def test_lost_command_is_counted_but_spoils_nothing(self) -> None:
+    def test_fewer_commands_than_samples_are_a_problem_that_gaps_may_heal(self) -> None:
         recording = synthetic_recording(ticks=TICKS)
         topics = recording.by_topic()
         del topics[contract.COMMANDS][7:9]
         trial = assemble(topics, statuses_of(recording))
         assert trial.ledger.streams[contract.COMMANDS].lost == 2
         assert trial.ledger.lost == 2
-        assert trial.ledger.clean
-        assert_part(trial.require(), recording.records[0], 0, TICKS)
+        assert (trial.problem, trial.fault) == ("2 commands fewer than samples", "")
+        assert_part(trial.intact(allow_gaps=True)[0], recording.records[0], 0, TICKS)
+
+    def test_more_commands_than_samples_are_a_problem_that_nothing_heals(self) -> None:
+        recording = synthetic_recording(ticks=TICKS)
+        topics = recording.by_topic()
+        topics[contract.COMMANDS][7:7] = topics[contract.COMMANDS][:3]
+        trial = assemble(topics, statuses_of(recording))
+        assert trial.fault == trial.problem
+        assert "of effort_controller/commands too many" in trial.fault
+        with pytest.raises(DataError, match="somebody else commanded"):
+            trial.intact(allow_gaps=True)
+
+    @pytest.mark.parametrize("number", [0, 1, 7, 8])
+    def test_a_numbered_command_of_somebody_else_is_found_though_as_many_are_left(
+        self, number: int
+    ) -> None:
+        recording = synthetic_recording(ticks=TICKS)
+        topics = recording.by_topic()
+        encode = CommandEncoder(len(recording.records[0].joint_names)).encode
+        commands = [encode((0.0, 0.0), one) for one in range(1, TICKS + 1)]
+        topics[contract.COMMANDS] = commands
+        assert not assemble(topics, statuses_of(recording)).problem
+        topics[contract.COMMANDS] = [*commands[:7], encode((0.0, 0.0), number), *commands[7:-1]]
+        assert "somebody else commanded" in assemble(topics, statuses_of(recording)).fault
 
     def test_malformed_messages_count_as_lost_and_are_named(self) -> None:
         topics = RECORDING.by_topic()

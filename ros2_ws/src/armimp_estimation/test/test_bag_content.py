@@ -11,8 +11,8 @@ from armimp_common import contract
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import BagError, DataError
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.record import TrialRecord
+from support.synthetic_bags import Message, synthetic_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)
@@ -240,7 +240,7 @@ class TestRefusals:
         with sqlite3.connect(path) as database:
             database.execute("CREATE TABLE birds(name TEXT)")
         database.close()
-        assert error_of(path) == f"{path}: not a readable SQLite3 bag: no such table: topics"
+        assert error_of(path) == f"{path}: not a readable SQLite3 bag: no plain table topics"
 
     def test_bag_without_messages(self, tmp_path: Path) -> None:
         path = write(tmp_path / "bag", ())

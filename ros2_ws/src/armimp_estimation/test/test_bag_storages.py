@@ -16,8 +16,8 @@ from armimp_common import contract
 from armimp_common.errors import BagError
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.definitions import message_definition
-from armimp_estimation.bags.synthetic import Message, SyntheticRecording, synthetic_recording
 from armimp_estimation.record import TrialRecord
+from support.synthetic_bags import Message, SyntheticRecording, synthetic_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)

@@ -1,4 +1,5 @@
 import json
+import os
 import resource
 import signal
 import subprocess
@@ -31,7 +32,7 @@ from armimp_estimation.bags import (
 from armimp_estimation.bags.definitions import message_definition
 from armimp_estimation.bags.mcap_file import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
 from armimp_estimation.bags.metadata import qos_profiles
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
+from support.synthetic_bags import Message, synthetic_recording
 
 METADATA = {"schema": "1", "seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
 
@@ -425,7 +426,7 @@ class TestKilledWriter:
             import os, signal, sys
             from pathlib import Path
             from armimp_estimation.bags import BagWriter
-            from armimp_estimation.bags.synthetic import synthetic_recording
+            from support.synthetic_bags import synthetic_recording
 
             writer = BagWriter(Path(sys.argv[1]), metadata={"seed": "1"})
             for topic, log_time_ns, raw in synthetic_recording(ticks=733, rest=10).messages[:-60]:
@@ -433,7 +434,11 @@ class TestKilledWriter:
             os.kill(os.getpid(), signal.SIGKILL)
             """
         )
-        done = subprocess.run([sys.executable, "-c", program, str(path)], check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", program, str(path)],
+            check=False,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
         assert done.returncode == -signal.SIGKILL
         content = read_bag(path)
         (record,) = content.records()

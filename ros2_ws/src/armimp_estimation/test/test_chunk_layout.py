@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from armimp_estimation.bags import BagWriter, iterate_messages
 from armimp_estimation.bags.chunk_layout import ChunkLayout, ChunkLayouts
 from armimp_estimation.bags.message_records import MESSAGE_HEAD
-from armimp_estimation.bags.synthetic import synthetic_recording
+from support.synthetic_bags import synthetic_recording
 
 Record = tuple[int, int, bytes]
 """Channel, log time and content of a message."""

@@ -13,10 +13,10 @@ from armimp_common.contract import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATI
 from armimp_common.errors import MalformedMessageError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
 from armimp_estimation.blocks import ORDER, TickBlock
 from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.inbox import HandedInbox
+from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 SETTLE, TICKS, REST = 4, 30, 5
 LENGTH = SETTLE + TICKS + REST

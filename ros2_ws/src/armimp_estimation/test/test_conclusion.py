@@ -13,13 +13,13 @@ from armimp_common.contract import DATA_STREAMS, TRIAL
 from armimp_common.errors import DataError
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.bags.synthetic import Message
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
 from armimp_estimation.recording import Recording
 from armimp_estimation.results import Summary, read_frf, read_summary
-from armimp_estimation.synthetic import TWO_JOINT_ARM
-from armimp_estimation.testing import recorded_arm
 from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message
+from support.synthetic_trials import TWO_JOINT_ARM
 
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
@@ -68,7 +68,7 @@ def conclusion_of(
     return conclude(
         trials,
         metadata=METADATA if metadata is None else metadata,
-        joints=2,
+        joint_names=("shoulder", "elbow"),
         estimators=ESTIMATORS,
         problems=problems,
     )

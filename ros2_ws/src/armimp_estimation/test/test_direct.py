@@ -15,10 +15,10 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.registry import make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull, WelchSiso
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]
 
@@ -97,7 +97,7 @@ def test_when_the_subject_pushes_expect_bias_here_and_none_in_the_others() -> No
 
 
 def test_its_standard_errors_do_not_know_of_the_bias() -> None:
-    fit = fit_mbk(Direct().estimate(trials(PUSHED)))
+    fit = fit_mbk(Direct().estimate(trials(dataclasses.replace(LOOP, voluntary=3.0))))
     off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.B_se
     assert off[0, 0] > 4.0
 

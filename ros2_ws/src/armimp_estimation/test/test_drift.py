@@ -13,10 +13,10 @@ from armimp_estimation.fit import fit_mbk
 from armimp_estimation.lpm import LpmConfig, LpmFull
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]
 

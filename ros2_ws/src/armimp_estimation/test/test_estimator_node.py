@@ -27,17 +27,17 @@ from armimp_common.errors import GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import Summary, read_summary
-from armimp_estimation.testing import recorded_arm
+from support.graph import PATIENCE, a_moment, eventually, overrides
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message, synthetic_recording
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
@@ -220,7 +220,7 @@ class TestResults:
         offline = conclude(
             [FinishedTrial(assembled=content.trials[0], bag=None) for content in contents],
             metadata=contents[0].metadata,
-            joints=2,
+            joint_names=("shoulder", "elbow"),
             estimators=EstimatorParameters().estimators,
         ).summary
         live = stored(tmp_path)
@@ -349,18 +349,19 @@ class TestFaults:
 
         assert told == sorted(set(told))
 
-    def test_when_a_status_makes_no_sense_expect_the_end_with_a_closed_bag(
+    def test_a_status_that_makes_no_sense_is_refused_and_a_problem(
         self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
     ) -> None:
         bring_up(make(), script)
         script.play(spinner, MADE_UP[: 4 * (SETTLE + 40)])
 
         script.publishers[TRIAL].publish(DiagnosticStatus(name="imbic_controller: trial"))
+        script.play(spinner, [*MADE_UP[4 * (SETTLE + 40) :], DONE])
         eventually(spinner, script.concluded, "the conclusion")
 
-        assert stored(tmp_path).problems[0] == "trial status: phase is missing"
-        (bag,) = bags_of(tmp_path)
-        assert (bag / "metadata.yaml").exists()
+        told = "imbic_controller/trial: trial status: phase is missing"
+        assert stored(tmp_path).problems[0] == told
+        assert [(trial.ticks, trial.lost) for trial in stored(tmp_path).trials] == [(TICKS, 0)] * 2
 
     def test_samples_may_come_after_the_end_was_announced(
         self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path

@@ -17,12 +17,12 @@ from armimp_common import contract, qos
 from armimp_common.channels import wait_until_matched
 from armimp_common.diagnostics import trial_status_message
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import read_summary
+from support.graph import PATIENCE, a_moment, eventually, overrides
 
 pytestmark = pytest.mark.alone
 

@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 
 from armimp_common.errors import DataError
-from armimp_estimation.bags.synthetic import synthetic_recording
 from armimp_estimation.figure_process import FigureProcess
 from armimp_estimation.figures import write_figures
 from armimp_estimation.report import load_result
-from armimp_estimation.report.testing import METADATA, make_result
+from support.results import METADATA, make_result
+from support.synthetic_bags import synthetic_recording
 
 NAMES = [
     f"{name}.{form}" for name in ("coherence", "impedance", "traces") for form in ("pdf", "png")
@@ -67,6 +67,7 @@ def ended(number: int) -> bool:
     return False
 
 
+@pytest.mark.slow
 def test_figures_are_to_the_byte_those_that_are_drawn_here(
     process: FigureProcess, directory: Path, tmp_path: Path
 ) -> None:
@@ -80,6 +81,7 @@ def test_figures_are_to_the_byte_those_that_are_drawn_here(
         assert (directory / name).read_bytes() == (here / name).read_bytes(), name
 
 
+@pytest.mark.slow
 def test_bags_that_are_named_are_taken_without_having_been_started_before(tmp_path: Path) -> None:
     recording = synthetic_recording(ticks=3000)
     metadata = {**METADATA, "truth": "null"}
@@ -91,6 +93,7 @@ def test_bags_that_are_named_are_taken_without_having_been_started_before(tmp_pa
     assert drawn(made) == ["traces.pdf", "traces.png"]
 
 
+@pytest.mark.slow
 def test_when_a_figure_cannot_be_written_expect_its_path_in_the_error_and_the_others_drawn(
     process: FigureProcess, directory: Path
 ) -> None:
@@ -101,6 +104,7 @@ def test_when_a_figure_cannot_be_written_expect_its_path_in_the_error_and_the_ot
     assert set(drawn(directory)) == set(NAMES)
 
 
+@pytest.mark.slow
 def test_when_there_is_no_result_expect_to_be_told_that_nothing_is_drawn(
     process: FigureProcess, tmp_path: Path
 ) -> None:
@@ -119,6 +123,7 @@ def test_when_the_process_is_killed_expect_to_be_told_that_nothing_is_drawn(
     assert drawn(directory) == []
 
 
+@pytest.mark.slow
 def test_an_interrupt_from_the_terminal_does_not_reach_it(
     process: FigureProcess, directory: Path
 ) -> None:

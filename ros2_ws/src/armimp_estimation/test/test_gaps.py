@@ -16,17 +16,17 @@ from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
 from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recording import LEDGER, Recording
 from armimp_estimation.results import Summary
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
-from armimp_estimation.testing import recorded_arm
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_windows import windows_from_statuses
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
@@ -76,7 +76,13 @@ def conclusion_of(
     gaps: GapConfig | None = None,
     estimators: tuple[str, ...] = ("welch_siso", "lpm_full"),
 ) -> Conclusion:
-    return conclude(trials, metadata=METADATA, joints=2, estimators=estimators, gaps=gaps)
+    return conclude(
+        trials,
+        metadata=METADATA,
+        joint_names=("shoulder", "elbow"),
+        estimators=estimators,
+        gaps=gaps,
+    )
 
 
 def curves(conclusion: Conclusion) -> list[bytes]:

@@ -11,10 +11,10 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialAccumulator, TrialData
 from armimp_estimation.verdict import Limits, judge_coherence, judge_locking
 from armimp_estimation.welch import WelchSiso
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
 LOOP = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)

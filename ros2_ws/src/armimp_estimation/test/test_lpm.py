@@ -17,10 +17,10 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.registry import make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]
 
@@ -134,6 +134,7 @@ def coverage_accepted(inside: NDArray[np.bool_]) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [{"voluntary": 1.0}, {"voluntary": 0.5, "torque_noise": 0.5, "lock_stiffness": 300.0}],

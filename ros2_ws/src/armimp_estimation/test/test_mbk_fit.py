@@ -12,9 +12,9 @@ from armimp_estimation.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk, r_squared
 from armimp_estimation.mbk import MBK
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull, WelchSiso
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -198,6 +198,7 @@ def coverage_accepted(inside: NDArray[np.bool_]) -> bool:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("estimator", "changes"),
     [

@@ -14,7 +14,10 @@ LEAST = 20_000 - NOTICE_TICKS
 
 def column(error: float) -> FittedColumn:
     return FittedColumn(
-        joint=1, values=np.array([[1.0, 2.0]] * 3), errors=np.array([[error, error]] * 3)
+        joint=1,
+        values=np.array([[1.0, 2.0]] * 3),
+        errors=np.array([[error, error]] * 3),
+        preliminary=False,
     )
 
 
@@ -37,6 +40,7 @@ def test_largest_error_is_relative_and_names_its_element() -> None:
         joint=0,
         values=np.array([[1.0, -2.0], [10.0, 1.0], [5.0, -0.5]]),
         errors=np.array([[0.01, 0.02], [0.05, 0.01], [0.04, 0.03]]),
+        preliminary=False,
     )
     assert largest_error(found) == (0.06, "K21")
 

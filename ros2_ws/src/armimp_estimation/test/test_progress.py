@@ -14,11 +14,12 @@ from armimp_estimation import scores
 from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.progress import RunningTrial
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM as ARM
-from armimp_estimation.testing import recorded_arm
 from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.trial_streams import decode_streams
+from support.recordings import recorded_arm
+from support.synthetic_trials import TWO_JOINT_ARM as ARM
+from support.synthetic_trials import SyntheticConfig, synthetic_trial
 
 STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 SAMPLES = 10_000
@@ -176,6 +177,20 @@ def test_column_has_the_true_values_within_its_errors() -> None:
     ).column(record)
     true = np.stack([matrix[:, 1] for matrix in (ARM.M, ARM.B, ARM.K)])
     assert (np.abs(found.values - true) < 0.02 * np.abs(true)).all()
+
+
+def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_so() -> None:
+    # A soft lock, so that without the trials before the column is far off.
+    config = SyntheticConfig(samples=SAMPLES, lock_stiffness=3e3, torque_noise=0.01)
+    records = [synthetic_trial(ARM, joint, config, seed=joint) for joint in range(2)]
+    lpm = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
+    true = np.stack([matrix[:, 1] for matrix in (ARM.M, ARM.B, ARM.K)])
+
+    alone, last = lpm.column(records[1]), lpm.column(records[1], records[:1])
+    assert alone.preliminary
+    assert not last.preliminary
+    assert (np.abs(alone.values - true) / np.abs(true)).max() > 0.5
+    assert (np.abs(last.values - true) / last.errors).max() < 4.0
 
 
 def test_when_commands_cannot_be_decoded_expect_the_column_without_them() -> None:

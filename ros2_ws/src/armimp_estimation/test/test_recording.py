@@ -15,14 +15,14 @@ from armimp_common.judgement import NOTICE_TICKS, Judgement
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.inbox import HandedInbox
 from armimp_estimation.lpm import LpmFull
 from armimp_estimation.precision import PrecisionGoal, largest_error
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recording import Recording
-from armimp_estimation.testing import recorded_arm
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message, synthetic_recording
 
 SETTLE, TICKS, REST = 10, 100, 10
 SAMPLES = 4 * (SETTLE + TICKS + REST)
@@ -292,7 +292,7 @@ def test_when_nothing_comes_any_more_expect_all_of_it_in_the_file(tmp_path: Path
     desk.recording.stop()
 
 
-def test_each_trial_is_judged_by_its_first_samples_alone() -> None:
+def test_each_trial_is_judged_by_its_first_samples_and_the_trials_before() -> None:
     recording = recorded_arm()
     judged = 6000 - NOTICE_TICKS
     desk = Desk(None, recording.records[0].joint_names, goal=PrecisionGoal(bound=0.5, least=6.0))
@@ -301,13 +301,15 @@ def test_each_trial_is_judged_by_its_first_samples_alone() -> None:
 
     told = [(one.trial, one.samples, one.enough) for one in desk.judgements]
     assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, judged)]
+    past: list[TrialRecord] = []
     for judgement, record in zip(desk.judgements[1::2], recording.records, strict=True):
         cut = {
             name: getattr(record, name)[:, :judged]
             for name in ("position", "torque", "perturbation")
         }
-        column = LpmFull().column(replace(record, **cut, command=cut["perturbation"]))
+        column = LpmFull().column(replace(record, **cut, command=cut["perturbation"]), past)
         assert (judgement.largest, judgement.element) == largest_error(column)
+        past.append(replace(record, command=record.perturbation))
 
 
 def test_without_a_goal_nothing_is_judged() -> None:

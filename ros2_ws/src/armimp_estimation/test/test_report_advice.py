@@ -17,7 +17,6 @@ from armimp_estimation import verdict
 from armimp_estimation.assemble import assemble_trials
 from armimp_estimation.bags import require_free_space
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.bags.synthetic import Message, synthetic_recording
 from armimp_estimation.bags.writer import why_not_written
 from armimp_estimation.frf import order_trials
 from armimp_estimation.gaps import GapConfig, judge_gaps
@@ -25,10 +24,11 @@ from armimp_estimation.problems import SENTENCES, Problem, ProblemCode
 from armimp_estimation.report.advice import ADVICE, OTHER, advise
 from armimp_estimation.report.formats import difference, number, percent, uncertain
 from armimp_estimation.report.provenance import ASSUMPTION, CHOSEN, assumptions, origin
-from armimp_estimation.report.testing import METADATA
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData
+from support.results import METADATA
+from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 LIMITS = verdict.Limits()
 NAMES = ("shoulder", "elbow")

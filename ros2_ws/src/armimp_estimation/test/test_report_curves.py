@@ -1,6 +1,7 @@
 """What is drawn of a curve or a signal."""
 
 import base64
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -23,18 +24,29 @@ from armimp_estimation.report.look import COLOURS, looks
 from armimp_estimation.report.plots import packed
 from armimp_estimation.report.traces import rows_of
 from armimp_estimation.results import ImpedanceCurve
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from armimp_estimation.scores import Coherences
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 F = np.linspace(0.1, 15.0, 40)
 
 
 def curve(z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.0) -> BodeCurve:
     values = np.broadcast_to(np.asarray(z, dtype=np.complex128), F.shape)
+    flat = np.zeros((1, 1, F.size))
+    none = np.zeros((1, 1, F.size), dtype=np.complex128)
     stored = ImpedanceCurve(
         f=F,
         Z=values[None, None],
+        T=none,
+        R=none,
         variance=np.full((1, 1, F.size), deviation**2),
         averages=averages,
+        correlation=np.ones(1),
+        covariance=None,
+        disturbance=None,
+        inverse=None,
+        systematics=np.zeros((0, 1, 1, F.size), np.complex128),
+        coherence=Coherences(f=F, motion=flat[0], torque=flat, derived=flat),
     )
     return element_curve(stored, 0, 0)
 
@@ -161,7 +173,7 @@ def test_a_gap_between_segments_stays_a_gap() -> None:
         )
         for start, part in ((5, slice(0, 40)), (55, slice(50, 100)))
     ]
-    perturbation, angle, held, torque = rows_of(parts, start_ns=0)
+    perturbation, angle, held, torque = rows_of(parts, start_ns=0, cutoff=None)
 
     assert (perturbation.joints, angle.joints, held.joints) == ((1,), (1,), (0,))
     assert torque.joints == (0, 1)
@@ -174,6 +186,14 @@ def test_a_gap_between_segments_stays_a_gap() -> None:
     assert np.ptp(angle.values[0, 55:]) == pytest.approx(expected)
 
 
+def test_signals_are_seen_in_the_band_of_the_perturbation_neither_early_nor_late() -> None:
+    record = synthetic_trial(TWO_JOINT_ARM, 1, SyntheticConfig(samples=4000), seed=1)
+    time = np.arange(4000) / 1000.0
+    slow, chatter = np.sin(2 * np.pi * 5.0 * time), 20.0 * np.sin(2 * np.pi * 400.0 * time)
+    torque = rows_of([replace(record, torque=np.stack([slow + chatter] * 2))], record.start_ns)[-1]
+    np.testing.assert_allclose(torque.values[0, 500:-500], slow[500:-500], atol=0.02)
+
+
 def test_numbers_are_packed_as_plotly_reads_them() -> None:
     made = packed([1.5, float("nan"), -2.0])
     read = np.frombuffer(base64.b64decode(made["bdata"]), "<f4")
@@ -184,7 +204,7 @@ def test_numbers_are_packed_as_plotly_reads_them() -> None:
 def test_an_estimator_looks_the_same_whatever_it_is_shown_with() -> None:
     alone = looks(["welch_full"])["welch_full"]
     assert looks(["lpm_full", "welch_full"])["welch_full"] == alone
-    assert alone.pale == "rgba(213,94,0,0.18)"
+    assert alone.variable == "--estimator-1"
 
 
 def test_estimators_differ_in_colour_and_dashes_even_if_they_are_unknown() -> None:

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from armimp_common.errors import DataError
-from armimp_estimation.bags.synthetic import synthetic_recording
 from armimp_estimation.figures import ONE_COLUMN, TWO_COLUMNS, impedance_figure, write_figures
 from armimp_estimation.report import Result, load_result
-from armimp_estimation.report.testing import METADATA, make_result
+from support.results import METADATA, make_result
+from support.synthetic_bags import synthetic_recording
 
 
 @pytest.fixture(scope="module")
@@ -16,6 +16,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Result:
     return load_result(make_result(tmp_path_factory.mktemp("figures") / "good"))
 
 
+@pytest.mark.slow
 def test_figures_are_written_as_png_and_pdf_the_same_each_time(
     result: Result, tmp_path: Path
 ) -> None:

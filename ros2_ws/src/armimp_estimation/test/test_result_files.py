@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_common.errors import DataError
-from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.results import (
     EstimatorSummary,
+    ImpedanceCurve,
     Summary,
     TrialLedger,
     TruthSummary,
@@ -24,8 +25,8 @@ from armimp_estimation.results import (
 )
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
 LEDGERS = {
@@ -52,9 +53,20 @@ def summary(identification: Identification) -> Summary:
 def test_summary_has_the_keys_of_schema_1(summary: Summary, tmp_path: Path) -> None:
     write_summary(tmp_path / "summary.json", summary)
     content = json.loads((tmp_path / "summary.json").read_text())
-    keys = ["schema", "config", "joints", "seed", "valid", "problems"]
-    keys += ["verdict", "findings", "trials", "estimators"]
-    assert list(content) == [*keys, "truth", "timing", "wall", "torque_reading"]
+    keys = [
+        "schema",
+        "config",
+        "joints",
+        "joint_names",
+        "seed",
+        "valid",
+        "problems",
+        "verdict",
+        "findings",
+        "trials",
+        "estimators",
+    ]
+    assert list(content) == [*keys, "truth", "timing", "wall", "torque_reading", "origin"]
     assert content["schema"] == 1
     assert content["config"] == {"duration": 50.0, "a": [None]}
     assert (content["joints"], content["seed"]) == (2, 1)
@@ -65,7 +77,8 @@ def test_summary_has_the_keys_of_schema_1(summary: Summary, tmp_path: Path) -> N
     assert (first["ticks"], first["lost"], first["rtf"]) == (6144, 0, 3.125)
     assert (second["bag"], second["lost"], second["rtf"]) == (None, 2, None)
     assert len(first["lock_ratio"]) == len(first["bias_bound"]) == 2
-    wanted = {"M", "B", "K", "M_se", "B_se", "K_se", "vaf", "r2"}
+    wanted = {"M", "B", "K", "M_se", "B_se", "K_se", "M_ci", "B_ci", "K_ci", "covariance"}
+    wanted |= {"vaf", "r2"}
     wanted |= {"lack_of_fit", "lack_limit", "verdict", "delay"}
     wanted |= {"coherence_derived", "coherence_torque", "coherence_motion"}
     assert set(content["estimators"]) == {"welch_siso", "welch_full"}
@@ -121,15 +134,7 @@ def test_when_a_trial_has_no_ledger_expect_data_error(identification: Identifica
 def test_without_truth_vaf_and_truth_are_null(identification: Identification) -> None:
     result = identification.estimators["welch_siso"]
     one = EstimatorSummary.of(
-        type(result)(
-            estimate=result.estimate,
-            fit=result.fit,
-            vaf=None,
-            coherence_derived=result.coherence_derived,
-            coherence_torque=result.coherence_torque,
-            coherence_motion=result.coherence_motion,
-        ),
-        VerdictSummary(impedance=True, parameters=False),
+        replace(result, vaf=None), VerdictSummary(impedance=True, parameters=False)
     )
     assert json.loads(one.model_dump_json())["vaf"] is None
 
@@ -140,7 +145,7 @@ def test_when_the_file_exists_expect_an_error_and_the_file_untouched(
 ) -> None:
     path = tmp_path / "file"
     path.write_text("precious")
-    estimates = {n: r.estimate for n, r in identification.estimators.items()}
+    estimates = identification.estimators
     write = {
         "summary": lambda: write_summary(path, summary),
         "frf": lambda: write_frf(path, estimates),
@@ -195,48 +200,53 @@ def test_when_there_is_no_summary_expect_data_error(tmp_path: Path) -> None:
 
 def test_curves_come_back_bit_by_bit(identification: Identification, tmp_path: Path) -> None:
     path = tmp_path / "frf.npz"
-    estimates = {name: one.estimate for name, one in identification.estimators.items()}
-    write_frf(path, estimates)
-    with np.load(path) as file:
-        assert sorted(file.files) == sorted(
-            ["f"] + [f"{kind}_{name}" for kind in ("Z", "var", "averages") for name in estimates]
-        )
-        assert file["Z_welch_siso"].shape == (2, 2, 122)
+    write_frf(path, identification.estimators)
     back = read_frf(path)
     assert list(back) == ["welch_siso", "welch_full"]
-    for name, estimate in estimates.items():
-        assert back[name].f.tobytes() == estimate.f.tobytes()
-        assert back[name].Z.tobytes() == estimate.Z.tobytes()
-        assert back[name].variance.tobytes() == estimate.variance.tobytes()
-        assert back[name].averages == estimate.averages
+    for name, result in identification.estimators.items():
+        written, read = ImpedanceCurve.of(result), back[name]
+        for one in fields(written):
+            if one.name != "coherence":
+                found, expected = getattr(read, one.name), getattr(written, one.name)
+                np.testing.assert_array_equal(found, expected, strict=True)
+        for one in fields(read.coherence):
+            found, expected = getattr(read.coherence, one.name), getattr(result.coherence, one.name)
+            np.testing.assert_array_equal(found, expected)
+
+
+def test_covariances_of_responses_and_parameters_contain_the_standard_errors(
+    identification: Identification,
+) -> None:
+    for result in identification.estimators.values():
+        estimate, fit = result.estimate, result.fit
+        assert estimate.disturbance is not None
+        assert estimate.inverse is not None
+        share = np.abs(estimate.inverse) ** 2
+        variance = np.einsum("kiif,kjf->ijf", estimate.disturbance, share).real
+        known = estimate.without_systematics().variance
+        np.testing.assert_allclose(variance, known, rtol=1e-6)
+        errors = np.concatenate([getattr(fit, f"{letter}_se").ravel() for letter in "MBK"])
+        np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), errors, rtol=1e-12)
+        correlation = fit.covariance / np.outer(errors, errors)
+        assert np.linalg.eigvalsh(correlation).min() > 0.0
 
 
 def test_equal_curves_give_equal_files(identification: Identification, tmp_path: Path) -> None:
-    estimates = {name: one.estimate for name, one in identification.estimators.items()}
-    write_frf(tmp_path / "one.npz", estimates)
-    write_frf(tmp_path / "two.npz", estimates)
+    for name in ("one", "two"):
+        write_frf(tmp_path / f"{name}.npz", identification.estimators)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
 
 
 def test_an_estimator_with_frequencies_of_its_own_keeps_them(
     identification: Identification, tmp_path: Path
 ) -> None:
-    first = identification.estimators["welch_siso"].estimate
-    other = ImpedanceEstimate(
-        name="fine",
-        f=np.arange(1.0, 6.0),
-        Z=np.ones((2, 2, 5), dtype=np.complex128),
-        variance=np.ones((2, 2, 5)),
-        bin_correlation=np.ones(1),
-        averages=11.0,
-        T=np.ones((2, 2, 5), dtype=np.complex128),
-        R=np.ones((2, 2, 5), dtype=np.complex128),
-    )
+    first = identification.estimators["welch_siso"]
+    shifted = replace(first, estimate=replace(first.estimate, f=first.estimate.f + 1.0))
     path = tmp_path / "frf.npz"
-    write_frf(path, {"welch_siso": first, "fine": other})
+    write_frf(path, {"welch_siso": first, "fine": shifted})
     back = read_frf(path)
-    np.testing.assert_array_equal(back["fine"].f, other.f)
-    np.testing.assert_array_equal(back["welch_siso"].f, first.f)
+    np.testing.assert_array_equal(back["fine"].f, first.estimate.f + 1.0)
+    np.testing.assert_array_equal(back["welch_siso"].f, first.estimate.f)
 
 
 def test_when_there_is_no_curve_expect_data_error(tmp_path: Path) -> None:
@@ -257,5 +267,5 @@ def test_when_the_file_holds_no_curves_expect_its_name_in_the_error(
 def test_when_an_array_is_missing_expect_data_error(tmp_path: Path) -> None:
     path = tmp_path / "frf.npz"
     np.savez(path, f=np.ones(2), Z_x=np.ones((1, 1, 2)))
-    with pytest.raises(DataError, match="var_x"):
+    with pytest.raises(DataError, match="T_x"):
         read_frf(path)

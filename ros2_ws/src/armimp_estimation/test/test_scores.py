@@ -11,8 +11,8 @@ from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData, TrialSpectra
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 ComplexArray = NDArray[np.complex128]
 
@@ -155,6 +155,7 @@ def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
         T=np.repeat(T[:, :, None], 2, axis=2) + 0j,
         R_variance=np.zeros((2, 2, 2)),
         T_variance=np.ones((2, 2, 2)),
+        covariance=np.ones((2, 4, 4, 2), dtype=np.complex128),
     )
     expected = [
         [4.0 / 5.0 * 0.3 / 8.0, 8.0 / 2.0 * 0.1 / 4.0],
@@ -169,9 +170,9 @@ def test_mean_coherences_are_arranged_by_torque_and_perturbed_joint() -> None:
         TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, k, loop, 1), WELCH).spectra
         for k in range(2)
     ]
-    torque = scores.mean_coherence_torque(trials)
-    motion = scores.mean_coherence_motion(trials)
-    derived = scores.mean_coherence_derived(trials, estimate_of(TWO_JOINT_ARM.impedance(F)))
+    found = scores.Coherences.of(trials, estimate_of(TWO_JOINT_ARM.impedance(F)))
+    torque, motion = scores.band_mean(found.torque), scores.band_mean(found.motion)
+    derived = scores.band_mean(found.derived)
     true = TWO_JOINT_ARM.impedance(F)
     for k, trial in enumerate(trials):
         angle = trial.position_channel(k)

@@ -13,10 +13,9 @@ from armimp_common.errors import DataError
 from armimp_common.jitter import TimingFigures, TimingLimits, judge_timing
 from armimp_estimation.conclusion import conclude
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.report.report import report_page
-from armimp_estimation.report.result import load_result
-from armimp_estimation.report.testing import METADATA, make_result
+from armimp_estimation.report import load_result, report_page
 from armimp_estimation.timing import RECORD_KEY, TimingRecord, latest_metadata
+from support.results import METADATA, make_result
 
 GOOD = TimingFigures(
     ticks=2000,
@@ -110,7 +109,9 @@ def test_the_verdict_is_not_valid_if_and_only_if_a_limit_is_exceeded(
 
 def test_timing_is_told_even_where_nothing_could_be_estimated() -> None:
     metadata = {RECORD_KEY: record(BAD).to_json()}
-    summary = conclude([], metadata=metadata, joints=2, estimators=("welch_siso",)).summary
+    summary = conclude(
+        [], metadata=metadata, joint_names=("shoulder", "elbow"), estimators=("welch_siso",)
+    ).summary
     assert summary.timing == record(BAD).summary
     assert summary.problems[0] == record(BAD).problems[0]
 

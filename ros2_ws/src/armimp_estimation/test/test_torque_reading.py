@@ -19,11 +19,11 @@ from armimp_estimation.lpm import LpmConfig, LpmFull
 from armimp_estimation.mbk import MBK
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.synthetic import TWO_JOINT_ARM
 from armimp_estimation.torque_reading import ReadingSummary, TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.update_jump import update_jump
 from armimp_estimation.welch import WelchFull
+from support.synthetic_trials import TWO_JOINT_ARM
 
 FloatArray = NDArray[np.float64]
 

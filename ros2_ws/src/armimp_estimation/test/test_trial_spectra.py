@@ -6,8 +6,8 @@ from hypothesis import strategies as st
 from armimp_common.errors import DataError
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialAccumulator, TrialData
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = WelchConfig(segment=256, overlap=192)
 LOOP = SyntheticConfig(rate=125.0, samples=1000, voluntary=0.1)

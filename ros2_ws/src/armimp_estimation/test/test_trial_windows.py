@@ -10,7 +10,6 @@ from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags.statuses import decode_trial_statuses
-from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial_windows import (
     MOST_TICKS,
@@ -19,6 +18,7 @@ from armimp_estimation.trial_windows import (
     tick_numbers,
     windows_from_statuses,
 )
+from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
 STAMPED = (contract.JOINT_STATES, contract.TORQUE_SENSORS, contract.PERTURBATION)

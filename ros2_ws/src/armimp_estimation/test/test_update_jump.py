@@ -12,14 +12,14 @@ from armimp_common import contract
 from armimp_common.errors import DataError
 from armimp_estimation.assemble import assemble_trials
 from armimp_estimation.bags.statuses import decode_trial_statuses
-from armimp_estimation.bags.synthetic import SyntheticRecording, synthetic_recording
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.lpm import LpmConfig, LpmFull
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.synthetic import TWO_JOINT_ARM
 from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_estimation.update_jump import command_steps, update_jump
+from support.synthetic_bags import SyntheticRecording, synthetic_recording
+from support.synthetic_trials import TWO_JOINT_ARM
 
 FloatArray = NDArray[np.float64]
 

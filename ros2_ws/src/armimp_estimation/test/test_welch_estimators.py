@@ -13,9 +13,9 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.registry import estimator_names, make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.synthetic import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 from armimp_estimation.trial import TrialData
 from armimp_estimation.welch import WelchFull, WelchSiso, invert, multiply
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 # As 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
 WELCH = WelchConfig(segment=1024, overlap=768)
@@ -131,6 +131,7 @@ def test_variance_is_that_of_repeated_experiments(estimator: Estimator) -> None:
     assert 0.48 < inside < 0.53
 
 
+@pytest.mark.slow
 def test_variance_of_responses_is_that_of_repeated_experiments() -> None:
     loop = dataclasses.replace(LOOP, torque_noise=0.5, position_noise=0.1)
     s = 2j * np.pi * WELCH.frequencies(125.0)

@@ -15,10 +15,11 @@ from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, MalformedMessageError
 from armimp_common.jitter import TimingFigures, TimingLedger
 from armimp_common.lifecycle import reported
-from armimp_common.parameters import load
+from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.urgency import Urgency
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
@@ -53,12 +54,13 @@ class Ros2ControlBridge(RigNode[Protection]):
         self._efforts = CommandPublisher(self, EFFORTS, len(names))
         self._states = self._listen()
         self._looks = 0
-        self.own(self._efforts.publisher, self.create_timer(_LOOK_PERIOD, self._look))
+        self.own(self._efforts.publisher, steady_timer(self, _LOOK_PERIOD, self._look))
         return TransitionCallbackReturn.SUCCESS
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin to pass samples and commands on, once both sides are there."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             publishers=[self.joint_states, self.torque_sensors, self._efforts],
@@ -145,7 +147,7 @@ class Ros2ControlBridge(RigNode[Protection]):
         """Undo a fault; stamps may have jumped meanwhile."""
         super().obey_again()
         if self.active:
-            self._stamps = Stamps()
+            self._stamps, self._begin_ns = Stamps(), None
 
     def _look(self) -> None:
         protection = self.gate

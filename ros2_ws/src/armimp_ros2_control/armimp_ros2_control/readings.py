@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from armimp_common.cdr import JointStateDecoder
-from armimp_common.contract import PERIOD_NS
+from armimp_common.contract import PERIOD_NS, clock_step
 from armimp_common.errors import MalformedMessageError
 from armimp_ros2_control.parameters import BridgeParameters
 
@@ -84,6 +84,8 @@ class Stamps:
         if self._ticks < 0:
             self._ticks, self._first, self._last = 0, stamp_ns, stamp_ns
             return 1
+        if jump := clock_step(self._last, stamp_ns):
+            raise MalformedMessageError(jump)
         ahead = stamp_ns - self._last
         if ahead <= 0:
             raise MalformedMessageError(

@@ -20,10 +20,10 @@ from armimp_common.diagnostics import Level
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.spin import Spinner
 from armimp_common.stamps import to_time
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_ros2_control import node as node_module
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
+from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, overrides, set_clock
 
 pytestmark = pytest.mark.alone
 
@@ -210,8 +210,13 @@ def test_when_commands_stay_away_expect_torque_to_fall_to_zero_and_the_fault_tol
     assert world.told[-1] == ZERO
 
 
-def test_when_joint_states_stop_expect_zero_torque(world: World) -> None:
+@pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
+def test_when_joint_states_stop_expect_zero_torque(
+    world: World, bridge: Ros2ControlBridge, clock_step: float | None
+) -> None:
     world.push()
+    if clock_step is not None:
+        set_clock(bridge, clock_step)
     world.running = False
     world.until_told(*ZERO)
     world.until_fault("nothing for 10 ms")
@@ -225,9 +230,18 @@ def test_when_joint_states_stop_expect_zero_torque(world: World) -> None:
         ({"effort": [0.0, 0.0, math.nan]}, "the effort of 'shoulder' is not a number"),
         ({"position": [math.nan, 0.0, 0.0]}, "position beyond"),
         ({"stamp_ms": 0.5}, "does not come after the last one"),
-        ({"stamp_ms": 1e9}, "samples do not come once a millisecond"),
+        ({"stamp_ms": 500.0}, "samples do not come once a millisecond"),
+        ({"stamp_ms": 1e9}, "the clock of the rig was set"),
     ],
-    ids=["unknown joint", "no effort", "effort NaN", "position NaN", "back in time", "clock set"],
+    ids=[
+        "unknown joint",
+        "no effort",
+        "effort NaN",
+        "position NaN",
+        "back in time",
+        "gap",
+        "clock set",
+    ],
 )
 def test_what_cannot_be_used_takes_the_torque_away_and_is_told(
     world: World, changes: dict[str, object], words: str

@@ -115,10 +115,18 @@ def test_when_the_rate_is_another_one_expect_a_refusal_within_a_second(period: f
         steps([period * i for i in range(round(1000 / period))])
 
 
-@pytest.mark.parametrize("jump", [0.011, 3600.0, 1.7e9])
-def test_when_the_clock_is_set_forward_expect_a_refusal_at_once(jump: float) -> None:
-    with pytest.raises(MalformedMessageError, match="once a millisecond"):
-        steps([0.0, 1.0, 2.0, 2.0 + 1e3 * jump])
+@pytest.mark.parametrize(
+    ("jump", "words"),
+    [
+        (0.011, "once a millisecond"),
+        (3600.0, "by [+]3600 s.* the clock of the rig was set"),
+        (-20.0, "by -20 s.* the clock of the rig was set"),
+        (1.7e9, "the clock of the rig was set"),
+    ],
+)
+def test_when_the_clock_is_set_expect_a_refusal_at_once(jump: float, words: str) -> None:
+    with pytest.raises(MalformedMessageError, match=words):
+        steps([3e4, 3e4 + 1.0, 3e4 + 2.0, 3e4 + 2.0 + 1e3 * jump])
 
 
 def test_now_and_then_a_lost_sample_is_borne_for_long() -> None:

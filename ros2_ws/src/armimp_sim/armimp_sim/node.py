@@ -16,9 +16,10 @@ from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.lifecycle import reported
 from armimp_common.liveliness import Presence, Watch
 from armimp_common.pacing import Pacer
-from armimp_common.parameters import load
+from armimp_common.parameters import load, require_unchanged
 from armimp_common.rig_node import RigNode
 from armimp_common.spin import run_node
+from armimp_common.steady import steady_timer
 from armimp_common.urgency import Urgency
 from armimp_sim.backlog import Backlog
 from armimp_sim.paced import PacedRig
@@ -31,8 +32,6 @@ _FAULT_PERIOD = 1.0
 """Wall time between reports of a latched fault (s), since simulated time may stand still."""
 _TIMING_TICKS = 100
 """Ticks between two reports of the timing in realtime."""
-_LOOK_PERIOD = 0.05
-"""Wall time between two looks at the rig in realtime, which may come to a fault by itself (s)."""
 
 
 class ArmSimNode(RigNode[SimulatedRig]):
@@ -57,18 +56,15 @@ class ArmSimNode(RigNode[SimulatedRig]):
         self._backlog = Backlog()
         self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
-        received = CountSubscription(
-            self, contract.RECEIVED, self._on_received, on_malformed=self._on_malformed_count
-        )
+        received = CountSubscription(self, contract.RECEIVED, self._on_received)
         self.own(self._clock_publisher.publisher, received.subscription)
-        self.own(self.create_timer(_FAULT_PERIOD, self._on_fault_timer))
-        if parameters.mode == "realtime":
-            self.own(self.create_timer(_LOOK_PERIOD, self._on_look_timer))
+        self.own(steady_timer(self, _FAULT_PERIOD, self._on_fault_timer))
         return TransitionCallbackReturn.SUCCESS
 
     @reported
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Send the first sample, once somebody listens and commands."""
+        require_unchanged(self)
         wait_for_partners(
             self,
             publishers=[self.joint_states, self.torque_sensors],
@@ -145,6 +141,15 @@ class ArmSimNode(RigNode[SimulatedRig]):
                 # Now, since nothing else is due until the next sample.
                 self._report_timing(self._paced)
             return
+        self._step(rig, command)
+
+    def _step(self, rig: SimulatedRig, command: tuple[float, ...]) -> None:
+        """Take the step that a command asks for, in lockstep."""
+        if self._holding:
+            # The sample which the next command will answer was not even sent.
+            if any(command):
+                self.accuse("a command that answers no sample")
+            return
         rig.step(command)
         if rig.fault:
             self.report_news()
@@ -158,9 +163,7 @@ class ArmSimNode(RigNode[SimulatedRig]):
             self._paced.refuse(f"malformed command: {error}")
             return
         self.latch(f"malformed command: {error}")
-        self.report_news()
-        rig.step((0.0,) * rig.position.size)
-        self._publish_or_hold()
+        self._step(rig, (0.0,) * rig.position.size)
 
     def _on_recorder(self, recorder: Watch) -> None:
         """Wait for a recorder that is silent: it may only be stopped. There is no trial without."""
@@ -175,22 +178,20 @@ class ArmSimNode(RigNode[SimulatedRig]):
         if self.gate is not None and self.gate.fault:
             self.report()
 
-    def _on_look_timer(self) -> None:
-        """Tell what has happened in the thread, which must not lose time with that."""
+    def look(self) -> None:
+        """Tell what has happened in the thread, too, which must not lose time with that."""
+        super().look()
         paced, rig = self._paced, self.gate
         if paced is None or rig is None:
             return
         if paced.error is not None:
             raise paced.error
-        if rig.fault != self.told or rig.tick - self._told_tick >= _DIAGNOSTICS_TICKS:
+        if rig.tick - self._told_tick >= _DIAGNOSTICS_TICKS:
             self.report()
 
     def _on_received(self, samples: int) -> None:
         self._backlog.acknowledge(samples)
         self._go_on()
-
-    def _on_malformed_count(self, error: ArmimpError) -> None:
-        self.get_logger().warning(f"{contract.RECEIVED}: {error}")
 
     def _go_on(self) -> None:
         if self._holding and self.active and not self._backlog.full:

@@ -58,7 +58,7 @@ class PacedRig:
         self._ledger = TimingLedger()
         self._unanswered: deque[int] = deque(maxlen=10_000)
         self._began = self._arrived = self._stepped = self._in_step = False
-        self._silent = 0
+        self._silent = self._spare = 0
         self._unheard = UNHEARD_TICKS
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._run, name="pacing", daemon=True)
@@ -102,7 +102,7 @@ class PacedRig:
             self._rig.reset()
             self._unanswered.clear()
             self._began = self._arrived = self._in_step = False
-            self._silent = 0
+            self._silent, self._spare = 0, self._patience
             # Whoever commanded before the fault has to begin anew, too.
             self._unheard = self._patience
 
@@ -147,6 +147,10 @@ class PacedRig:
         self._began = self._arrived = True
         if self._unanswered:
             self._ledger.answered(now_ns - self._unanswered.popleft())
+        elif self._spare:
+            self._spare -= 1
+        elif any(self._command):
+            self._rig.latch("more commands than samples")
         if not self._unanswered and not self._stepped:
             self._stepped = self._in_step = True
             self._rig.step(self._command)
@@ -160,6 +164,8 @@ class PacedRig:
             newest = self._unanswered.pop()
             self._unanswered.clear()
             self._unanswered.append(newest)
+            # Which of the last samples is answered first is not known.
+            self._spare = self._patience
 
     def _run(self) -> None:
         wake_up_exactly()

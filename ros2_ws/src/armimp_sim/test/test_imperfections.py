@@ -167,6 +167,7 @@ def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
     assert torques == pytest.approx(expected, rel=1e-2, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_lanes_with_different_imperfections_give_the_bits_that_they_give_alone() -> None:
     lanes = [
         config(delay=0.0021, offset=(0.3,)),

@@ -125,15 +125,20 @@ class TestCommands:
         assert not bench.rig.fault
         assert bench.sent == in_lockstep([(0.0, 0.0), *commands])
 
-    def test_a_second_command_for_a_sample_acts_in_the_next_period_if_nothing_else_comes(
-        self, bench: Bench
-    ) -> None:
+    def test_a_second_command_for_a_sample_takes_the_torque_away(self, bench: Bench) -> None:
         a, b = some_commands(2)
         bench.command(*a)
         bench.command(*b)
+        assert bench.rig.fault == "more commands than samples"
         bench.next(2)
-        assert bench.sent == in_lockstep([a, b])
-        assert bench.missed == 1
+        assert bench.sent == in_lockstep([a, (0.0, 0.0)])
+
+    def test_a_second_command_of_zero_torque_is_no_fault(self, bench: Bench) -> None:
+        (a,) = some_commands(1)
+        bench.command(*a)
+        bench.command(0.0, 0.0)
+        bench.next(2)
+        assert (bench.rig.fault, bench.rig.applied) == ("", (0.0, 0.0))
 
     def test_when_a_command_is_not_finite_expect_no_torque_and_a_fault(self, bench: Bench) -> None:
         bench.command(5.0, -5.0)

@@ -15,6 +15,8 @@ from armimp_sim.sensors import Sensors
 
 Array = NDArray[np.float64]
 JOINTS = range(1, 8)
+OTHERS_SLOW = [n if n == 2 else pytest.param(n, marks=pytest.mark.slow) for n in JOINTS]
+"""A plant of each size is compiled for itself."""
 
 
 def _chain(n: int, seed: int = 0) -> PlanarChain:
@@ -151,7 +153,9 @@ def _acceleration(config: PlantConfig, state: Array, command: Array, voluntary: 
     return np.linalg.solve(config.robot.mass_matrix(theta) + arm.inertia, torque)
 
 
-@pytest.mark.parametrize("n", JOINTS)
+@pytest.mark.parametrize(
+    "n", [2, *(pytest.param(n, marks=pytest.mark.slow) for n in JOINTS if n != 2)]
+)
 def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
     config = _random_plant(n)
     plant = Plant([config])
@@ -177,7 +181,7 @@ def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
         assert plant.torque[0] == pytest.approx(expected, abs=1e-11 * scale)
 
 
-@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("n", [2, 3])
 def test_velocity_gained_in_a_short_period_is_acceleration_times_period(n: int) -> None:
     random = np.random.default_rng(40 + n)
     config = _random_plant(n)

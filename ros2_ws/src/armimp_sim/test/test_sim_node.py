@@ -24,10 +24,10 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
 from armimp_common.stamps import to_ns
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.rig import SimulatedRig
+from support.graph import PATIENCE, a_moment, eventually, overrides
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
@@ -211,8 +211,11 @@ MALFORMED = {
     "truncated": (CommandEncoder(2).encode((1.0, 2.0))[:-9], "malformed command"),
     "rubbish": (b"\0\1\0\0rubbish", "malformed command"),
     "empty": (b"", "malformed command"),
-    "NaN": (CommandEncoder(2).encode((1.0, math.nan)), "command of joint 2 is not finite: nan"),
-    "infinite": (CommandEncoder(2).encode((-math.inf, 0.0)), "command of joint 1 is not finite"),
+    "NaN": (CommandEncoder(2).encode((1.0, math.nan), 11), "command of joint 2 is not finite: nan"),
+    "infinite": (
+        CommandEncoder(2).encode((-math.inf, 0.0), 11),
+        "command of joint 1 is not finite",
+    ),
 }
 
 

@@ -20,11 +20,11 @@ from armimp_common.diagnostics import Level, values_of
 from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.schema import Value
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, eventually, overrides
 from armimp_sim.node import ArmSimNode
 from armimp_sim.paced import PacedRig
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.plant import IntegrationError
+from support.graph import PATIENCE, eventually, overrides
 
 pytestmark = pytest.mark.alone
 

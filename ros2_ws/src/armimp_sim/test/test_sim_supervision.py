@@ -17,9 +17,9 @@ from armimp_common.channels import CommandPublisher, JointStateSubscription, wai
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.liveliness import Watch
 from armimp_common.spin import Spinner
-from armimp_common.testing import PATIENCE, a_moment, eventually, overrides
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
+from support.graph import PATIENCE, a_moment, eventually, overrides
 
 pytestmark = pytest.mark.alone
 

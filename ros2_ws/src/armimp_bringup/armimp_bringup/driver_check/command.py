@@ -90,7 +90,7 @@ def check_driver(  # noqa: PLR0913 (the options of a command)
     record = probe(options, domain)
     findings = judge(record)
     if as_json:
-        print(json.dumps(report(findings) | about(options, domain, record), ensure_ascii=False))
+        print(json.dumps(report(findings) | about(options, domain, record)))
     else:
         print_findings(findings)
     return 1 if failures(findings) or open_questions(findings) else 0

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -93,7 +94,6 @@ class Conversation(Node):
         self._raw: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in SENSOR_TOPICS}
         self._script: deque[tuple[int, tuple[float, ...] | None]] = deque()
         self._subscriptions_by_topic: dict[str, RawSubscription] = {}
-        self._commands = CommandPublisher(self, contract.COMMANDS, len(joints))
         self._clients_by_service = {
             name: self.create_client(Trigger, name)
             for name in (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE)
@@ -107,7 +107,9 @@ class Conversation(Node):
         )
 
     def listen(self) -> None:
-        """Subscribe to the sensor streams, with the reliability that is offered."""
+        """Subscribe to the sensor streams, with the reliability that is offered, and command."""
+        # Not before: a driver that is in use takes a second publisher for a fault.
+        self._commands = CommandPublisher(self, contract.COMMANDS, len(self._zero))
         for topic in SENSOR_TOPICS:
             offered = self.get_publishers_info_by_topic(self._resolved(topic))
             best_effort = any(
@@ -164,6 +166,18 @@ class Conversation(Node):
         for _ in range(_FAREWELLS):
             self._commands.publish(self._zero)
             time.sleep(0.005)
+
+    @contextmanager
+    def intruder(self, spinner: Spinner, patience: float) -> Iterator[None]:
+        """Have a second publisher of commands, which has sent one of zero torque."""
+        second = CommandPublisher(self, contract.COMMANDS, len(self._zero))
+        heard = self._commands.publisher.get_subscription_count()
+        try:
+            self.wait(spinner, lambda: second.publisher.get_subscription_count() >= heard, patience)
+            second.publish(self._zero)
+            yield
+        finally:
+            self.destroy_publisher(second.publisher)
 
     def messages(self, topic: str) -> int:
         """Number of messages that came."""

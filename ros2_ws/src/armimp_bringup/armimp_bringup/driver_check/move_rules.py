@@ -22,6 +22,7 @@ from armimp_common.contract import NS_PER_S, PERIOD_NS
 
 _STALE = "stale commands"
 _STOP = "emergency stop"
+_SECOND = "second publisher"
 _PERIOD = PERIOD_NS / NS_PER_S
 _LEAST = 0.35
 """Share of the usual motion that counts as one."""
@@ -43,6 +44,10 @@ def judge_moves(record: Record, limits: Limits) -> Iterator[Finding]:
         yield _missing(record, _STOP, limit)
     else:
         yield from _judge_stop(record, record.stop, limits)
+    if record.second is None:
+        yield _missing(record, f"{_SECOND}: told", _told_limit(limits))
+    else:
+        yield from _judge_told(_SECOND, record, record.second, limits)
 
 
 def _missing(record: Record, check: str, limit: str) -> Finding:
@@ -220,7 +225,15 @@ def _judge_end(check: str, record: Record, ending: Ending, limits: Limits) -> It
     else:
         found = letting(ending.push, ending.released, ending.held)
         yield _judge_letting(check, found, limits, limit)
-    limit = f"status ERROR on {contract.DIAGNOSTICS} within {limits.told:g} s"
+    yield from _judge_told(check, record, ending, limits)
+
+
+def _told_limit(limits: Limits) -> str:
+    return f"status ERROR on {contract.DIAGNOSTICS} within {limits.told:g} s"
+
+
+def _judge_told(check: str, record: Record, ending: Ending, limits: Limits) -> Iterator[Finding]:
+    limit = _told_limit(limits)
     told = ending.told
     if told is None and record.faults:
         # That would go on, whatever the driver has to say.

@@ -26,6 +26,8 @@ REST, HOLD, AFTER, LONGER = 200, 400, 250, 400
 _STOPPING = 600
 """Samples for which torque is commanded on after the call of the emergency stop, at most."""
 _SETTLE = 100
+_LEAVING = 0.3
+"""How long a driver may take to hear that a publisher has left (s)."""
 _STILL = 4e-4
 """An arm that moves less than this during 200 samples has settled (rad)."""
 _LONGEST_SETTLING = 80
@@ -64,6 +66,7 @@ class Moves:
     stop_push: Mark | None = None
     stale: Ending | None = None
     stop: Ending | None = None
+    second: Ending | None = None
     broken: str = ""
     stopped: str = ""
     repeated: int = 0
@@ -141,6 +144,7 @@ class Mover:
             moves.timing = self._node.timing
             self._undisturbed(moves, lambda: self._keep_silent(moves))
         self._undisturbed(moves, lambda: self._stop_under_torque(moves))
+        self._undisturbed(moves, lambda: self._intrude(moves))
 
     def _push(self, moves: Moves, joint: int, then: Sequence[_Step]) -> Mark:
         """Push a joint once the arm has settled; return where in the recording that is."""
@@ -189,6 +193,17 @@ class Mover:
         self._play([(_SETTLE, self._zero)])
         moves.stop_push = Mark(joint=0, start=start, off=last)
         moves.stop = replace(ending, reset=self._reset())
+        return None, since
+
+    def _intrude(self, moves: Moves) -> tuple[None, float]:
+        """Have somebody else command zero torque, too; reset."""
+        self._settle()
+        since = time.monotonic()
+        with self._node.intruder(self._spinner, TOLD):
+            told = self._told(since)
+        # Until the driver knows that the other one has left.
+        self._node.wait(self._spinner, lambda: False, _LEAVING)
+        moves.second = Ending(push=None, told=told, reset=self._reset())
         return None, since
 
     def _call_stop(self, since: float, *, reset: bool = True) -> Ending:
@@ -321,6 +336,7 @@ def extract(
     found: dict[str, Any] = {
         name: getattr(moves, name) for name in ("broken", "stopped", "repeated", "gap", "moved")
     }
+    found["second"] = moves.second
     found["pushes"] = [push for push in map(cut, moves.pushes) if push]
     for name, ending, mark in (
         ("stale", moves.stale, moves.stale_push),

@@ -149,6 +149,7 @@ class Record:
     pushes : one for each joint
     stale : commands that stopped under torque
     stop : the emergency stop
+    second : a second publisher of commands
     timing : what the driver reports of its own timing
     """
 
@@ -175,4 +176,5 @@ class Record:
     pushes: Sequence[Push] = ()
     stale: Ending | None = None
     stop: Ending | None = None
+    second: Ending | None = None
     timing: TimingFigures | None = None

@@ -16,7 +16,7 @@ from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.errors import StudyError
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.versions import git_revision, versions
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.results import TrialLedger, summarise
 from armimp_sim.kernel import WIDTH
 from armimp_sim.plant import IntegrationError
@@ -59,7 +59,7 @@ class ConditionResult:
     """The result of one condition, and its curves by name of the estimator."""
 
     entry: StudyEntry
-    estimates: dict[str, ImpedanceEstimate]
+    results: dict[str, EstimatorResult]
 
     @property
     def condition(self) -> Condition:
@@ -185,8 +185,7 @@ def estimate_condition(
         resolution=condition.resolution,
         perturbation=condition.perturbation,
     )
-    estimates = {name: one.estimate for name, one in identification.estimators.items()}
-    return ConditionResult(entry=entry, estimates=estimates)
+    return ConditionResult(entry=entry, results=identification.estimators)
 
 
 def _described(batch: Batch, parameters: NodeParameters) -> dict[str, Any]:

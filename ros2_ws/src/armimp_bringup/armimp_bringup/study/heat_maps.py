@@ -8,8 +8,9 @@ from dataclasses import dataclass, field
 
 from armimp_estimation.report.plots import Layout, Trace, View, axis, label, stacked
 
-# From good to bad; dark is bad in print as well.
-_SCALE = ((0.0, "#f2f7fb"), (0.5, "#9ecae1"), (0.85, "#e6a35c"), (1.0, "#b03a00"))
+# From good to bad, within the limit and beyond it; dark is bad in print as well.
+_WITHIN = ("#f2f7fb", "#6baed6")
+_BEYOND = ("#f0a868", "#b03a00")
 _GAP = 0.6
 
 
@@ -46,7 +47,7 @@ class HeatMap:
     floor : bool
         Whether small values are the bad ones.
     limit : float or None
-        Where colours become darkest.
+        Where the colours of a miss begin.
     unit : str
         With a space before it.
     row_title, column_title : str
@@ -119,11 +120,43 @@ def _hover(heat_map: HeatMap, panel: Panel, place: tuple[str, str], cell: Cell) 
 
 
 def _colour(heat_map: HeatMap, value: float) -> float | None:
-    """Value on the scale of colours, where large is bad; None for no number."""
+    """Value on the scale of colours; None for no number."""
     if not math.isfinite(value):
         return None
-    found = math.log10(max(value, 1e-12)) if heat_map.logarithmic else value
-    return -found if heat_map.floor else found
+    return math.log10(max(value, 1e-12)) if heat_map.logarithmic else value
+
+
+def _scale(heat_map: HeatMap, found: Sequence[float]) -> dict[str, object]:
+    """Axis of colours: what is within the limit never has the colour of what is beyond it."""
+    limit = None if heat_map.limit is None else _colour(heat_map, heat_map.limit)
+    known = list(found) if limit is None else [*found, limit]
+    low, high = min(known, default=0.0), max(known, default=1.0)
+    if high <= low:
+        high = low + 1.0
+    worst, best = (low, high) if heat_map.floor else (high, low)
+    missed = limit is not None and worst != limit
+    share = 1.0 if limit is None else abs(limit - best) / (high - low)
+    # From the best to the worst value.
+    stops = [(0.0, _WITHIN[0]), (share if missed else 1.0, _WITHIN[1])]
+    if missed:
+        stops += [(share, _BEYOND[0]), (1.0, _BEYOND[1])]
+    if heat_map.floor:
+        stops = [(1.0 - place, colour) for place, colour in reversed(stops)]
+    bar: dict[str, object] = {
+        "thickness": 12,
+        "outlinewidth": 0,
+        "title": {"text": label(heat_map.unit.strip()), "side": "top"},
+        "tickfont": {"size": 10},
+    }
+    if heat_map.logarithmic:
+        decades = range(math.floor(low), math.ceil(high) + 1)
+        bar |= {"tickvals": list(decades), "ticktext": [f"{10.0**d:g}" for d in decades]}
+    return {
+        "colorscale": [list(stop) for stop in stops],
+        "cmin": low,
+        "cmax": high,
+        "colorbar": bar,
+    }
 
 
 def _layout(
@@ -136,9 +169,6 @@ def _layout(
         for cell in row
         if cell is not None and (number := _colour(heat_map, cell.value)) is not None
     ]
-    low = min(found, default=0.0)
-    high = max(found, default=1.0) if heat_map.limit is None else _colour(heat_map, heat_map.limit)
-    assert high is not None  # limits are finite
     x_axis = axis(
         heat_map.column_title,
         tickvals=ticks,
@@ -160,12 +190,7 @@ def _layout(
     layout["hovermode"] = "closest"
     layout["annotations"] = notes
     layout["margin"] = {**layout["margin"], "t": 44}
-    layout["coloraxis"] = {
-        "colorscale": [list(stop) for stop in _SCALE],
-        "cmin": min(low, high),
-        "cmax": high if high > low else low + 1.0,
-        "showscale": False,
-    }
+    layout["coloraxis"] = _scale(heat_map, found)
     return layout
 
 

@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from armimp_bringup.study.conditions import LEVELS
 from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.figures import Curves
-from armimp_bringup.study.report_accuracy import accuracy_section
-from armimp_bringup.study.report_levels import coherence_section, scores_section
-from armimp_bringup.study.report_maps import conditions_section, locking_section
-from armimp_bringup.study.report_overlay import impedance_section
-from armimp_bringup.study.report_settings import files_section, levels_section, made_section
-from armimp_bringup.study.report_verdict import verdict_section
+from armimp_bringup.study.report_accuracy import accuracy_content
+from armimp_bringup.study.report_levels import coherence_content, scores_content
+from armimp_bringup.study.report_maps import conditions_content, locking_content
+from armimp_bringup.study.report_overlay import impedance_content
+from armimp_bringup.study.report_settings import levels_content, made_content
+from armimp_bringup.study.report_verdict import verdict_content
 from armimp_bringup.study.store import write_file
 from armimp_bringup.study.verdict import StudyVerdict
-from armimp_estimation.report.html import Html, element, join
-from armimp_estimation.report.page import Chapter, page
-from armimp_estimation.report.report import REPORT_FILE
+from armimp_estimation.report.render import Section, render_page
 from armimp_estimation.report.result import setting
-from armimp_estimation.report.settings_part import assumptions_section
+from armimp_estimation.report.run import REPORT_FILE, assumptions_content
+from armimp_estimation.results import OriginSummary
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,36 +38,60 @@ class StudyReport:
         Gives the curves of a condition.
     files : mapping of str to str
         What else is in the directory: names and what they hold.
+    origin : OriginSummary or None
+        Command line and date.
     """
 
     entries: Sequence[StudyEntry]
     verdict: StudyVerdict
     curves: Curves
     files: Mapping[str, str]
+    origin: OriginSummary | None = None
 
     def page(self) -> str:
         """HTML document."""
         entries, verdict = self.entries, self.verdict
         config = entries[0].config
-        chapters: list[Chapter] = [
-            ("verdict", "Verdict", verdict_section(entries, verdict)),
-            ("conditions", "Conditions", conditions_section(entries)),
-            ("accuracy", "Elements", accuracy_section(entries)),
-            ("impedance", "Impedance (Fig. 2)", impedance_section(entries, self.curves)),
-            ("scores", "VAF and R² (Fig. 3)", scores_section(entries)),
-            ("coherence", "Coherence (Fig. 4)", coherence_section(entries)),
-            ("locking", "Locking", locking_section(entries)),
-            ("levels", "Levels", levels_section(entries)),
-            ("settings", "Settings", made_section(entries)),
+        friction = f"levels {_present(entries, 'friction')}"
+        found: list[tuple[str, str, str, Mapping[str, Any] | None]] = [
+            ("verdict", "Verdict", "study/verdict", verdict_content(entries, verdict)),
+            ("conditions", "Conditions", "study/conditions", conditions_content(entries)),
+            ("accuracy", "Elements", "study/accuracy", accuracy_content(entries)),
+            (
+                "impedance",
+                "Impedance (Fig. 2)",
+                "study/impedance",
+                impedance_content(entries, self.curves),
+            ),
+            ("scores", "VAF and R² (Fig. 3)", "study/levels", scores_content(entries)),
+            ("coherence", "Coherence (Fig. 4)", "study/levels", coherence_content(entries)),
+            ("locking", "Locking", "study/locking", locking_content(entries)),
+            ("levels", "Levels", "study/meaning", levels_content(entries)),
+            ("settings", "Settings", "report/settings", made_content(entries)),
             (
                 "assumptions",
                 "Assumptions",
-                assumptions_section(config, friction=f"levels {_present(entries, 'friction')}"),
+                "report/assumptions",
+                assumptions_content(config, friction=friction),
             ),
-            ("files", "Files", files_section(self.files)),
+            ("files", "Files", "study/files", {"files": self.files}),
+        ]
+        sections = [
+            Section(identifier=name, title=title, template=f"{template}.html", content=content)
+            for name, title, template, content in found
+            if content is not None
         ]
         state = "targets met" if verdict.met else "targets missed"
-        return page(f"Study of {verdict.conditions} conditions: {state}", self._header(), chapters)
+        return render_page(
+            f"Study of {verdict.conditions} conditions: {state}",
+            "study/header.html",
+            sections,
+            packages={"study": "armimp_bringup.study"},
+            joints=entries[0].joints,
+            count=_count(entries[0].joints),
+            facts=self._facts(),
+            origin=self.origin,
+        )
 
     def write(self, directory: Path) -> Path:
         """Write ``report.html``, in place of one that is there.
@@ -81,7 +105,7 @@ class StudyReport:
         write_file(path, self.page())
         return path
 
-    def _header(self) -> Html:
+    def _facts(self) -> list[str]:
         entries = self.entries
         first = entries[0]
         seeds = sorted({entry.seed for entry in entries})
@@ -98,22 +122,7 @@ class StudyReport:
         law = setting(first.config, "imbic_controller", "law.kind")
         if law not in (None, "imbic"):
             facts.append(f"control law {law}")
-        return join(
-            [
-                element("p", "armimp · report of a study", class_="kicker"),
-                element("h1", f"Study: impedance of a {_count(first.joints)}-joint arm"),
-                element("p", " · ".join(facts)),
-                element(
-                    "p",
-                    "The simulation study of Kang and Zhang, “Robust Identification of Multi-Joint "
-                    "Human Arm Impedance Based on Dynamics Decomposition: A Modeling Study”",
-                    "."
-                    if first.joints == 2
-                    else ", carried over to another number of joints, for which the paper has no "
-                    "values.",
-                ),
-            ]
-        )
+        return facts
 
 
 def _count(joints: int) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,16 +21,16 @@ from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.heat_maps import Cell, HeatMap, Panel, heat_map_view
 from armimp_bringup.study.verdict import COLUMNS, targets, values
 from armimp_estimation.report.formats import UNITS, number, symbol
-from armimp_estimation.report.html import Group, Html, element, join, listing, section, table
 from armimp_estimation.report.look import looks
-from armimp_estimation.report.plots import Plot, View, frame
+from armimp_estimation.report.plots import Plot, View
+from armimp_estimation.report.render import Group, Table
 
 FloatArray = NDArray[np.float64]
 
 _SCORES = ("VAF", "R²", "derived coherence")
 
 
-def accuracy_section(entries: Sequence[StudyEntry]) -> Html | None:
+def accuracy_content(entries: Sequence[StudyEntry]) -> dict[str, Any] | None:
     """Largest errors of each element and their reasons; None without a truth."""
     errors = {
         name: [found for letter in LETTERS if (found := element_errors(entries, name, letter))]
@@ -38,25 +39,14 @@ def accuracy_section(entries: Sequence[StudyEntry]) -> Html | None:
     if not all(errors.values()):
         return None
     labels = looks(errors)
-    return section(
-        "accuracy",
-        "Accuracy of each element",
-        element(
-            "p",
-            "Worst of all conditions. The scaled error compares the error of an element with √|",
-            symbol("X", "ii"),
-            " ",
-            symbol("X", "kk"),
-            "| instead of the element itself: what is tiny beside its diagonal may be wrong by "
-            "more than its own size without changing the arm.",
-        ),
-        _table(errors),
-        *(
-            join([element("h3", labels[name].label), listing(explanation(entries, name, found))])
+    return {
+        "table": _table(errors),
+        "estimators": [
+            (labels[name].label, list(explanation(entries, name, found)))
             for name, found in errors.items()
-        ),
-        element("div", *(frame(_map(entries, n, f)) for n, f in errors.items()), class_="stack"),
-    )
+        ],
+        "plots": [_map(entries, name, found) for name, found in errors.items()],
+    }
 
 
 def explanation(
@@ -144,17 +134,17 @@ def _percent(value: float) -> str:
     return number(value, f".{digits}f", "%")
 
 
-def _table(errors: dict[str, list[ElementErrors]]) -> Html:
+def _table(errors: dict[str, list[ElementErrors]]) -> Table:
     columns = ["matrix", "allowed with two joints"]
     columns += ["within", "worst", "element", "within", "worst", "element"]
     groups = [
         Group(title=look.label, rows=[_row(one) for one in errors[name]])
         for name, look in looks(errors).items()
     ]
-    return table(
-        "Largest errors of M, B and K",
-        columns,
-        groups,
+    return Table(
+        caption="Largest errors of M, B and K",
+        columns=columns,
+        groups=groups,
         spans=[("", 2), ("relative error", 3), ("scaled error", 3)],
     )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -17,8 +18,7 @@ from armimp_bringup.study.levels import (
     statistics,
 )
 from armimp_estimation.report.formats import number
-from armimp_estimation.report.html import Html, element, section
-from armimp_estimation.report.look import COLOURS, looks
+from armimp_estimation.report.look import ELEMENT_COLOURS, looks
 from armimp_estimation.report.plots import (
     Layout,
     Options,
@@ -26,7 +26,6 @@ from armimp_estimation.report.plots import (
     Trace,
     View,
     axis,
-    frame,
     label,
     packed,
     stacked,
@@ -40,17 +39,19 @@ _LONG = {"VAF": "VAF (%)", "derived coherence": "derived γ²"}
 Scores = Callable[[Sequence[StudyEntry], str], tuple[LevelScore, ...]]
 
 
-def scores_section(entries: Sequence[StudyEntry]) -> Html:
+def scores_content(entries: Sequence[StudyEntry]) -> dict[str, Any]:
     """VAF and R² by level of each factor."""
-    return _section(entries, "scores", "VAF and R² by level (Fig. 3)", fit_scores)
+    return _content(entries, "scores", "VAF and R² by level (Fig. 3)", fit_scores)
 
 
-def coherence_section(entries: Sequence[StudyEntry]) -> Html:
+def coherence_content(entries: Sequence[StudyEntry]) -> dict[str, Any]:
     """Coherences by level of each factor."""
-    return _section(entries, "coherence", "Coherence by level (Fig. 4)", coherence_scores)
+    return _content(entries, "coherence", "Coherence by level (Fig. 4)", coherence_scores)
 
 
-def _section(entries: Sequence[StudyEntry], identifier: str, title: str, scores: Scores) -> Html:
+def _content(
+    entries: Sequence[StudyEntry], identifier: str, title: str, scores: Scores
+) -> dict[str, Any]:
     found = {
         look.label: scores(entries, name) for name, look in looks(entries[0].estimators).items()
     }
@@ -65,21 +66,7 @@ def _section(entries: Sequence[StudyEntry], identifier: str, title: str, scores:
         ],
         height=90 + 190 * len(one),
     )
-    rows = (
-        " With this many joints a mark takes a whole row of the matrix together."
-        if entries[0].joints > MOST_JOINTS
-        else ""
-    )
-    return section(
-        identifier,
-        title,
-        element(
-            "p",
-            "A mark is the mean over all conditions with that level, its bar reaches from the "
-            f"worst of them to the best; a dashed line is the target.{rows}",
-        ),
-        frame(plot),
-    )
+    return {"title": title, "plot": plot, "rows": entries[0].joints > MOST_JOINTS}
 
 
 def _positions(entries: Sequence[StudyEntry]) -> dict[str, dict[int, float]]:
@@ -141,7 +128,7 @@ def _marks(subject: Subject, look: int, row: int, unit: str) -> Trace:
         "legendgroup": name,
         "showlegend": row == 1 or subject.symbol != "Z",
         "marker": {
-            "color": COLOURS[look % len(COLOURS)],
+            "color": ELEMENT_COLOURS[look % len(ELEMENT_COLOURS)],
             "symbol": _SYMBOLS[look % len(_SYMBOLS)],
             "size": 8,
         },
@@ -159,7 +146,7 @@ def _target(ends: Sequence[float], limit: float, row: int) -> Trace:
         "y": [limit, limit],
         "name": "target",
         "showlegend": row == 1,
-        "line": {"color": "#555555", "dash": "dash", "width": 1.2},
+        "line": {"color": "--soft", "dash": "dash", "width": 1.2},
         "hovertemplate": f"target {limit:g}<extra></extra>",
         "meta": [],
         "yaxis": "y" if row == 1 else f"y{row}",
@@ -206,7 +193,7 @@ def _layout(entries: Sequence[StudyEntry], scores: Sequence[LevelScore]) -> Layo
             "y0": 0,
             "y1": 1,
             "yref": "paper",
-            "line": {"color": "#b8c0c8", "width": 1},
+            "line": {"color": "--rule", "width": 1},
         }
         for place in list(places.values())[1:]
     ]

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.heat_maps import Cell, HeatMap, Panel, heat_map_view
 from armimp_bringup.study.verdict import COLUMNS, Column, Scale, targets, values
 from armimp_estimation.report.formats import NONE
-from armimp_estimation.report.html import Group, Html, details, element, section, table
 from armimp_estimation.report.look import looks
-from armimp_estimation.report.plots import Plot, View, frame
+from armimp_estimation.report.plots import Plot, View
+from armimp_estimation.report.render import Group, Table
 from armimp_estimation.verdict import Limits
 
 Found = tuple[str, float]
@@ -35,26 +36,16 @@ class LevelCell:
         )
 
 
-def conditions_section(entries: Sequence[StudyEntry]) -> Html:
+def conditions_content(entries: Sequence[StudyEntry]) -> dict[str, Any]:
     """Maps of the worst score in each condition, and a table that can be sorted."""
-    plots = [_scores_map(entries, name) for name in looks(entries[0].estimators)]
-    seeds = len({entry.seed for entry in entries})
-    over = f" and {seeds} seeds" if seeds > 1 else ""
-    return section(
-        "conditions",
-        "Worst value in each condition",
-        element(
-            "p",
-            f"Each field is the worst of all elements{over}; the pointer shows of which. "
-            "Dark fields are near the target or beyond it; without a target they are the worst "
-            "of the map.",
-        ),
-        element("div", *(frame(plot) for plot in plots), class_="stack"),
-        details("Table of all conditions (a click on a heading sorts it)", _table(entries)),
-    )
+    return {
+        "seeds": len({entry.seed for entry in entries}),
+        "plots": [_scores_map(entries, name) for name in looks(entries[0].estimators)],
+        "table": _table(entries),
+    }
 
 
-def locking_section(entries: Sequence[StudyEntry]) -> Html | None:
+def locking_content(entries: Sequence[StudyEntry]) -> dict[str, Any] | None:
     """How still the held joints were in each condition; None where none is held."""
     if entries[0].joints == 1:
         return None
@@ -77,19 +68,7 @@ def locking_section(entries: Sequence[StudyEntry]) -> Html | None:
         views=views,
         height=_height(entries),
     )
-    return section(
-        "locking",
-        "Lock quality",
-        element(
-            "p",
-            "The method needs all joints but one at rest. Motion is the rms angle of a held joint "
-            "relative to that of the perturbed one; the bias bound is the share of a torque that "
-            "this motion explains. ",
-            "; ".join(worst).capitalize(),
-            ".",
-        ),
-        element("div", frame(plot), class_="stack"),
-    )
+    return {"worst": "; ".join(worst).capitalize(), "plot": plot}
 
 
 def _lock_ratios(entry: StudyEntry) -> list[Found]:
@@ -195,7 +174,7 @@ def _worst(
     return Cell(value=value, written=written, notes=notes)
 
 
-def _table(entries: Sequence[StudyEntry]) -> Html:
+def _table(entries: Sequence[StudyEntry]) -> Table:
     estimators = looks(entries[0].estimators)
     rows: list[list[object]] = []
     for cell, group in _groups(entries).items():
@@ -217,5 +196,10 @@ def _table(entries: Sequence[StudyEntry]) -> Html:
     for look in estimators.values():
         heads += [f"{column.quantity}{column.unit}" for column in COLUMNS]
         spans.append((look.label, len(COLUMNS)))
-    frame_ = table("Worst values of all elements", heads, [Group(rows=rows)], spans=spans)
-    return element("div", frame_, class_="sortable")
+    return Table(
+        caption="Worst values of all elements",
+        columns=heads,
+        groups=[Group(rows=rows)],
+        spans=spans,
+        sortable=True,
+    )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Final
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +13,15 @@ from numpy.typing import NDArray
 from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.figures import Curves
 from armimp_bringup.study.levels import MOST_JOINTS
-from armimp_estimation.report.controls import choice, switch
 from armimp_estimation.report.curves import deviation_percent, phase_about
-from armimp_estimation.report.curves_part import plot_matrix
 from armimp_estimation.report.formats import symbol
-from armimp_estimation.report.frequency_plots import TRUTH, estimator_tag, frequency_axis
-from armimp_estimation.report.html import Html, element, section
-from armimp_estimation.report.look import COLOURS, TRUTH_COLOUR, looks
+from armimp_estimation.report.frequency_plots import (
+    TRUTH,
+    estimator_tag,
+    frequency_axis,
+    plot_matrix,
+)
+from armimp_estimation.report.look import looks
 from armimp_estimation.report.plots import (
     Layout,
     Plot,
@@ -29,19 +32,19 @@ from armimp_estimation.report.plots import (
     line,
     stacked,
 )
+from armimp_estimation.report.run import box
 from armimp_estimation.results import ImpedanceCurve
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _DASHES: Final = ("solid", "dash", "dashdot", "dot")
-_CSS_DASHES: Final = ("solid", "dashed", "double", "dotted")
 _BUDGET: Final = 2_000_000  # bytes for all curves of a page
 _BYTES: Final = 2 * 4 * 4 / 3  # of a point of a line: two numbers of single precision in base64
 _POINTS: Final = (40, 160)
 
 
-def impedance_section(entries: Sequence[StudyEntry], curves: Curves) -> Html:
+def impedance_content(entries: Sequence[StudyEntry], curves: Curves) -> dict[str, Any]:
     """Magnitude, phase and error of every element in all conditions of the first seed."""
     shown = _shown(entries)
     n = entries[0].joints
@@ -64,9 +67,10 @@ def impedance_section(entries: Sequence[StudyEntry], curves: Curves) -> Html:
                 sizes.append(np.abs(curve.Z[i, k]))
         grid = max((curve.f for one in thinned.values() for curve in one.values()), key=len)
         true = _truth(shown[0], grid)[i, k]
-        stroke = Stroke(name="truth", colour=TRUTH_COLOUR, width=2.0, dash="dot", tags=[TRUTH])
-        data.append(line(grid, np.abs(true), stroke))
-        data.append(line(grid, np.degrees(np.unwrap(np.angle(true))), stroke, row=2))
+        stroke = Stroke(name="truth", colour="--ink", width=2.0, dash="dot", tags=[TRUTH])
+        data.append(line(grid, np.abs(true), stroke, unit="N·m/rad"))
+        phase = np.degrees(np.unwrap(np.angle(true)))
+        data.append(line(grid, phase, stroke, row=2, unit="°"))
         return Plot(
             identifier=f"overlay-{i + 1}-{k + 1}",
             caption=symbol("Z", i + 1, k + 1),
@@ -75,27 +79,15 @@ def impedance_section(entries: Sequence[StudyEntry], curves: Curves) -> Html:
             height=470,
         )
 
-    seeds = {entry.seed for entry in entries}
-    first = f" of the first seed ({shown[0].seed})" if len(seeds) > 1 else ""
-    left = (
-        " With this many joints, only the lowest and the highest levels of friction and "
-        "resolution are shown."
-        if n > MOST_JOINTS
-        else ""
-    )
-    return section(
-        "impedance",
-        "Impedance over frequency (Fig. 2)",
-        element(
-            "p",
-            f"All conditions{first} over the truth (black, dotted); the third panel is the "
-            "distance from the truth, without which all curves would look like one. Rows: torque, "
-            f"columns: angle. Curves are thinned to about {points} points evenly spaced over the "
-            f"logarithm of frequency; conditions/ has them in full.{left}",
-        ),
-        *_controls(shown, names),
-        plot_matrix(n, plot),
-    )
+    return {
+        "seed": shown[0].seed if len({entry.seed for entry in entries}) > 1 else None,
+        "points": points,
+        "few": n > MOST_JOINTS,
+        "choices": list(_choices(shown, names)),
+        "switches": list(_boxes(shown)),
+        "plots": plot_matrix(n, plot),
+        "joints": n,
+    }
 
 
 def _shown(entries: Sequence[StudyEntry]) -> list[StudyEntry]:
@@ -112,42 +104,32 @@ def _shown(entries: Sequence[StudyEntry]) -> list[StudyEntry]:
     ]
 
 
-def _controls(entries: Sequence[StudyEntry], names: Sequence[str]) -> Iterator[Html]:
+def _choices(
+    entries: Sequence[StudyEntry], names: Sequence[str]
+) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
+    """Name, legend and options of what there is to choose."""
     if len(names) > 1:
-        yield choice(
-            "overlay-estimator",
-            "Estimator",
-            [(estimator_tag(name), look.label) for name, look in looks(names).items()],
-        )
+        options = [(estimator_tag(name), look.label) for name, look in looks(names).items()]
+        yield "overlay-estimator", "Estimator", options
     perturbations = sorted({entry.perturbation for entry in entries})
     if len(perturbations) > 1:
-        yield choice(
-            "overlay-perturbation",
-            "Perturbation",
-            [(f"perturbation:{level}", f"level {level}") for level in perturbations],
-        )
-    boxes = [
-        switch(f"friction:{level}", f"friction {level}", COLOURS[level], "solid")
-        for level in sorted({entry.friction for entry in entries})
-    ]
-    boxes += [
-        switch(f"resolution:{level}", f"resolution {level}", "#555555", _CSS_DASHES[level])
-        for level in sorted({entry.resolution for entry in entries})
-    ]
-    boxes.append(switch(TRUTH, "truth", TRUTH_COLOUR, "dotted"))
-    yield element("fieldset", element("legend", "Show"), *boxes, class_="switches")
+        options = [(f"perturbation:{level}", f"level {level}") for level in perturbations]
+        yield "overlay-perturbation", "Perturbation", options
+
+
+def _boxes(entries: Sequence[StudyEntry]) -> Iterator[dict[str, Any]]:
+    for level in sorted({entry.friction for entry in entries}):
+        yield box(f"friction:{level}", f"friction {level}", f"--level-{level}")
+    for level in sorted({entry.resolution for entry in entries}):
+        yield box(f"resolution:{level}", f"resolution {level}", "--soft", _DASHES[level])
+    yield box(TRUTH, "truth", "--ink", "dot")
 
 
 def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:
     """About this many values, at frequencies that are evenly spaced over their logarithm."""
     wanted = np.geomspace(curve.f[0], curve.f[-1], points)
     chosen = np.unique(np.abs(curve.f[:, np.newaxis] - wanted).argmin(axis=0))
-    return ImpedanceCurve(
-        f=curve.f[chosen],
-        Z=curve.Z[:, :, chosen],
-        variance=curve.variance[:, :, chosen],
-        averages=curve.averages,
-    )
+    return replace(curve, f=curve.f[chosen], Z=curve.Z[:, :, chosen])
 
 
 def _truth(entry: StudyEntry, f: FloatArray) -> ComplexArray:
@@ -160,8 +142,11 @@ def _lines(
 ) -> Iterator[Trace]:
     z, truth = curve.Z[place], _truth(entry, curve.f)[place]
     stroke = Stroke(
-        name=f"F{entry.friction} R{entry.resolution} P{entry.perturbation}",
-        colour=COLOURS[entry.friction],
+        name=(
+            f"{looks([name])[name].label}, friction {entry.friction}, "
+            f"resolution {entry.resolution}, perturbation {entry.perturbation}"
+        ),
+        colour=f"--level-{entry.friction}",
         dash=_DASHES[entry.resolution],
         width=1.2,
         tags=[
@@ -171,9 +156,9 @@ def _lines(
             f"resolution:{entry.resolution}",
         ],
     )
-    yield line(curve.f, np.abs(z), stroke)
-    yield line(curve.f, phase_about(truth, z), stroke, row=2)
-    yield line(curve.f, deviation_percent(truth, z), stroke, row=3)
+    yield line(curve.f, np.abs(z), stroke, unit="N·m/rad")
+    yield line(curve.f, phase_about(truth, z), stroke, row=2, unit="°")
+    yield line(curve.f, deviation_percent(truth, z), stroke, row=3, unit="%")
 
 
 def _layout(f: FloatArray, sizes: Sequence[FloatArray]) -> Layout:

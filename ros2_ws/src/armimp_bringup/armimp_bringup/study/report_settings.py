@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import Any, Final
 
 from armimp_bringup.study.entry import StudyEntry
-from armimp_estimation.report.formats import code
-from armimp_estimation.report.html import Group, Html, element, join, section, table
+from armimp_estimation.report.formats import code, written
 from armimp_estimation.report.provenance import origin
+from armimp_estimation.report.render import Group, Table
 from armimp_estimation.report.result import setting
-from armimp_estimation.report.settings_part import configuration, identity, marked, written
+from armimp_estimation.report.run import configuration, identity, marked
 
 _LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "friction": ("arm_sim", ("friction.",)),
@@ -20,22 +20,14 @@ _LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
 """Node and beginnings of the parameters that each factor sets."""
 
 
-def levels_section(entries: Sequence[StudyEntry]) -> Html | None:
+def levels_content(entries: Sequence[StudyEntry]) -> dict[str, Any] | None:
     """What the levels of each factor mean; None if the configuration does not tell."""
-    tables = [
-        found for factor in _LEVELLED if (found := _levels_table(entries, factor)) is not None
-    ]
-    if not tables:
-        return None
-    return section(
-        "levels",
-        "What the levels mean",
-        element("p", "Lists have one value for each joint. SI units; angles in rad."),
-        *tables,
-    )
+    found = [_levels_table(entries, factor) for factor in _LEVELLED]
+    tables = [table for table in found if table is not None]
+    return {"tables": tables} if tables else None
 
 
-def _levels_table(entries: Sequence[StudyEntry], factor: str) -> Html | None:
+def _levels_table(entries: Sequence[StudyEntry], factor: str) -> Table | None:
     node, beginnings = _LEVELLED[factor]
     by_level = {getattr(entry, factor): entry for entry in reversed(entries)}
     levels = sorted(by_level)
@@ -49,24 +41,24 @@ def _levels_table(entries: Sequence[StudyEntry], factor: str) -> Html | None:
             cells = [written(setting(by_level[level].config, node, name)) for level in levels]
             rows.append([code(name), *cells, marked(origin(first, node, name))])
     columns = ["parameter", *(f"level {level}" for level in levels), "where from"]
-    return table(f"{factor.capitalize()}", columns, [Group(rows=rows)], words=(len(levels) + 1,))
+    return Table(
+        caption=factor.capitalize(),
+        columns=columns,
+        groups=[Group(rows=rows)],
+        words=(len(levels) + 1,),
+    )
 
 
-def made_section(entries: Sequence[StudyEntry]) -> Html:
+def made_content(entries: Sequence[StudyEntry]) -> dict[str, Any]:
     """Software, seeds, and the configuration but for what the levels set."""
     config = dict(entries[0].config)
     seeds = sorted({entry.seed for entry in entries})
-    return section(
-        "settings",
-        "How it was made",
-        identity(config, _ranges(seeds)),
-        element(
-            "p",
-            "The configuration of the first condition follows; the others differ by seed and "
-            "levels only.",
-        ),
-        *configuration(config),
-    )
+    return {
+        "identity": identity(config, _ranges(seeds)),
+        "reading": None,
+        "conditions": True,
+        "tables": configuration(config),
+    }
 
 
 def _ranges(seeds: Sequence[int]) -> str:
@@ -78,12 +70,3 @@ def _ranges(seeds: Sequence[int]) -> str:
         else:
             runs.append([seed, seed])
     return ", ".join(f"{first} to {last}" if last > first else f"{first}" for first, last in runs)
-
-
-def files_section(files: Mapping[str, str]) -> Html:
-    """Links to what else is in the directory."""
-    pairs = (
-        join([element("dt", element("a", name, href=name)), element("dd", text)])
-        for name, text in files.items()
-    )
-    return section("files", "Files beside this report", element("dl", *pairs, class_="terms"))

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.verdict import COLUMNS, Column, StudyVerdict, WorstValue, values
-from armimp_estimation.report.advice import advise
-from armimp_estimation.report.formats import NONE, code, symbol
-from armimp_estimation.report.html import Group, Html, element, join, listing, section, table
-from armimp_estimation.report.look import looks
-from armimp_estimation.report.verdict_part import mark
+from armimp_estimation.report.formats import NONE, mark, symbol
+from armimp_estimation.report.look import Look, looks
+from armimp_estimation.report.render import Group, Table
+from armimp_estimation.report.run import advised
 
 _COLUMN = {column.quantity: column for column in COLUMNS}
 _MOST_PROBLEMS = 10
 
 
-def verdict_section(entries: Sequence[StudyEntry], verdict: StudyVerdict) -> Html:
+def verdict_content(entries: Sequence[StudyEntry], verdict: StudyVerdict) -> dict[str, Any]:
     """Which targets are met and missed, by how much, and where the worst values are."""
     judged = [one for one in verdict.worst if one.met is not None]
     missed = [one for one in judged if not one.met]
@@ -30,40 +30,20 @@ def verdict_section(entries: Sequence[StudyEntry], verdict: StudyVerdict) -> Htm
             parts.append(f"{len(verdict.problems)} of {verdict.conditions} conditions not valid")
         title = ", ".join(parts)
     many = len({entry.seed for entry in entries}) > 1
-    return section(
-        "verdict",
-        title,
-        listing(_sentences(verdict)),
-        None
-        if verdict.joints == 2
-        else element(
-            "p",
-            f"With {verdict.joints} joints, only the VAF of ",
-            code("lpm_full"),
-            " has a target. How far everything else is from the targets of two joints, and why: ",
-            element("a", "accuracy of each element", href="#accuracy"),
-            ".",
-        ),
-        *_problems(verdict),
-        _worst_table(verdict, seeds=many),
-        element(
-            "p",
-            "Each is the worst over all elements and conditions. Relative errors are those of an "
-            "element of M, B or K against its true value; scaled ones are against "
-            "√|",
-            symbol("X", "ii"),
-            " ",
-            symbol("X", "kk"),
-            "|, the size that an element has beside its diagonal. F, R and P are the levels of "
-            "friction, resolution and perturbation.",
-            class_="note",
-        ),
-        _seeds_table(entries, verdict) if many else None,
-        class_="good" if verdict.met else "bad",
-    )
+    shown = verdict.problems[:_MOST_PROBLEMS]
+    return {
+        "title": title,
+        "met": verdict.met,
+        "joints": verdict.joints,
+        "sentences": list(_sentences(verdict)),
+        "problems": advised(shown),
+        "more": len(verdict.problems) - len(shown),
+        "worst": _worst_table(verdict, seeds=many),
+        "seeds": _seeds_table(entries, verdict) if many else None,
+    }
 
 
-def _sentences(verdict: StudyVerdict) -> Iterator[Html]:
+def _sentences(verdict: StudyVerdict) -> Iterator[tuple[Look, str]]:
     for name, look in looks(dict.fromkeys(one.estimator for one in verdict.worst)).items():
         ones = [one for one in verdict.worst if one.estimator == name]
         judged = [one for one in ones if one.met is not None]
@@ -77,7 +57,7 @@ def _sentences(verdict: StudyVerdict) -> Iterator[Html]:
             worst = ", ".join(f"{one.quantity} {_bound(one)}" for one in judged)
             count = "its target" if len(judged) == 1 else f"all {len(judged)} targets"
             text = f"meets {count}: {worst}."
-        yield join([element("strong", look.label), " (", code(name), ") ", text])
+        yield look, text
 
 
 def _bound(one: WorstValue) -> str:
@@ -94,18 +74,7 @@ def _miss(one: WorstValue) -> str:
     return f"{one.quantity} {target}, in {one.place}"
 
 
-def _problems(verdict: StudyVerdict) -> Iterator[Html]:
-    shown = verdict.problems[:_MOST_PROBLEMS]
-    for advice, sentences in advise(shown):
-        yield element("h3", advice.title)
-        yield listing(sentences, class_="problems")
-        if advice.text:
-            yield element("p", element("strong", "What to do: "), advice.text, class_="advice")
-    if len(verdict.problems) > len(shown):
-        yield element("p", f"And {len(verdict.problems) - len(shown)} more, see verdict.json.")
-
-
-def _worst_table(verdict: StudyVerdict, *, seeds: bool) -> Html:
+def _worst_table(verdict: StudyVerdict, *, seeds: bool) -> Table:
     groups = [
         Group(
             title=look.label,
@@ -114,7 +83,9 @@ def _worst_table(verdict: StudyVerdict, *, seeds: bool) -> Html:
         for name, look in looks(dict.fromkeys(one.estimator for one in verdict.worst)).items()
     ]
     columns = ["quantity", "worst", "target", "verdict", "element", "condition"]
-    return table("Worst values and targets", columns, groups, words=(3, 4, 5))
+    return Table(
+        caption="Worst values and targets", columns=columns, groups=groups, words=(3, 4, 5)
+    )
 
 
 def _worst_row(one: WorstValue, *, seeds: bool) -> list[object]:
@@ -142,7 +113,7 @@ def limit(one: WorstValue) -> str:
     return f"{'≥' if column.floor else '≤'} {one.limit:g}{column.unit}"
 
 
-def _seeds_table(entries: Sequence[StudyEntry], verdict: StudyVerdict) -> Html:
+def _seeds_table(entries: Sequence[StudyEntry], verdict: StudyVerdict) -> Table:
     seeds = sorted({entry.seed for entry in entries})
     groups = []
     for name, look in looks(entries[0].estimators).items():
@@ -161,7 +132,7 @@ def _seeds_table(entries: Sequence[StudyEntry], verdict: StudyVerdict) -> Html:
                 rows.append([_title(column), *map(column.format, shown), met])
         groups.append(Group(title=look.label, rows=rows))
     columns = ["worst value of a seed", "worst seed", "median seed", "best seed", "seeds in target"]
-    return table(f"Spread over {len(seeds)} seeds", columns, groups)
+    return Table(caption=f"Spread over {len(seeds)} seeds", columns=columns, groups=groups)
 
 
 def _worst_of(entries: Sequence[StudyEntry], estimator: str, column: Column, seed: int) -> float:

@@ -19,7 +19,7 @@ from armimp_bringup.study.engine import ConditionResult, Provenance
 from armimp_bringup.study.entry import StudyEntry, differences, read_entry
 from armimp_bringup.study.errors import StudyError
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.results import ImpedanceCurve, read_frf, write_frf
+from armimp_estimation.results import ImpedanceCurve, read_frf, write_frf, write_summary
 from armimp_estimation.whole_files import write_whole
 
 CONFIG_FILE = "config.json"
@@ -92,9 +92,8 @@ class StudyStore:
         curves = self._path(result.condition, "npz")
         # Curves without a result were left by an interruption between the two.
         curves.unlink(missing_ok=True)
-        write_frf(curves, result.estimates)
-        text = result.entry.model_dump_json(indent=1, by_alias=True) + "\n"
-        write_file(self._path(result.condition, "json"), text)
+        write_frf(curves, result.results)
+        write_summary(self._path(result.condition, "json"), result.entry)
 
     def entries(self, conditions: Sequence[Condition]) -> list[StudyEntry]:
         """Results of conditions, in their order.

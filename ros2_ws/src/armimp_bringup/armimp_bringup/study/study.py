@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +21,8 @@ from armimp_bringup.study.store import (
     write_file,
 )
 from armimp_bringup.study.verdict import StudyVerdict, judge
+from armimp_bringup.terminal import phase, progress
+from armimp_estimation.results import OriginSummary
 
 STUDY_FILE = "study.json"
 VERDICT_FILE = "verdict.json"
@@ -35,30 +36,6 @@ TABLES: Final = {
 }
 
 
-def _ignore_progress(done: int, total: int, stored: int) -> None:
-    pass
-
-
-def _ignore_text(text: str) -> None:
-    pass
-
-
-@dataclass(frozen=True, kw_only=True)
-class Watcher:
-    """Who wants to know how the study gets on.
-
-    Parameters
-    ----------
-    on_progress : callable
-        Takes the conditions done, all conditions, and those done before.
-    on_stage : callable
-        Takes a description of what begins.
-    """
-
-    on_progress: Callable[[int, int, int], None] = _ignore_progress
-    on_stage: Callable[[str], None] = _ignore_text
-
-
 def run_study(
     base: ExperimentConfig,
     conditions: Sequence[Condition],
@@ -66,7 +43,7 @@ def run_study(
     backend: Backend,
     *,
     figures: bool = True,
-    watcher: Watcher | None = None,
+    origin: OriginSummary | None = None,
 ) -> StudyVerdict:
     """Run what is missing of a study, and write its files.
 
@@ -82,8 +59,8 @@ def run_study(
         Runs what is missing.
     figures : bool
         Whether to draw those for print; the report is written in any case.
-    watcher : Watcher, optional
-        Told of the progress.
+    origin : OriginSummary, optional
+        Command line and date, for the report.
 
     Returns
     -------
@@ -97,7 +74,6 @@ def run_study(
     StudyError, DataError
         If the study cannot be run or stored.
     """
-    watch = watcher if watcher is not None else Watcher()
     provenance = Provenance.here()
     condition_parameters(
         base, conditions[0]
@@ -106,7 +82,7 @@ def run_study(
         missing = store.missing(conditions)
         stored = len(conditions) - len(missing)
         done = stored
-        watch.on_progress(done, len(conditions), stored)
+        progress(done, len(conditions), stored, things="conditions")
         if missing:
             batches = [
                 Batch(base=base, conditions=part, provenance=provenance)
@@ -116,17 +92,18 @@ def run_study(
                 for result in results:
                     store.save(result)
                 done += len(results)
-                watch.on_progress(done, len(conditions), stored)
+                progress(done, len(conditions), stored, things="conditions")
         entries = store.entries(conditions)
         verdict = judge(entries)
         _write_tables(directory, entries, verdict)
         drawn: list[Path] = []
         if figures:
-            watch.on_stage("drawing the figures")
+            phase("drawing the figures")
             drawn = write_figures(directory, entries, store.curves)
-        watch.on_stage("writing the report")
+        phase("writing the report")
         StudyReport(
             entries=entries,
+            origin=origin,
             verdict=verdict,
             curves=store.curves,
             files={**TABLES, **{path.name: figure_title(path.name) for path in drawn}},

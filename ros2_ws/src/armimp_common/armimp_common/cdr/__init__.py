@@ -5,7 +5,7 @@ and then reused with one comparison and one ``struct`` call.
 """
 
 from armimp_common.cdr.clock import encode_clock
-from armimp_common.cdr.command import CommandDecoder, CommandEncoder
+from armimp_common.cdr.command import CommandDecoder, CommandEncoder, command_number, next_number
 from armimp_common.cdr.count import decode_count, encode_count
 from armimp_common.cdr.joint_state import (
     JointStateDecoder,
@@ -21,9 +21,11 @@ __all__ = [
     "CommandEncoder",
     "JointStateDecoder",
     "JointStateEncoder",
+    "command_number",
     "decode_count",
     "encode_clock",
     "encode_count",
     "joint_names_of",
+    "next_number",
     "stamp_of",
 ]

@@ -1,4 +1,8 @@
-"""``std_msgs/msg/Float64MultiArray`` as the effort controller takes it: joint torques in order."""
+"""``std_msgs/msg/Float64MultiArray`` as the effort controller takes it: joint torques in order.
+
+Effort controllers ignore ``layout``. Its ``data_offset`` holds the number of the command, from 1
+on, so that everybody can tell a command of another publisher, or one that is missing.
+"""
 
 import struct
 from collections.abc import Sequence
@@ -12,6 +16,8 @@ from armimp_common.cdr.reader import Buffer, CdrReader
 from armimp_common.errors import ConfigurationError, MalformedMessageError
 
 _WHAT: Final = "Float64MultiArray"
+_NUMBERS: Final = tuple(struct.Struct(f"{order}2I").unpack_from for order in "><")
+"""Number of dimensions and data offset, by the last bit of the encapsulation."""
 
 
 class CommandEncoder:
@@ -34,8 +40,8 @@ class CommandEncoder:
         self._pack = struct.Struct(f"<4sIII4x{n}d").pack
         self._n = n
 
-    def encode(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
-        """Encode (n,) joint torques (N·m).
+    def encode(self, values: Sequence[float] | NDArray[np.float64], number: int = 0) -> bytes:
+        """Encode (n,) joint torques (N·m), with the number of the command or 0 for none.
 
         Raises
         ------
@@ -45,11 +51,24 @@ class CommandEncoder:
         if isinstance(values, np.ndarray):
             values = values.tolist()  # numbers of Python's own are packed in a third of the time
         try:
-            return self._pack(b"\0\1\0\0", 0, 0, self._n, *values)
+            return self._pack(b"\0\1\0\0", 0, number, self._n, *values)
         except struct.error:
             raise MalformedMessageError(
                 f"{_WHAT} takes {self._n} numbers, not {list(values)}"
             ) from None
+
+
+def next_number(number: int) -> int:
+    """Return the number of the command after that of this number; 0 is none."""
+    return number % 0xFFFF_FFFF + 1
+
+
+def command_number(data: Buffer) -> int:
+    """Return the number that a command carries, 0 if it has none."""
+    if len(data) < 12:
+        return 0
+    dimensions, number = _NUMBERS[data[1] & 1](data, 4)
+    return 0 if dimensions else int(number)
 
 
 class CommandDecoder:

@@ -19,6 +19,9 @@ Split: TypeAlias = tuple[NDArray[np.uint16], list[int], tuple[bytes, ...]]
 _KINDS: Final = 32
 """Layouts of one size that are remembered; a recording with more has no regular streams."""
 
+_MOST_MESSAGES: Final = 100_000
+"""Messages of all layouts that are remembered, each of which takes 300 bytes."""
+
 
 class ChunkLayout:
     """The layout of a chunk that holds nothing but messages.
@@ -64,6 +67,7 @@ class ChunkLayouts:
 
     def __init__(self) -> None:
         self._by_size: dict[int, list[ChunkLayout]] = {}
+        self._left = _MOST_MESSAGES
 
     def split(self, records: bytes) -> Split | None:
         """Take a chunk apart as `ChunkLayout.split`; None if its layout is not known."""
@@ -74,7 +78,10 @@ class ChunkLayouts:
 
     def learn(self, lengths: Sequence[int]) -> None:
         """Remember the layout of a chunk that was walked through."""
+        if len(lengths) > self._left:
+            return
         layout = ChunkLayout(lengths)
         kinds = self._by_size.setdefault(layout.size, [])
         if len(kinds) < _KINDS:
             kinds.append(layout)
+            self._left -= len(lengths)

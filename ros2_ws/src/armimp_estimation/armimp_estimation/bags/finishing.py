@@ -3,6 +3,7 @@
 import fcntl
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
 from io import BytesIO
@@ -14,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
 
 from armimp_common.errors import BagError
+from armimp_estimation.bags.budget import MESSAGE_COST, RECORD_COST, Budget
 from armimp_estimation.bags.mcap_file import LIBRARY, MAGIC, McapFile
 from armimp_estimation.bags.mcap_reading import DAMAGE, RECORD_HEAD, chunk_messages
 from armimp_estimation.bags.metadata import (
@@ -25,12 +27,12 @@ from armimp_estimation.bags.metadata import (
     read_metadata,
     write_metadata,
 )
-from armimp_estimation.bags.reserve import release_reserve
 from armimp_estimation.bags.topics import contract_topic
 from armimp_estimation.bags.writer import why_not_written
+from armimp_estimation.whole_files import open_regular
 
 
-def finish_bag(path: Path) -> str:
+def finish_bag(path: Path, *, trust: bool = False) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
     A finished copy takes the place of the storage file at once, then ``metadata.yaml`` is
@@ -41,6 +43,8 @@ def finish_bag(path: Path) -> str:
     ----------
     path : Path
         Directory of the bag, or anything else that may be given as one.
+    trust : bool
+        Whether the bag may hold any multiple of its size.
 
     Returns
     -------
@@ -51,14 +55,15 @@ def finish_bag(path: Path) -> str:
         return ""
     try:
         files, custom = read_metadata(path / FILE_NAME)
-        with files[0].open("rb") as file:
+        with open_regular(files[0]) as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 return ""
             if _library(file) != LIBRARY:
                 return ""
-            count = _finish(path, file, files[0].name, custom)
+            budget = Budget(str(path), os.fstat(file.fileno()).st_size, trust=trust)
+            count = _finish(path, file, files[0].name, custom, budget)
     except OSError as error:
         return (
             f"{path}: its recorder did not finish it, and it cannot be finished now: "
@@ -82,18 +87,16 @@ def finish_bags(directory: Path) -> list[str]:
     list of str
         As of `finish_bag`, for each bag that needed it.
     """
-    release_reserve(directory)
     bags = sorted((directory / "bags").glob("*/" + FILE_NAME))
-    return [note for bag in bags if (note := finish_bag(bag.parent))]
+    return [note for bag in bags if (note := finish_bag(bag.parent, trust=True))]
 
 
-def _finish(path: Path, source: BinaryIO, name: str, custom: dict[str, str]) -> int:
-    work = path / f".finishing.{os.getpid()}"
-    work.mkdir()
+def _finish(path: Path, source: BinaryIO, name: str, custom: dict[str, str], budget: Budget) -> int:
+    work = Path(tempfile.mkdtemp(prefix=".finishing.", dir=path))
     try:
         copy = McapFile(work / name, library=LIBRARY)
         try:
-            topics = _copy(source, copy)
+            topics = _copy(source, copy, budget)
             first_ns, last_ns = copy.time_range
             information = bag_information(
                 BagSummary(
@@ -119,10 +122,11 @@ def _finish(path: Path, source: BinaryIO, name: str, custom: dict[str, str]) -> 
     return sum(copy.counts.values())
 
 
-def _copy(source: BinaryIO, copy: McapFile) -> dict[str, tuple[str, int]]:
+def _copy(source: BinaryIO, copy: McapFile, budget: Budget) -> dict[str, tuple[str, int]]:
     """Copy all whole records; return topic of the contract and channel of each topic."""
     topics: dict[str, tuple[str, int]] = {}
     for opcode, content in _whole_records(source):
+        budget.spend(RECORD_COST)
         stream = ReadDataStream(BytesIO(content))
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream)
@@ -139,7 +143,8 @@ def _copy(source: BinaryIO, copy: McapFile) -> dict[str, tuple[str, int]]:
             if metadata.name != "rosbag2":
                 copy.add_metadata(metadata.name, metadata.metadata)
         elif opcode == Opcode.CHUNK:
-            for number, log_time_ns, payload in chunk_messages(content):
+            for number, log_time_ns, payload in chunk_messages(content, budget):
+                budget.spend(MESSAGE_COST)
                 copy.append(number, log_time_ns, payload)
             copy.flush()
     return topics

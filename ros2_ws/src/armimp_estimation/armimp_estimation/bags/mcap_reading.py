@@ -17,11 +17,11 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Metadata, Schema
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from armimp_common.errors import BagError
+from armimp_estimation.bags.budget import MESSAGE_COST, NODE_COST, RECORD_COST, Budget
 from armimp_estimation.bags.chunk_layout import ChunkLayouts
 from armimp_estimation.bags.mcap_file import MAGIC
 from armimp_estimation.bags.message_records import MESSAGE_HEAD
@@ -32,7 +32,6 @@ RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and length, with which every record begins."""
 
 _COMPRESSIONS: Final = ("", "lz4", "zstd")
-_LARGEST_CHUNK: Final = 1 << 30
 
 DAMAGE: Final = (
     struct.error,
@@ -68,7 +67,8 @@ def read_mcap(
     Raises
     ------
     BagError
-        If a record is damaged or a wanted topic is not CDR.
+        If a record is damaged, a wanted topic is not CDR, or the file holds more than `into` has
+        a budget for.
     """
     reader = _McapReading(name, wanted, into)
     position = len(file.read(len(MAGIC)))
@@ -108,6 +108,7 @@ class _McapReading:
         self._name = name
         self._wanted = wanted
         self._into = into
+        self._spend = into.budget.spend
         self._types: dict[int, str] = {}
         # Index of the topic of each channel whose messages are wanted.
         self._channels: dict[int, int] = {}
@@ -118,14 +119,16 @@ class _McapReading:
         self._decompressor = zstandard.ZstdDecompressor()
 
     def record(self, opcode: int, content: bytes, position: int) -> None:
+        if opcode == Opcode.MESSAGE:
+            self._messages(RECORD_HEAD.pack(opcode, len(content)) + content)
+            return
+        self._spend(RECORD_COST)
         if opcode == Opcode.CHUNK:
-            records = _chunk_records(content, self._decompressor)
+            records = _chunk_records(content, self._into.budget, self._decompressor)
             if (found := self._layouts.split(records)) is None:
                 self._messages(records)
             else:
                 self._take(*found)
-        elif opcode == Opcode.MESSAGE:
-            self._messages(RECORD_HEAD.pack(opcode, len(content)) + content)
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(_stream(content))
             self._types[schema.id] = schema.name
@@ -148,6 +151,7 @@ class _McapReading:
     def _metadata(self, metadata: Metadata) -> None:
         if metadata.name == "rosbag2":
             text = metadata.metadata.get("serialized_metadata", "")
+            self._spend(NODE_COST * len(text))
             self._into.metadata = {**parse_custom_data(text), **self._into.metadata}
         elif metadata.name == "armimp":
             self._into.metadata.update(metadata.metadata)
@@ -159,16 +163,16 @@ class _McapReading:
         key = channels.tobytes()
         if (topics := self._topics.get(key)) is None:
             topics = self._topics[key] = [self._channels.get(one) for one in channels.tolist()]
-        into = self._into
         if None in topics:
             wanted = [topic is not None for topic in topics]
-            into.topic_indices += [topic for topic in topics if topic is not None]
-            into.log_times += compress(log_times, wanted)
-            into.payloads += compress(payloads, wanted)
+            self._spend(MESSAGE_COST * wanted.count(False))
+            self._into.extend(
+                [topic for topic in topics if topic is not None],
+                compress(log_times, wanted),
+                compress(payloads, wanted),
+            )
         else:
-            into.topic_indices += cast(list[int], topics)
-            into.log_times += log_times
-            into.payloads += payloads
+            self._into.extend(cast(list[int], topics), log_times, payloads)
 
     def _messages(self, records: bytes) -> None:
         """Walk through a chunk, or what stands outside of chunks, record by record."""
@@ -176,9 +180,10 @@ class _McapReading:
         unpack = MESSAGE_HEAD.unpack_from
         head_size = MESSAGE_HEAD.size
         topic_of = self._channels.get
-        add_topic = self._into.topic_indices.append
-        add_time = self._into.log_times.append
-        add_payload = self._into.payloads.append
+        topics: list[int] = []
+        log_times: list[int] = []
+        payloads: list[bytes] = []
+        unwanted = 0
         position, end = 0, len(records)
         # A record shorter than the head of a message cannot be one: left for the loop below.
         while position + head_size <= end:
@@ -190,10 +195,12 @@ class _McapReading:
                 if lengths is not None:
                     lengths.append(length)
                 topic = topic_of(channel)
-                if topic is not None:
-                    add_topic(topic)
-                    add_time(log_time)
-                    add_payload(records[position + head_size : after])
+                if topic is None:
+                    unwanted += 1
+                else:
+                    topics.append(topic)
+                    log_times.append(log_time)
+                    payloads.append(records[position + head_size : after])
                 position = after
             else:
                 lengths = None
@@ -202,9 +209,12 @@ class _McapReading:
             self._layouts.learn(lengths)
         while position < end:
             position = self._other(records, position)
+        self._spend(MESSAGE_COST * unwanted)
+        self._into.extend(topics, log_times, payloads)
 
     def _other(self, records: bytes, position: int) -> int:
         opcode, length = RECORD_HEAD.unpack_from(records, position)
+        self._spend(MESSAGE_COST)
         start = position + RECORD_HEAD.size
         if start + length > len(records):
             raise ValueError(f"record of {length} bytes in a chunk")
@@ -213,15 +223,17 @@ class _McapReading:
         return int(start + length)
 
 
-def chunk_messages(content: bytes) -> Iterator[tuple[int, int, bytes]]:
+def chunk_messages(content: bytes, budget: Budget) -> Iterator[tuple[int, int, bytes]]:
     """Channel, log time (ns) and bytes of the messages of a chunk that holds nothing else.
 
     Raises
     ------
+    BagError
+        If the chunk is beyond the budget.
     ValueError, or whatever parsing raises; see `DAMAGE`
         If the chunk is damaged.
     """
-    records = _chunk_records(content)
+    records = _chunk_records(content, budget)
     position = 0
     while position < len(records):
         opcode, length, channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(records, position)
@@ -237,23 +249,21 @@ _CHUNK_HEAD: Final = struct.Struct("<QQQII")
 _SIZE: Final = struct.Struct("<Q")
 
 
-def _chunk_records(content: bytes, decompressor: zstandard.ZstdDecompressor | None = None) -> bytes:
+def _chunk_records(
+    content: bytes, budget: Budget, decompressor: zstandard.ZstdDecompressor | None = None
+) -> bytes:
     _, _, size, checksum, text = _CHUNK_HEAD.unpack_from(content)
     start = _CHUNK_HEAD.size + text
     compression = content[_CHUNK_HEAD.size : start].decode()
     if compression not in _COMPRESSIONS:
         raise ValueError(f"unknown compression {compression!r}")
-    if size > _LARGEST_CHUNK:
-        raise ValueError(f"chunk of {size} bytes")
     (length,) = _SIZE.unpack_from(content, start)
     start += _SIZE.size
     records = content[start : start + length]
     if compression == "zstd":
-        one = zstandard.ZstdDecompressor() if decompressor is None else decompressor
-        records = one.decompress(records, max_output_size=size)
+        records = budget.unzstd(records, size, decompressor)
     elif compression == "lz4":
-        chunk = Chunk.read(_stream(content))
-        records = get_chunk_data_stream(chunk)[0].read(size)
+        records = budget.unlz4(records, size)
     if len(records) != size:
         raise ValueError(f"chunk of {len(records)} bytes instead of {size}")
     if checksum not in (0, zlib.crc32(records)):

@@ -9,7 +9,9 @@ import yaml
 
 from armimp_common import contract
 from armimp_common.errors import BagError
+from armimp_common.yaml_text import TextLoader, load_yaml
 from armimp_estimation.bags.definitions import message_definition
+from armimp_estimation.whole_files import read_text, replace_whole
 
 FILE_NAME: Final = "metadata.yaml"
 VERSION: Final = 9
@@ -18,8 +20,7 @@ VERSION: Final = 9
 _ROOT: Final = "rosbag2_bagfile_information"
 _NO_MESSAGES: Final = "message_count: 0"
 _INFINITE: Final = {"sec": 9223372036, "nsec": 854775807}
-# Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
-_LOADER: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+_MOST_BYTES: Final = 4 << 20
 _DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 # Depth, reliability, durability of the publishers; armimp_common.qos, which needs rclpy, has
@@ -142,10 +143,8 @@ def write_metadata(directory: Path, information: Mapping[str, Any]) -> None:
     OSError
         If the file cannot be written.
     """
-    target = directory / FILE_NAME
-    temporary = directory / f".{FILE_NAME}.tmp"
-    temporary.write_text(dump({_ROOT: dict(information)}), encoding="utf-8")
-    temporary.replace(target)
+    text = dump({_ROOT: dict(information)})
+    replace_whole(directory / FILE_NAME, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
@@ -164,7 +163,7 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
         If the file is not the metadata of a bag.
     """
     try:
-        document = _parse(file.read_text(encoding="utf-8"))
+        document = _parse(read_text(file, _MOST_BYTES))
     except (OSError, UnicodeDecodeError) as error:
         raise BagError(f"{file}: cannot be read: {_reason(error)}") from None
     except _BROKEN as error:
@@ -180,7 +179,10 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
     ):
         raise BagError(f"{file}: lists no storage files in relative_file_paths")
     # Old versions wrote the path from the parent directory; the files are always beside.
-    return [file.parent / Path(path).name for path in paths], _custom(information)
+    files = dict.fromkeys(file.parent / Path(path).name for path in paths)
+    if len(files) < len(paths):
+        raise BagError(f"{file}: lists a storage file twice in relative_file_paths")
+    return list(files), _custom(information)
 
 
 def is_provisional(file: Path) -> bool:
@@ -189,7 +191,7 @@ def is_provisional(file: Path) -> bool:
     It counts no messages. A bag that really has none cannot be told from that, and need not be.
     """
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file, _MOST_BYTES)
         if _NO_MESSAGES not in text:
             return False  # as nearly always: parsing takes longer
         document = _parse(text)
@@ -218,19 +220,12 @@ def parse_custom_data(text: str) -> dict[str, str]:
     return _custom(inner) if isinstance(inner, dict) else {}
 
 
-# The loader in C ends the process when it runs out of stack.
-_DEEPEST: Final = 100
 _BROKEN: Final = (yaml.YAMLError, RecursionError, ValueError)
 
 
 def _parse(text: str) -> Any:
-    depth = 0
-    for event in yaml.parse(text, Loader=_LOADER):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST:
-            raise yaml.YAMLError("nested too deeply")
-    return yaml.load(text, Loader=_LOADER)
+    # Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
+    return load_yaml(text, TextLoader, aliases=True)
 
 
 def _custom(information: Mapping[str, Any]) -> dict[str, str]:

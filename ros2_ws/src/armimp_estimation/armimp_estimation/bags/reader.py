@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from armimp_common import contract
 from armimp_common.cdr import joint_names_of
@@ -15,6 +16,10 @@ from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.bags.storage import read_storage
 from armimp_estimation.bags.topics import is_contract_topic, require_topics, resolve_topics
 from armimp_estimation.record import TrialRecord
+
+_MOST_JOINTS: Final = 100
+_MOST_STATUSES: Final = 20_000
+"""A trial has four, and one more for each thing that goes wrong in it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +76,7 @@ class BagContent:
         return _messages(self._raw, self._contract_names)
 
 
-def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
+def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -> BagContent:
     """Read a bag with everything that an estimate needs.
 
     Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
@@ -85,6 +90,8 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         Directory or file.
     namespace : str, optional
         Of the topics, where a bag holds those of several rigs.
+    trust : bool
+        Whether to lift the limits on what a bag may hold, which grow with its size.
 
     Raises
     ------
@@ -92,16 +99,22 @@ def read_bag(path: Path, *, namespace: str | None = None) -> BagContent:
         If the path is not a readable bag, or the bag lacks something; the message is one line
         that names the file. A trial that is there but spoiled raises only in `records`.
     """
-    raw, found = _read(path, namespace)
+    raw, found = _read(path, namespace, trust=trust)
     require_topics(found, bag=str(path))
     by_index = raw.by_topic()
     messages = {
         topic: by_index.get(found[topic], []) if topic in found else []
         for topic in (*contract.DATA_STREAMS, contract.TRIAL)
     }
+    if len(messages[contract.TRIAL]) > _MOST_STATUSES and not trust:
+        raise raw.budget.refusal(
+            f"has {len(messages[contract.TRIAL])} messages of {contract.TRIAL}"
+        )
     statuses, defect = decode_trial_statuses(messages[contract.TRIAL])
     try:
         joint_names = _joint_names(raw.metadata, messages[contract.PERTURBATION])
+        if len(joint_names) > _MOST_JOINTS:
+            raise DataError(f"{len(joint_names)} joints are more than {_MOST_JOINTS}")
         trials = assemble_trials(joint_names, messages, statuses, source=str(path))
     except (DataError, ConfigurationError, MalformedMessageError) as error:
         cut = f" (the file {raw.cut})" if raw.cut else ""
@@ -148,12 +161,12 @@ def iterate_messages(
     BagError
         At the call, if the path is not a readable bag.
     """
-    raw, found = _read(path, namespace)
+    raw, found = _read(path, namespace, trust=False)
     return _messages(raw, {index: topic for topic, index in found.items()})
 
 
-def _read(path: Path, namespace: str | None) -> tuple[RawMessages, dict[str, int]]:
-    raw = read_storage(path, is_contract_topic)
+def _read(path: Path, namespace: str | None, *, trust: bool) -> tuple[RawMessages, dict[str, int]]:
+    raw = read_storage(path, is_contract_topic, trust=trust)
     if not raw.payloads:
         cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")

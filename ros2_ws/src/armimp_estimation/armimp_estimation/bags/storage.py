@@ -1,9 +1,9 @@
 """Finding and reading the storage files of whatever is given as a bag."""
 
+import os
 import re
 import tempfile
 from collections.abc import Sequence
-from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -11,18 +11,22 @@ import zstandard
 
 from armimp_common.errors import BagError
 from armimp_estimation.bags import metadata
+from armimp_estimation.bags.budget import Budget
 from armimp_estimation.bags.mcap_file import MAGIC
 from armimp_estimation.bags.mcap_reading import read_mcap
 from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
 from armimp_estimation.bags.sqlite_reading import read_sqlite
+from armimp_estimation.whole_files import open_regular, require_text
 
+BAGS: Final = "bags"
+"""Where the directory of a run has its bags."""
 _SQLITE_MAGIC: Final = b"SQLite format 3\0"
 _ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 _ROS1_MAGIC: Final = b"#ROSBAG V"
 _SUFFIXES: Final = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 
 
-def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
+def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> RawMessages:
     """Read all wanted messages of a bag into memory, in the order of their log times.
 
     Parameters
@@ -32,15 +36,17 @@ def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
         Compressed chunks, files and messages are decompressed.
     wanted : callable
         Tells for a topic name whether its messages are wanted.
+    trust : bool
+        Whether the bag may hold any multiple of its size.
 
     Raises
     ------
     BagError
-        If the path is not a readable bag.
+        If the path is not a readable bag, or beyond the limits.
     """
-    messages = RawMessages()
     custom: dict[str, str] = {}
     try:
+        require_text(path)
         if path.name == metadata.FILE_NAME and path.is_file():
             path = path.parent
         if path.is_dir():
@@ -49,12 +55,14 @@ def read_storage(path: Path, wanted: TopicFilter) -> RawMessages:
             files = [path]
         else:
             raise BagError(f"{path}: does not exist")
+        messages = RawMessages(Budget(str(path), _size_of(files), trust=trust))
         for file in files:
             _read_file(file, wanted, messages)
         _decompress_messages(messages)
         messages.sort()
     except OSError as error:
-        raise BagError(f"{error.filename or path}: cannot be read: {error.strerror}") from None
+        prefix = "cannot be read: " if error.errno else ""  # else the reason is ours
+        raise BagError(f"{error.filename or path}: {prefix}{error.strerror}") from None
     except (zstandard.ZstdError, OverflowError, MemoryError) as error:
         raise BagError(f"{path}: damaged: {one_line(error)}") from None
     messages.metadata.update(custom)
@@ -76,6 +84,34 @@ def _files_of(directory: Path) -> tuple[list[Path], dict[str, str]]:
     return sorted(files, key=_natural), {}
 
 
+def find_bags(paths: Sequence[Path]) -> list[Path]:
+    """Bags behind paths: those of the directory of a run, or of a folder of bags, in their order.
+
+    Whatever is neither stays as it is, for the reader to judge.
+    """
+    found: list[Path] = []
+    for path in paths:
+        folder = path / BAGS if (path / BAGS).is_dir() else path
+        found += sorted(_bags_in(folder), key=_natural) or [path]
+    return found
+
+
+def _bags_in(folder: Path) -> list[Path]:
+    try:
+        entries = list(folder.iterdir())
+        if _holds_bag(folder):
+            return []  # it is one itself
+        return [one for one in entries if one.is_dir() and _holds_bag(one)]
+    except OSError:  # no directory, or one that cannot be read, as the reader will say
+        return []
+
+
+def _holds_bag(folder: Path) -> bool:
+    return any(
+        one.name.endswith(_SUFFIXES) or one.name == metadata.FILE_NAME for one in folder.iterdir()
+    )
+
+
 def _why_no_bag(entries: Sequence[Path]) -> str:
     if not entries:
         return "is an empty directory"
@@ -91,47 +127,50 @@ def _natural(path: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdecimal() else (0, part) for part in parts]
 
 
+def _size_of(files: Sequence[Path]) -> int:
+    """Bytes of all files, each of which must be another one."""
+    found: dict[tuple[int, int], Path] = {}
+    size = 0
+    for file in files:
+        status = file.stat()
+        if (other := found.setdefault((status.st_dev, status.st_ino), file)) != file:
+            raise BagError(f"{file}: is the same file as {other.name}")
+        size += status.st_size
+    return size
+
+
 def _read_file(path: Path, wanted: TopicFilter, into: RawMessages) -> None:
-    if not path.is_file():
-        raise BagError(f"{path}: is not a regular file")
-    size = path.stat().st_size
-    with path.open("rb") as file:
-        head = file.read(len(_SQLITE_MAGIC))
-        file.seek(0)
-        if head.startswith(_ZSTD_MAGIC):
-            # Of a truncated file this returns what can be had.
-            content = zstandard.ZstdDecompressor().stream_reader(file).read()
-            _read_decompressed(path, content, wanted, into)
+    with open_regular(path) as file:
+        if file.read(len(_ZSTD_MAGIC)) != _ZSTD_MAGIC:
+            file.seek(0)
+            _read_uncompressed(path, file, str(path), wanted, into)
             return
-        _read_uncompressed(path, file, size, head, wanted, into)
-
-
-def _read_decompressed(path: Path, content: bytes, wanted: TopicFilter, into: RawMessages) -> None:
-    head = content[: len(_SQLITE_MAGIC)]
-    if not head.startswith(_SQLITE_MAGIC):
-        _read_uncompressed(path, BytesIO(content), len(content), head, wanted, into)
-        return
-    with tempfile.TemporaryDirectory() as directory:
-        copy = Path(directory) / "bag.db3"
-        copy.write_bytes(content)
-        read_sqlite(copy, name=str(path), wanted=wanted, into=into)
+        file.seek(0)
+        with tempfile.TemporaryDirectory() as directory:
+            copy = Path(directory) / "bag"
+            into.budget.copy_unzstd(file, copy)
+            with copy.open("rb") as content:
+                _read_uncompressed(copy, content, str(path), wanted, into)
 
 
 def _read_uncompressed(
-    path: Path, file: BinaryIO, size: int, head: bytes, wanted: TopicFilter, into: RawMessages
+    path: Path, file: BinaryIO, name: str, wanted: TopicFilter, into: RawMessages
 ) -> None:
+    size = os.fstat(file.fileno()).st_size
+    head = file.read(len(_SQLITE_MAGIC))
+    file.seek(0)
     if size == 0:
-        raise BagError(f"{path}: is empty")
+        raise BagError(f"{name}: is empty")
     if head.startswith(MAGIC):
-        read_mcap(file, size, name=str(path), wanted=wanted, into=into)
+        read_mcap(file, size, name=name, wanted=wanted, into=into)
     elif head == _SQLITE_MAGIC:
-        read_sqlite(path, name=str(path), wanted=wanted, into=into)
+        read_sqlite(path, name=name, wanted=wanted, into=into)
     elif head.startswith(_ROS1_MAGIC):
-        raise BagError(f"{path}: is a ROS 1 bag; convert it with rosbags-convert")
+        raise BagError(f"{name}: is a ROS 1 bag; convert it with rosbags-convert")
     elif MAGIC.startswith(head) or _SQLITE_MAGIC.startswith(head):
-        raise BagError(f"{path}: is cut after {size} bytes, before the first message")
+        raise BagError(f"{name}: is cut after {size} bytes, before the first message")
     else:
-        raise BagError(f"{path}: is neither an MCAP nor an SQLite3 file")
+        raise BagError(f"{name}: is neither an MCAP nor an SQLite3 file")
 
 
 def _decompress_messages(messages: RawMessages) -> None:
@@ -142,8 +181,10 @@ def _decompress_messages(messages: RawMessages) -> None:
     """
     if not messages.payloads or not messages.payloads[0].startswith(_ZSTD_MAGIC):
         return
-    decompress = zstandard.ZstdDecompressor().decompressobj
+    decompressor = zstandard.ZstdDecompressor()
     messages.payloads = [
-        decompress().decompress(payload) if payload.startswith(_ZSTD_MAGIC) else payload
+        messages.budget.unzstd(payload, by=decompressor)
+        if payload.startswith(_ZSTD_MAGIC)
+        else payload
         for payload in messages.payloads
     ]

@@ -12,6 +12,9 @@ _NEEDED: Final[dict[str, str]] = {
     contract.PERTURBATION: "perturbation",
 }
 
+_SHOWN: Final = 5
+"""Names that a message lists."""
+
 
 def is_contract_topic(name: str) -> bool:
     """Tell whether a topic name could be that of a topic of the contract."""
@@ -59,7 +62,7 @@ def resolve_topics(
     else:
         prefixes = _complete_prefixes(recorded)
     if len(prefixes) > 1:
-        names = ", ".join(prefix.rstrip("/") or "/" for prefix in prefixes)
+        names = _listed([prefix.rstrip("/") or "/" for prefix in prefixes])
         raise BagError(f"{bag}: holds the topics of several rigs, choose a namespace: {names}")
     found: dict[str, int] = {}
     for topic in contract.MESSAGE_TYPES:
@@ -69,7 +72,7 @@ def resolve_topics(
             # Those not needed may be recorded elsewhere, if only once.
             matches = under if under or topic in _NEEDED or namespace is not None else matches
         if len(matches) > 1 and (topic in _NEEDED or topic == contract.TRIAL):
-            names = ", ".join(sorted({recorded[i][0] for i in matches}))
+            names = _listed(sorted({recorded[i][0] for i in matches}))
             raise BagError(f"{bag}: {topic} is ambiguous: {names}")
         if len(matches) == 1:
             _check_type(recorded[matches[0]], topic, bag)
@@ -88,6 +91,11 @@ def require_topics(found: dict[str, int], *, bag: str) -> None:
     for topic, content in _NEEDED.items():
         if topic not in found:
             raise BagError(f"{bag}: has no {content}: no topic {topic}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(names[:_SHOWN]) + more
 
 
 def _complete_prefixes(recorded: Sequence[tuple[str, str]]) -> list[str]:

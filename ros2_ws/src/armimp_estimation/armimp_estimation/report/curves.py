@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from armimp_estimation.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.results import ImpedanceCurve
-from armimp_estimation.scores import coherence, derived_coherence
-from armimp_estimation.trial import TrialSpectra
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -161,19 +159,22 @@ def coherence_floor(curves: Iterable[CoherenceCurves]) -> float:
 
 
 def coherence_curves(
-    spectra: TrialSpectra, curves: Mapping[str, ImpedanceCurve], i: int
-) -> CoherenceCurves:
-    """Coherences behind ``Z_ik`` (0-based) from the trial that perturbed joint k."""
-    k = spectra.perturbed_joint
-    return CoherenceCurves(
-        f=spectra.f,
-        motion=coherence(spectra.spectra, 0, spectra.position_channel(k)),
-        torque=coherence(spectra.spectra, 0, spectra.torque_channel(i)),
-        derived={
-            name: derived_coherence(spectra, i, curve.f, curve.Z[i, k])
-            for name, curve in curves.items()
-        },
-    )
+    curves: Mapping[str, ImpedanceCurve], joints: int
+) -> dict[tuple[int, int], CoherenceCurves]:
+    """Coherences behind every element (0-based), in the order of rows; empty without curves."""
+    if not curves:
+        return {}
+    common = next(iter(curves.values())).coherence
+    return {
+        (i, k): CoherenceCurves(
+            f=common.f,
+            motion=common.motion[k],
+            torque=common.torque[i, k],
+            derived={name: curve.coherence.derived[i, k] for name, curve in curves.items()},
+        )
+        for i in range(joints)
+        for k in range(joints)
+    }
 
 
 def envelope(values: FloatArray, buckets: int) -> tuple[FloatArray, float]:

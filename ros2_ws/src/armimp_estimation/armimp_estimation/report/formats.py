@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Mapping
 
-from armimp_common import contract
-from armimp_estimation.report.html import Html, element, join
+from markupsafe import Markup
 
+from armimp_common import contract
+
+# Control characters have no place in HTML; those for the direction of writing can make a text
+# look like another one.
+_UNWANTED = re.compile(
+    "[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]"
+)
 NONE = "–"
 """What stands for a number that is not there."""
 UNITS: Mapping[str, str] = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
@@ -18,6 +26,12 @@ STREAMS: Mapping[str, str] = {
     contract.COMMANDS: "torque commands",
     contract.PERTURBATION: "perturbation",
 }
+
+
+def plain(value: object) -> str:
+    """Text of a value as a page can hold it: unwanted and impossible characters are replaced."""
+    possible = str(value).encode("utf-8", "replace").decode("utf-8")
+    return _UNWANTED.sub("\N{REPLACEMENT CHARACTER}", possible)
 
 
 def number(value: float, spec: str = ".4g", unit: str = "") -> str:
@@ -58,17 +72,35 @@ def difference(value: float, true: float) -> str:
     return number(100.0 * (value / true - 1.0), "+.2f", "%") if true else NONE
 
 
-def symbol(letter: str, *indices: object) -> Html:
+def symbol(letter: str, *indices: object) -> Markup:
     """Write a symbol with its indices, which are 1-based."""
-    below = element("sub", *indices) if indices else None
-    return join([element("var", letter), below])
+    below = Markup("<sub>{}</sub>").format("".join(map(str, indices))) if indices else ""
+    return Markup("<var>{}</var>{}").format(letter, below)
 
 
-def code(value: object) -> Html:
+def code(value: object) -> Markup:
     """Write a name as it is in files and programs."""
-    return element("code", value)
+    return Markup("<code>{}</code>").format(plain(value))
 
 
-def alarming(value: object) -> Html:
+def alarming(value: object) -> Markup:
     """Set off what is not as it should be."""
-    return element("strong", value, class_="beyond")
+    return Markup('<strong class="beyond">{}</strong>').format(value)
+
+
+def mark(met: bool) -> object:
+    """Mark that a limit is met or not."""
+    return "✓\N{NO-BREAK SPACE}within" if met else alarming("✗\N{NO-BREAK SPACE}beyond")
+
+
+def written(value: object) -> str:
+    """Write a value; long numbers are cut to seven digits, as nobody reads the rest."""
+    if isinstance(value, float):
+        return f"{value:.7g}"
+    if isinstance(value, list):
+        return ", ".join(written(item) for item in value) or "none"
+    if value is None:
+        return NONE
+    if value == {}:
+        return "none"
+    return value if isinstance(value, str) else json.dumps(value)

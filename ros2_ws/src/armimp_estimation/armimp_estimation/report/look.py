@@ -1,20 +1,47 @@
-"""Names and colours of estimators and joints, the same in every report and figure.
+"""Names and colours of estimators, joints and levels, the same in every report and figure.
 
-The colours are those of Okabe and Ito, which colour-blind people can tell apart. Lines differ in
-their dashes as well.
+One colour stands for one thing. Estimators have those of Okabe and Ito, joints those that Tol calls
+muted, levels steps from light to dark: all can be told apart by colour-blind people. Lines differ
+in their dashes as well. A page has them as variables of its style, with a lighter set for the dark
+mode; plots name them so, ``--estimator-0``, and ``plots.js`` looks them up.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00")
-_JOINTS = (*COLOURS, "#5f5f5f")
+_PALETTES: Mapping[str, Sequence[tuple[str, str]]] = {
+    "estimator": (
+        *(("#0072b2", "#4aa8e0"), ("#d55e00", "#ff8a3d"), ("#009e73", "#2cc79b")),
+        *(("#cc79a7", "#e79bc4"), ("#56b4e9", "#8fd0f5"), ("#e69f00", "#f5bd4a")),
+    ),
+    "joint": (
+        *(("#332288", "#9a8cf0"), ("#cc6677", "#e58391"), ("#44aa99", "#5cc4b3")),
+        *(("#999933", "#c2c25a"), ("#88ccee", "#88ccee"), ("#882255", "#d46a9f")),
+        ("#5f5f5f", "#b5b5b5"),
+    ),
+    "level": (
+        *(("#b8a500", "#fde725"), ("#35a06a", "#4fd18b"), ("#2f6f8f", "#58a8cf")),
+        ("#440154", "#c06fd6"),
+    ),
+    "signal": (("#8a8a8a", "#9a9a9a"), ("#2b2b2b", "#dddddd")),
+    "ink": (("#1d2329", "#e3e7eb"),),
+    "soft": (("#55606b", "#a2adb8"),),
+    "rule": (("#d5dae0", "#3a424b"),),
+    "paper": (("#ffffff", "#15191d"),),
+    "shade": (("#f5f7f9", "#1e242a"),),
+    "good": (("#00704f", "#41c79b"),),
+    "bad": (("#b03a00", "#ff8a5c"),),
+    "link": (("#005a94", "#6db8f0"),),
+}
+"""Colours in the light and in the dark mode."""
+COLOURS = tuple(light for light, _ in _PALETTES["estimator"])
+ELEMENT_COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#8f8f8f")
+"""Of elements that are compared with each other: those that Tol calls bright."""
 TRUTH_COLOUR = "#000000"
-MOTION_COLOUR = "#8a8a8a"
-"""Of the coherence of perturbation and angle."""
-TORQUE_COLOUR = "#2b2b2b"
+MOTION_COLOUR, TORQUE_COLOUR = (light for light, _ in _PALETTES["signal"])
+"""Of the coherences of the perturbation with angle and torque."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
 """As plotly names them; dotted is the truth's own, so it comes last."""
 _KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
@@ -69,10 +96,9 @@ class Look:
     dash: str
 
     @property
-    def pale(self) -> str:
-        """Colour of confidence bands, as CSS has it."""
-        red, green, blue = (int(self.colour[i : i + 2], 16) for i in (1, 3, 5))
-        return f"rgba({red},{green},{blue},0.18)"
+    def variable(self) -> str:
+        """Colour of its lines in a page."""
+        return f"--estimator-{COLOURS.index(self.colour)}"
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
@@ -94,4 +120,25 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
 
 def joint_colour(joint: int) -> str:
     """Colour of a joint (0-based)."""
-    return _JOINTS[joint % len(_JOINTS)]
+    return _PALETTES["joint"][joint % 7][0]
+
+
+def joint_variable(joint: int) -> str:
+    """Colour of a joint (0-based) in a page."""
+    return f"--joint-{joint % 7}"
+
+
+def style_rules() -> str:
+    """Rules of a style sheet that define the colours in both modes."""
+
+    def rules(mode: int) -> str:
+        return "".join(
+            f"--{name}{f'-{number}' if len(colours) > 1 else ''}:{colours[number][mode]};"
+            for name, colours in _PALETTES.items()
+            for number in range(len(colours))
+        )
+
+    return (
+        f":root{{{rules(0)}}}\n"
+        f"@media screen and (prefers-color-scheme:dark){{:root{{{rules(1)}}}}}\n"
+    )

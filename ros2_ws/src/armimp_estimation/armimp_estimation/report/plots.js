@@ -1,8 +1,9 @@
 "use strict";
-// Draws every plot of the page from the JSON beside it, and switches lines and views.
+// Draws every plot of the page from the JSON beside it, and switches lines, views and colours.
 (() => {
   const figures = [...document.querySelectorAll("figure.plot")];
   const switches = [...document.querySelectorAll("input[data-switch]")];
+  const dark = matchMedia("(prefers-color-scheme: dark)");
   // Buttons are listed, as the library has one by default that uploads the data.
   const options = {
     responsive: true,
@@ -12,13 +13,29 @@
     toImageButtonOptions: { format: "svg" },
   };
 
+  // Colours are names of variables of the style, perhaps with their share: --ink, --ink/0.2.
+  function coloured(value, style) {
+    if (typeof value === "string" && value.startsWith("--")) {
+      const [name, share] = value.split("/");
+      const colour = style.getPropertyValue(name).trim();
+      const hex = share ? Math.round(255 * Number(share)).toString(16).padStart(2, "0") : "";
+      return colour + hex;
+    }
+    if (Array.isArray(value)) return value.map((one) => coloured(one, style));
+    if (value && typeof value === "object") {
+      for (const key of Object.keys(value)) value[key] = coloured(value[key], style);
+    }
+    return value;
+  }
+
   function draw(figure) {
     const canvas = figure.querySelector(".canvas");
-    const chosen = figure.querySelector("input[type=radio]:checked");
+    const chosen = figure.querySelector("select, input[type=radio]:checked");
     const views = figure.querySelectorAll("script[type='application/json']");
     const off = new Set(switches.filter((box) => !box.checked).map((box) => box.dataset.switch));
     try {
-      const view = JSON.parse(views[chosen ? Number(chosen.value) : 0].textContent);
+      const text = views[chosen ? Number(chosen.value) : 0].textContent;
+      const view = coloured(JSON.parse(text), getComputedStyle(document.documentElement));
       for (const trace of view.data) {
         trace.visible = !(trace.meta || []).some((tag) => off.has(tag));
       }
@@ -48,8 +65,9 @@
   for (const figure of figures) {
     figure.addEventListener("change", () => draw(figure));
   }
+  dark.addEventListener("change", () => drawAll(figures));
 
-  // Paper is narrower than most screens, and nobody can unfold anything on it.
+  // Paper is narrower than most screens, always white, and nobody can unfold anything on it.
   const folded = () => document.querySelectorAll("details:not([open])");
   let opened = [];
   addEventListener("beforeprint", () => {

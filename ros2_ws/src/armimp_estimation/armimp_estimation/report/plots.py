@@ -1,7 +1,8 @@
-"""Interactive plots for pages: plain data for plotly.js, and the frame that holds them.
+"""Interactive plots for pages: plain data for plotly.js.
 
 A page draws them with ``plots.js``. Lines and bands carry tags (``meta``), by which controls of
-the page switch them off and on in all plots at once.
+the page switch them off and on in all plots at once. Colours are variables of the page's style, see
+`armimp_estimation.report.look`.
 """
 
 from __future__ import annotations
@@ -15,15 +16,15 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from armimp_estimation.report.html import Html, element, join, plain, script_json
+from armimp_estimation.report.formats import plain
 
 FloatArray = NDArray[np.float64]
 Trace: TypeAlias = dict[str, Any]
 Layout: TypeAlias = dict[str, Any]
 Options: TypeAlias = Mapping[str, Any]
 
-_GRID = "#e3e6ea"
-_INK = "#333a42"
+_GRID = "--rule"
+_INK = "--ink"
 _AXIS: Options = {
     "gridcolor": _GRID,
     "linecolor": _INK,
@@ -46,7 +47,7 @@ class View:
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """A plot in its frame.
+    """A plot.
 
     Attributes
     ----------
@@ -77,8 +78,10 @@ class Stroke:
     ----------
     name : str
         Shown where the pointer is.
-    colour, dash : str
-        As CSS and plotly.js have them.
+    colour : str
+        Variable of the style.
+    dash : str
+        As plotly.js has it.
     width : float
         In pixels.
     tags : sequence of str
@@ -92,40 +95,6 @@ class Stroke:
     tags: Sequence[str] = ()
 
 
-def frame(plot: Plot) -> Html:
-    """HTML of a plot."""
-    canvas = element(
-        "div",
-        class_="canvas",
-        role="img",
-        aria_label=plot.description,
-        style=f"height:{plot.height}px",
-    )
-    return element(
-        "figure",
-        element("figcaption", plot.caption),
-        _choice(plot) if len(plot.views) > 1 else None,
-        canvas,
-        join(script_json({"data": v.data, "layout": v.layout}) for v in plot.views),
-        class_="plot",
-        id=plot.identifier,
-    )
-
-
-def _choice(plot: Plot) -> Html:
-    name = f"{plot.identifier}-view"
-    buttons = (
-        element(
-            "label",
-            # Browsers that remember what was chosen would show a view that is not drawn.
-            element("input", type="radio", name=name, value=n, checked=n == 0, autocomplete="off"),
-            view.name,
-        )
-        for n, view in enumerate(plot.views)
-    )
-    return element("fieldset", element("legend", "Show"), *buttons, class_="choice")
-
-
 def packed(values: ArrayLike) -> dict[str, str]:
     """Pack numbers as plotly.js takes them: single precision, base64; NaN makes a gap."""
     raw = np.ascontiguousarray(values, dtype="<f4").tobytes()
@@ -134,17 +103,51 @@ def packed(values: ArrayLike) -> dict[str, str]:
 
 def label(text: object) -> str:
     """Text for plotly.js, which would take some tags in it for formatting and links."""
-    return html.escape(plain(text), quote=False)
+    # A reader sees no difference, but plotly.js would put values in the place of %{…}.
+    return html.escape(plain(text), quote=False).replace("%{", "%\N{WORD JOINER}{")
 
 
-def line(x: FloatArray, y: FloatArray, stroke: Stroke, *, row: int = 1) -> Trace:
-    """Make a line on the axis of a row, counted from 1 at the top."""
-    return drawn({"x": packed(x), "y": packed(y)}, stroke, row)
+def line(
+    x: FloatArray,
+    y: FloatArray,
+    stroke: Stroke,
+    *,
+    row: int = 1,
+    unit: str = "",
+    ends: tuple[FloatArray, FloatArray] | None = None,
+) -> Trace:
+    """Make a line on the axis of a row, counted from 1 at the top.
+
+    Parameters
+    ----------
+    x, y : ndarray, shape (N,)
+        Points.
+    stroke : Stroke
+        How it is drawn.
+    row : int
+        Counted from 1 at the top.
+    unit : str
+        Shown where the pointer is.
+    ends : tuple of ndarray, optional
+        Of a 95 % band, shown there as well.
+    """
+    band_text = ""
+    more: dict[str, object] = {}
+    if ends is not None:
+        more["customdata"] = packed(np.stack(ends, axis=1)) | {"shape": f"{y.size},2"}
+        band_text = " (95 %: %{customdata[0]:.4~g} to %{customdata[1]:.4~g})"
+    template = f"%{{y}} {unit}{band_text}<extra>{label(stroke.name)}</extra>"
+    return {**drawn({"x": packed(x), "y": packed(y)}, stroke, row), **more} | {
+        "hovertemplate": template
+    }
 
 
-def even_line(start: float, step: float, y: FloatArray, stroke: Stroke, *, row: int = 1) -> Trace:
+def even_line(
+    start: float, step: float, y: FloatArray, stroke: Stroke, *, row: int = 1, unit: str = ""
+) -> Trace:
     """Make a line through values at even distances."""
-    return drawn({"x0": start, "dx": step, "y": packed(y)}, stroke, row)
+    made = drawn({"x0": start, "dx": step, "y": packed(y)}, stroke, row)
+    return made | {"hovertemplate": f"%{{y}} {unit}<extra>{label(stroke.name)}</extra>"}
 
 
 def drawn(values: Options, stroke: Stroke, row: int) -> Trace:
@@ -173,7 +176,7 @@ def band(
         "x": packed(np.concatenate((x, x[::-1]))),
         "y": packed(np.concatenate((upper, lower[::-1]))),
         "fill": "toself",
-        "fillcolor": colour,
+        "fillcolor": f"{colour}/0.2",
         "line": {"width": 0},
         "hoverinfo": "skip",
         "meta": list(tags),
@@ -200,10 +203,11 @@ def stacked(
     layout: Layout = {
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": _INK},
         "paper_bgcolor": "rgba(0,0,0,0)",
-        "plot_bgcolor": "#ffffff",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+        "hoverlabel": {"bgcolor": "--paper", "font": {"color": _INK}, "namelength": -1},
         # The buttons of plotly.js are in the upper margin, beside the caption.
         "margin": {"l": left, "r": 12, "t": 30, "b": 44},
-        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "#8b949d", "activecolor": _INK},
+        "modebar": {"bgcolor": "rgba(0,0,0,0)", "color": "--soft", "activecolor": _INK},
         "showlegend": False,
         "hovermode": "x unified",
         # What the reader zoomed into stays when lines are switched.

@@ -11,34 +11,11 @@ from armimp_common.errors import ArmimpError, DataError
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
-from armimp_estimation.gaps import segments_for
 from armimp_estimation.results import ImpedanceCurve, Summary, read_frf, read_summary
 from armimp_estimation.scores import coherence_significance
-from armimp_estimation.trial import TrialData, TrialSpectra
 from armimp_estimation.verdict import Limits
 
 _LIMITS = Limits()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrialEvidence:
-    """What the bag of a trial tells beyond the summary.
-
-    Attributes
-    ----------
-    assembled : AssembledTrial
-        Samples and their ledger.
-    spectra : TrialSpectra or None
-        If the trial has a record that is long enough.
-    """
-
-    assembled: AssembledTrial
-    spectra: TrialSpectra | None
-
-    @property
-    def joint(self) -> int:
-        """The perturbed joint, 0-based."""
-        return self.assembled.window.joint
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,10 +30,8 @@ class Result:
         Numbers and verdict.
     curves : mapping of str to ImpedanceCurve
         Impedance over frequency by name of the estimator; empty if nothing could be estimated.
-    trials : tuple of TrialEvidence
-        In the order of the perturbed joints; empty without bags.
-    joint_names : tuple of str
-        Names of the n joints.
+    trials : tuple of AssembledTrial
+        Samples and their ledger, in the order of the perturbed joints; empty without bags.
     notes : tuple of str
         What could not be found or is unusual.
     """
@@ -64,24 +39,23 @@ class Result:
     name: str
     summary: Summary
     curves: Mapping[str, ImpedanceCurve]
-    trials: tuple[TrialEvidence, ...]
-    joint_names: tuple[str, ...]
+    trials: tuple[AssembledTrial, ...]
     notes: tuple[str, ...]
 
     @property
-    def spectra(self) -> dict[int, TrialSpectra]:
-        """Spectra by perturbed joint, 0-based."""
-        return {trial.joint: trial.spectra for trial in self.trials if trial.spectra is not None}
+    def joint_names(self) -> list[str]:
+        """Names of the n joints."""
+        return self.summary.joint_names
 
     @property
     def averages(self) -> float | None:
-        """Number of independent averages behind the spectra; None without spectra."""
-        found = [one.spectra.effective_averages for one in self.spectra.values()]
-        return min(found, default=None)
+        """Number of independent averages behind the coherences; None without curves."""
+        known = [one.averages for name, one in self.curves.items() if name.startswith("welch")]
+        return min(known or [one.averages for one in self.curves.values()], default=None)
 
     @property
     def significance(self) -> float | None:
-        """Coherence below which signals count as unrelated; None without spectra."""
+        """Coherence below which signals count as unrelated; None without curves."""
         averages = self.averages
         return None if averages is None else coherence_significance(averages, _LIMITS.significance)
 
@@ -118,17 +92,16 @@ def load_result(
     contents = []
     for path in _bags_of(directory, summary) if bags is None else dict.fromkeys(bags):
         try:
-            contents.append(read_bag(path, namespace=namespace))
+            # They have been read before, or were recorded here.
+            contents.append(read_bag(path, namespace=namespace, trust=True))
         except (ArmimpError, OSError) as error:
             notes.append(f"no time traces: {error}")
     notes += (note for content in contents for note in content.notes)
-    trials = _evidence(contents, summary, notes)
     return Result(
         name=directory.absolute().name,
         summary=summary,
         curves=curves,
-        trials=trials,
-        joint_names=_joint_names(summary, contents),
+        trials=_trials(contents, summary, notes),
         notes=tuple(dict.fromkeys(notes)),
     )
 
@@ -147,7 +120,7 @@ def _fitting(curves: Mapping[str, ImpedanceCurve], summary: Summary) -> dict[str
     n = summary.joints
     for name, curve in curves.items():
         shape = (n, n, curve.f.size)
-        if curve.Z.shape != shape or curve.variance.shape != shape or not curve.f.size:
+        if curve.Z.shape != shape:
             raise DataError(f"{FRF_FILE}: {name} has shape {curve.Z.shape}, expected {shape}")
     return {name: curves[name] for name in summary.estimators if name in curves}
 
@@ -159,9 +132,9 @@ def _bags_of(directory: Path, summary: Summary) -> list[Path]:
     return [here if here.exists() else there for here, there in inside]
 
 
-def _evidence(
+def _trials(
     contents: Sequence[BagContent], summary: Summary, notes: list[str]
-) -> tuple[TrialEvidence, ...]:
+) -> tuple[AssembledTrial, ...]:
     trials: list[AssembledTrial] = []
     for content in contents:
         if len(content.joint_names) == summary.joints:
@@ -169,33 +142,4 @@ def _evidence(
         else:
             count = len(content.joint_names)
             notes.append(f"{content.path}: has {count} joints, not {summary.joints}")
-    # The same segments as the estimate had, which may have used the intact parts only.
-    used = [
-        trial
-        for trial in trials
-        if trial.record is not None or (summary.estimators and trial.segments)
-    ]
-    welch = segments_for([trial.segments for trial in used])
-    known = summary.torque_reading
-    reading = None if known is None else known.reading()
-    found = []
-    for trial in sorted(trials, key=lambda trial: (trial.window.joint, trial.trial)):
-        spectra = None
-        if trial in used:
-            try:
-                spectra = TrialData.from_stretches(trial.segments, welch, reading).spectra
-            except DataError as error:
-                notes.append(str(error))
-        found.append(TrialEvidence(assembled=trial, spectra=spectra))
-    return tuple(found)
-
-
-def _joint_names(summary: Summary, contents: Sequence[BagContent]) -> tuple[str, ...]:
-    for content in contents:
-        if len(content.joint_names) == summary.joints:
-            return content.joint_names
-    for node in ("imbic_controller", "arm_sim"):
-        names = setting(summary.config, node, "joints")
-        if isinstance(names, list) and len(names) == summary.joints:
-            return tuple(map(str, names))
-    return tuple(f"joint {i + 1}" for i in range(summary.joints))
+    return tuple(sorted(trials, key=lambda trial: (trial.window.joint, trial.trial)))

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
 
 from armimp_common.contract import PERIOD_NS
 from armimp_estimation.assemble import AssembledTrial
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.curves import envelope
-from armimp_estimation.report.look import joint_colour
+from armimp_estimation.report.look import joint_variable
 from armimp_estimation.report.plots import Plot, Stroke, Trace, View, axis, even_line, stacked
+from armimp_estimation.spectra import WelchConfig
 
 FloatArray = NDArray[np.float64]
 PERIOD: float = PERIOD_NS / 1e9
 """Time from one sample to the next, s."""
+BAND = 2.0 * WelchConfig.f_high
+"""Up to where signals are shown: what is estimated ends at half of it, Hz."""
+_ORDER = 4
+_PADDING = 200
 _BUCKETS = 1000
 _EXCERPT = 2000
 """Samples at either end that are shown in full."""
@@ -43,10 +49,14 @@ class Row:
     values: FloatArray
 
 
-def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
+def rows_of(
+    segments: Sequence[TrialRecord], start_ns: int, *, cutoff: float | None = BAND
+) -> list[Row]:
     """Signals of a trial as a reader wants to see them: angles in degrees, about their mean.
 
     Joints that were to be held still have a row of their own, as their motion is far smaller.
+    Commands and torques chatter far above the band in which the arm is perturbed, so that all of
+    them would be solid bars.
 
     Parameters
     ----------
@@ -54,7 +64,11 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
         Parts of the trial without gaps, at least one.
     start_ns : int
         Stamp of the first sample of the trial (ns).
+    cutoff : float or None
+        Of the low-pass that the signals are seen through, Hz; None shows them as recorded.
     """
+    if cutoff is not None:
+        segments = [_smoothed(segment, cutoff) for segment in segments]
     k, n = segments[0].perturbed_joint, segments[0].joints
     everyone = tuple(range(n))
     perturbation = _whole(segments, start_ns, "perturbation")
@@ -76,37 +90,51 @@ def rows_of(segments: Sequence[TrialRecord], start_ns: int) -> list[Row]:
     return rows
 
 
-def trace_plot(trial: AssembledTrial, identifier: str) -> Plot:
-    """Plot of a trial over time: the whole of it thinned out, and both ends in full.
+def trace_views(trial: AssembledTrial, prefix: str = "", buckets: int = _BUCKETS) -> list[View]:
+    """Views of a trial over time: the whole of it, its ends, and what was recorded.
 
     Parameters
     ----------
     trial : AssembledTrial
         With at least one segment.
-    identifier : str
-        Of the plot, unique in its page.
+    prefix : str
+        Of the names of the views.
+    buckets : int
+        Parts into which long signals are thinned out, see `envelope`.
     """
-    rows = rows_of(trial.segments, trial.window.start_ns)
-    names = trial.segments[0].joint_names
-    span = rows[0].values.shape[1]
-    views = [_view("whole trial", rows, names, 0, span)]
-    if span > 2 * _EXCERPT:
+    start_ns, names = trial.window.start_ns, trial.segments[0].joint_names
+    seen = rows_of(trial.segments, start_ns)
+    recorded = rows_of(trial.segments, start_ns, cutoff=None)
+    span = seen[0].values.shape[1]
+    short = min(_EXCERPT, span)
+    parts = [("whole trial", seen, 0, span)]
+    if span > _EXCERPT:
         length = f"{_EXCERPT * PERIOD:g} s"
-        views.append(_view(f"first {length}", rows, names, 0, _EXCERPT))
-        views.append(_view(f"last {length}", rows, names, span - _EXCERPT, span))
+        parts.append((f"first {length}", seen, 0, short))
+        parts.append((f"last {length}", seen, span - short, span))
+    parts.append((f"last {short * PERIOD:g} s as recorded", recorded, span - short, span))
+    return [
+        _view(f"{prefix}{name}", rows, names, (start, stop), buckets)
+        for name, rows, start, stop in parts
+    ]
+
+
+def trace_plot(identifier: str, description: str, views: Sequence[View]) -> Plot:
+    """Plot of views of one or several trials."""
+    rows = max(sum(key.startswith("yaxis") for key in view.layout) for view in views)
     return Plot(
         identifier=identifier,
         caption="Signals over time",
-        description=(
-            f"Perturbation, angles, torques and commands of trial {trial.trial} over "
-            f"{span * PERIOD:.4g} s."
-        ),
+        description=description,
         views=views,
-        height=130 * len(rows) + 50,
+        height=125 * rows + 50,
     )
 
 
-def _view(name: str, rows: Sequence[Row], names: Sequence[str], start: int, stop: int) -> View:
+def _view(
+    name: str, rows: Sequence[Row], names: Sequence[str], part: tuple[int, int], buckets: int
+) -> View:
+    start, stop = part
     ordinates = [
         (1.0, axis(f"{row.title}<br>({row.unit})", hoverformat=".4~g", nticks=5)) for row in rows
     ]
@@ -114,20 +142,45 @@ def _view(name: str, rows: Sequence[Row], names: Sequence[str], start: int, stop
         "time since the perturbation began (s)",
         range=[start * PERIOD, stop * PERIOD],
         hoverformat=".3f",
+        unifiedhovertitle={"text": "%{x} s"},
     )
     layout = stacked(abscissa, ordinates, gap=0.03, left=78)
     # Zooming into one view says nothing about the others.
     layout["uirevision"] = name
-    return View(name=name, data=list(_lines(rows, names, start, stop)), layout=layout)
+    return View(name=name, data=list(_lines(rows, names, part, buckets)), layout=layout)
 
 
-def _lines(rows: Sequence[Row], names: Sequence[str], start: int, stop: int) -> Iterator[Trace]:
+def _lines(
+    rows: Sequence[Row], names: Sequence[str], part: tuple[int, int], buckets: int
+) -> Iterator[Trace]:
+    start, stop = part
     for number, row in enumerate(rows, 1):
         for joint, values in zip(row.joints, row.values, strict=True):
-            thinned, step = envelope(values[start:stop], _BUCKETS)
-            name = f"{row.title}, {names[joint]}"
-            stroke = Stroke(name=name, colour=joint_colour(joint), width=1.0)
-            yield even_line(start * PERIOD, step * PERIOD, thinned, stroke, row=number)
+            thinned, step = envelope(values[start:stop], buckets)
+            stroke = Stroke(
+                name=f"{row.title}, {names[joint]}", colour=joint_variable(joint), width=1.0
+            )
+            yield even_line(
+                start * PERIOD, step * PERIOD, thinned, stroke, row=number, unit=row.unit
+            )
+
+
+def _smoothed(segment: TrialRecord, cutoff: float) -> TrialRecord:
+    """A segment without what is above a frequency, Hz; neither early nor late for that."""
+    sections = butter(_ORDER, cutoff, fs=segment.rate, output="sos")
+
+    def smooth(values: FloatArray) -> FloatArray:
+        length = min(_PADDING, values.shape[1] - 1)
+        seen: FloatArray = sosfiltfilt(sections, values, axis=1, padtype="even", padlen=length)
+        return seen
+
+    return replace(
+        segment,
+        perturbation=smooth(segment.perturbation),
+        position=smooth(segment.position),
+        torque=smooth(segment.torque),
+        command=None if segment.command is None else smooth(segment.command),
+    )
 
 
 def _row(title: str, unit: str, joints: tuple[int, ...], values: FloatArray) -> Row:

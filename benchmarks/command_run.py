@@ -1,0 +1,79 @@
+"""Runs `armimp run` as a user does, and measures it from outside."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from armimp_common.errors import DataError, GraphError
+from armimp_estimation.conclusion import SUMMARY_FILE
+from armimp_estimation.results import Summary, read_summary
+from benchmarks.peak_memory import PeakMemory
+
+COMMAND = "armimp_bringup.cli"
+"""Module behind the command ``armimp``."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandRun:
+    """A run that has ended.
+
+    Attributes
+    ----------
+    took : from the start of the process to its end, s
+    summary : what it found
+    peaks : largest resident size of each of its processes, by module, bytes
+    """
+
+    took: float
+    summary: Summary
+    peaks: Mapping[str, int]
+
+    @property
+    def outside(self) -> float:
+        """Time outside of the trials, s; see `armimp_bringup.presentation`."""
+        return self.took - (0.0 if self.summary.wall is None else self.summary.wall.trials)
+
+
+def run_command(directory: Path, *options: str, watch_memory: bool = False) -> CommandRun:
+    """Run an experiment by the command line.
+
+    Parameters
+    ----------
+    directory : new directory for its result
+    options : of ``armimp run``
+    watch_memory : whether to look at memory, which takes some time
+
+    Raises
+    ------
+    GraphError
+        If it ends without result, or loses samples. A result that is not valid is one, too.
+    """
+    command = [sys.executable, "-m", COMMAND, "run", "--out", str(directory), *options]
+    with tempfile.TemporaryFile("w+") as said:
+        began = time.monotonic()
+        with (
+            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said) as process,
+            PeakMemory(process.pid if watch_memory else None) as memory,
+        ):
+            try:
+                process.wait()
+            except BaseException:
+                process.terminate()
+                raise
+        took = time.monotonic() - began
+        said.seek(0)
+        lines = said.read().strip().splitlines()
+    try:
+        summary = read_summary(directory / SUMMARY_FILE)
+    except DataError:
+        reason = lines[-1] if lines else f"status {process.returncode}"
+        raise GraphError(f"armimp run {' '.join(options)} ended without result: {reason}") from None
+    if summary.wall is None or not summary.estimators or any(one.lost for one in summary.trials):
+        raise GraphError(f"armimp run {' '.join(options)}: {'; '.join(summary.problems)}")
+    return CommandRun(took=took, summary=summary, peaks=memory.peaks)

@@ -1,0 +1,96 @@
+"""How long an estimate takes: from the bag of a trial to the result of the default estimators."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from armimp_bringup.benchmarks import Measured
+from armimp_bringup.offline_estimate import estimate_bags
+from armimp_common.contract import TRIAL as TRIAL_TOPIC
+from armimp_estimation.bags import BagWriter, read_bag
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.conclusion import FinishedTrial, conclude
+from armimp_estimation.parameters import EstimatorParameters
+from support.recordings import recorded_arm
+
+TARGET = 0.5
+"""Longest time for a trial of 50 s, s."""
+SAMPLES = 50_000
+_REPEATS = 5
+
+
+def time_estimate(tell: Callable[[str], None]) -> list[Measured]:
+    """Time reading and estimating bags of a made-up arm with two joints; shortest of several times.
+
+    Parameters
+    ----------
+    tell : callable
+        Is told what is being measured.
+    """
+    names = EstimatorParameters().estimators
+    with tempfile.TemporaryDirectory() as directory:
+        tell(f"writing bags of {SAMPLES / 1000:g} s")
+        bags = _write_bags(Path(directory))
+        tell("reading bags and estimating")
+        reading = _shortest(lambda: read_bag(bags[0]))
+        whole = _shortest(lambda: estimate_bags(bags, names)) / len(bags)
+        contents = [read_bag(bag) for bag in bags]
+    trials = [
+        FinishedTrial(assembled=content.trials[0], bag=str(content.path)) for content in contents
+    ]
+
+    def estimate(estimators: Sequence[str]) -> float:
+        joints = contents[0].joint_names
+        return _shortest(
+            lambda: conclude(trials, metadata={}, joint_names=joints, estimators=estimators)
+        ) / len(joints)
+
+    length = f"trial of {SAMPLES / 1000:g} s"
+    return [
+        Measured(key="read", label=f"reading the bag of a {length}", value=reading, unit="s"),
+        *(
+            Measured(
+                key=name, label=f"{name} alone, each {length}", value=estimate((name,)), unit="s"
+            )
+            for name in names
+        ),
+        Measured(
+            key="trial",
+            label=f"from bag to result ({', '.join(names)}), each {length}",
+            value=whole,
+            unit="s",
+            limit=TARGET,
+        ),
+    ]
+
+
+def _write_bags(directory: Path) -> list[Path]:
+    """One bag for each trial."""
+    recording = recorded_arm(SAMPLES)
+    bags = [directory / f"trial_{record.trial}" for record in recording.records]
+    present = 0
+    writer: BagWriter | None = None
+    try:
+        for topic, log_time_ns, raw in recording.messages:
+            if topic == TRIAL_TOPIC and (number := decode_trial_status(raw).trial) != present:
+                if writer is not None:
+                    writer.close()
+                present, writer = number, BagWriter(bags[number - 1], metadata={})
+            if writer is not None:
+                writer.write(topic, raw, log_time_ns)
+    finally:
+        if writer is not None:
+            writer.close()
+    return bags
+
+
+def _shortest(work: Callable[[], object]) -> float:
+    times = []
+    for _ in range(_REPEATS):
+        began = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - began)
+    return min(times)

@@ -1,0 +1,89 @@
+"""How a run grows with the number of joints and with the length of its trials."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+
+from armimp_bringup.benchmarks import Measured
+from armimp_bringup.config import load_config, node_parameters
+from armimp_bringup.offline_estimate import estimate_bags
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_control.experiment import Experiment
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_sim.rig import SimulatedRig
+from benchmarks.command_run import COMMAND, run_command
+
+CASES: tuple[tuple[int, float], ...] = ((2, 10.0), (3, 10.0), (7, 10.0), (2, 25.0), (2, 50.0))
+"""Joints, and length of each trial in s."""
+_RATE = NS_PER_S / PERIOD_NS
+_REPEATS = 3
+_MB = 1e6
+
+
+def measure_growth(tell: Callable[[str], None]) -> list[Measured]:
+    """Measure composed runs with more joints and longer trials; takes one to two minutes.
+
+    Parameters
+    ----------
+    tell : callable
+        Told what is being measured.
+
+    Raises
+    ------
+    GraphError
+        If a run has no result.
+    """
+    return [one for joints, seconds in CASES for one in _case(joints, seconds, tell)]
+
+
+def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Measured]:
+    what = f"{joints} joints, {seconds:g} s"
+    tell(f"{what}: run")
+    _compile(joints)
+    with tempfile.TemporaryDirectory() as folder:
+        directory = Path(folder) / "out"
+        options = ("--joints", str(joints), "--duration", str(seconds))
+        run = run_command(directory, *options, watch_memory=True)
+        for problem in run.summary.problems:
+            tell(f"{what}: {problem}")
+        bags = sorted((directory / "bags").iterdir())
+        size = sum(path.stat().st_size for bag in bags for path in bag.iterdir())
+        tell(f"{what}: estimate")
+        estimate = _shortest_estimate(bags)
+    figures = [
+        ("rate", "ticks per second", _RATE * median(one.rtf for one in run.summary.trials), "1/s"),
+        ("outside", "run outside of its trials", run.outside, "s"),
+        ("memory", "largest resident size", run.peaks[COMMAND] / _MB, "MB"),
+        ("bag", "bag of a trial", size / len(bags) / _MB, "MB"),
+        ("estimate", "from bag to result, each trial", estimate / len(bags), "s"),
+    ]
+    return [
+        Measured(
+            key=f"{joints}_joints_{seconds:g}_s_{key}",
+            label=f"{what}: {label}",
+            value=value,
+            unit=unit,
+        )
+        for key, label, value, unit in figures
+    ]
+
+
+def _compile(joints: int) -> None:
+    """Have everything compiled that depends on the number of joints, so that no run has to."""
+    parameters = node_parameters(load_config(None, {"joints": joints}), None)
+    Experiment(parameters.controller, lambda _: None)
+    SimulatedRig(parameters.simulator)
+
+
+def _shortest_estimate(bags: list[Path]) -> float:
+    names = EstimatorParameters().estimators
+    times = []
+    for _ in range(_REPEATS):
+        began = time.perf_counter()
+        estimate_bags(bags, names)
+        times.append(time.perf_counter() - began)
+    return min(times)

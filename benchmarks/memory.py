@@ -1,0 +1,55 @@
+"""How much memory the processes of a run take."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from armimp_bringup.benchmarks import Measured
+from armimp_bringup.graph import MODULES
+from armimp_estimation.figure_process import WORKER
+from benchmarks.command_run import COMMAND, run_command
+
+DURATION = 50.0
+"""Length of each trial, s."""
+_MB = 1e6
+_LABELS = {
+    COMMAND: "command",
+    **{arguments[0]: name for name, arguments in MODULES.items()},
+    WORKER: "figures",
+}
+
+
+def measure_memory(tell: Callable[[str], None]) -> list[Measured]:
+    """Measure the largest resident size of each process; takes about a minute.
+
+    Libraries that processes share count in each of them.
+
+    Parameters
+    ----------
+    tell : callable
+        Told what is being measured.
+
+    Raises
+    ------
+    GraphError
+        If a run has no result.
+    """
+    figures: list[Measured] = []
+    for processes in ("separate", "composed"):
+        tell(f"{processes}, trials of {DURATION:g} s")
+        with tempfile.TemporaryDirectory() as folder:
+            options = ("--duration", str(DURATION), "--processes", processes)
+            peaks = run_command(Path(folder) / "out", *options, watch_memory=True).peaks
+        figures += [
+            Measured(
+                key=f"{processes}_{label}",
+                label=f"{processes}: {label}, largest resident size",
+                value=peaks[module] / _MB,
+                unit="MB",
+            )
+            for module, label in _LABELS.items()
+            if module in peaks
+        ]
+    return figures

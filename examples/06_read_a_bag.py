@@ -1,0 +1,39 @@
+"""Read the bag of a trial with the rosbags library alone; nothing of armimp is needed.
+
+.venv/bin/python examples/06_read_a_bag.py results/example/bags/trial_1_joint_1
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rosbags.highlevel import AnyReader
+
+bag = Path(sys.argv[1])
+with AnyReader([bag]) as reader:
+    for connection in sorted(reader.connections, key=lambda one: one.topic):
+        print(f"{connection.msgcount:6d} {connection.msgtype:37s} {connection.topic}")
+
+    angles, stamps = [], []
+    names: list[str] = []
+    wanted = [one for one in reader.connections if one.topic == "/joint_states"]
+    for connection, _, raw in reader.messages(wanted):
+        message: Any = reader.deserialize(raw, connection.msgtype)
+        names = message.name  # match joints by name: the order is free
+        angles.append(message.position)
+        stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+
+theta = np.array(angles).T  # (joints, samples), rad
+print(f"{theta.shape[1]} samples from {stamps[0]:.3f} s to {stamps[-1]:.3f} s")
+for name, row in zip(names, theta, strict=True):
+    print(f"{name}: mean {np.degrees(row.mean()):.3f}°, rms motion {1e3 * row.std():.3f} mrad")
+
+# What a run stores about itself is JSON in the bag's metadata (docs/interfaces.md, section 11).
+information = yaml.safe_load((bag / "metadata.yaml").read_text(encoding="utf-8"))
+stored = information["rosbag2_bagfile_information"]["custom_data"]
+experiment = json.loads(stored["config"])["experiment"]
+print(f"seed {stored['seed']}, friction level {experiment['friction']}")
+print("true K:", json.loads(stored["truth"])["K"], "N·m/rad")

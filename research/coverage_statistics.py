@@ -1,0 +1,152 @@
+"""How often intervals hold the truth: shares, their uncertainty, and errors against stated ones."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from research.cells import LETTERS, ErrorCell, FloatArray
+
+BoolArray = NDArray[np.bool_]
+
+NOMINAL: Final = 0.95
+TARGET: Final = (0.92, 0.98)
+"""Limits of the pooled share of a condition."""
+
+QUANTILE: Final = float(stats.norm.ppf(0.5 + 0.5 * NOMINAL))
+"""Half width of a nominal interval, standard errors."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Share:
+    """Share of intervals that hold the truth.
+
+    Attributes
+    ----------
+    value : between 0 and 1
+    lower, upper : ends of its own 95 % interval
+    """
+
+    value: float
+    lower: float
+    upper: float
+
+    @classmethod
+    def of(cls, held: BoolArray) -> Share:
+        """From whether each interval holds the truth, shape (runs, parameters).
+
+        The interval is that of a binomial share by Wilson, "Probable inference, the law of
+        succession, and statistical inference", J. Am. Stat. Assoc. 22, 1927. Errors of the
+        parameters of one run are correlated, runs are independent: so the number of intervals is
+        replaced by the number of independent ones that would make the share scatter as it does from
+        run to run; never more than there are, and the number of runs where nothing scatters.
+        """
+        runs, value = len(held), float(held.mean())
+        spread = float(np.var(held.mean(axis=1))) / runs
+        certain = value * (1.0 - value)
+        if not certain:
+            independent = float(runs)
+        else:
+            independent = min(certain / spread, float(held.size)) if spread else float(held.size)
+        weight = QUANTILE**2 / independent
+        middle = (value + 0.5 * weight) / (1.0 + weight)
+        half = float(np.sqrt(weight * (certain + 0.25 * weight))) / (1.0 + weight)
+        return cls(value=value, lower=max(0.0, middle - half), upper=min(1.0, middle + half))
+
+    @property
+    def verdict(self) -> str:
+        """Where it lies: within the target, outside of it, or outside by no more than chance."""
+        lowest, highest = TARGET
+        if self.value < lowest:
+            return "below" if self.upper < lowest else "below, within chance"
+        if self.value > highest:
+            return "above" if self.lower > highest else "above, within chance"
+        return "within"
+
+    def described(self) -> dict[str, Any]:
+        """As it stands in the JSON file."""
+        return {
+            "value": self.value,
+            "interval": [self.lower, self.upper],
+            "verdict": self.verdict,
+        }
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cell(ErrorCell):
+    """One estimator in one condition, over all seeds.
+
+    Attributes
+    ----------
+    stated : (runs, 3, n, n) standard errors, relative like the errors
+    """
+
+    stated: FloatArray
+
+    @property
+    def held(self) -> BoolArray:
+        """Whether the intervals hold the truth, (runs, 3, n, n)."""
+        return np.abs(self.errors) <= QUANTILE * self.stated
+
+    @property
+    def pooled(self) -> Share:
+        """Of all elements of M, B and K."""
+        return Share.of(self.held.reshape(self.runs, -1))
+
+    @property
+    def by_letter(self) -> tuple[Share, ...]:
+        """Of the elements of M, of B, and of K."""
+        return tuple(Share.of(self.held[:, i].reshape(self.runs, -1)) for i in range(3))
+
+    @property
+    def by_element(self) -> dict[str, Share]:
+        """Of each element, as M11."""
+        shares = (Share.of(column[:, None]) for column in self.held.reshape(self.runs, -1).T)
+        return dict(zip(self.elements, shares, strict=True))
+
+    @property
+    def claimed(self) -> FloatArray:
+        """Mean standard errors, (3, n, n)."""
+        claimed: FloatArray = self.stated.mean(axis=0)
+        return claimed
+
+    @property
+    def honesty(self) -> FloatArray:
+        """Claimed over rms errors, each rms over the elements of M, of B and of K, (3,)."""
+        true = np.sqrt(np.mean(self.errors**2, axis=(0, 2, 3)))
+        ratio: FloatArray = np.sqrt(np.mean(self.claimed**2, axis=(1, 2))) / true
+        return ratio
+
+    def described(self) -> dict[str, Any]:
+        """As it stands in the JSON file; bias, spread and standard errors in %."""
+        shares = zip(LETTERS, self.by_letter, strict=True)
+        return {
+            **self.condition,
+            "pooled": self.pooled.described(),
+            "by_letter": {name: share.described() for name, share in shares},
+            "by_element": {name: share.described() for name, share in self.by_element.items()},
+            "bias": (100.0 * self.bias).tolist(),
+            "spread": (100.0 * self.spread).tolist(),
+            "stated_standard_error": (100.0 * self.claimed).tolist(),
+        }
+
+    def rows(self) -> list[dict[str, Any]]:
+        """A row of the CSV file for each element."""
+        shares = zip(np.ndindex(self.errors.shape[1:]), self.by_element.items(), strict=True)
+        return [
+            {
+                **self.condition,
+                "element": name,
+                "share": share.value,
+                "share_lower": share.lower,
+                "share_upper": share.upper,
+                "bias_percent": 100.0 * float(self.bias[place]),
+                "spread_percent": 100.0 * float(self.spread[place]),
+                "stated_error_percent": 100.0 * float(self.claimed[place]),
+            }
+            for place, (name, share) in shares
+        ]

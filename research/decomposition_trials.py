@@ -1,0 +1,236 @@
+"""Many experiments of both kinds side by side: joint by joint, and all joints at once."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import JsonValue
+
+from armimp_bringup.benchmarks import available_cores
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.offline import run_together
+from armimp_bringup.simulated import SimulatedExperiment
+from armimp_bringup.study.backends import as_ready
+from armimp_bringup.terminal import progress
+from armimp_common.errors import ConfigurationError
+from armimp_estimation import scores
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.fit import MBKFit, fit_mbk
+from armimp_estimation.mbk import MBK
+from armimp_estimation.registry import make_estimator
+from armimp_estimation.settings import IdentifyConfig
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import TrialData
+from armimp_sim.kernel import WIDTH
+from research.mimo import InputCoupling, estimate_mimo
+
+FloatArray = NDArray[np.float64]
+Work = TypeVar("Work")
+Result = TypeVar("Result")
+
+JOINT_BY_JOINT: Final = ("direct", "welch_siso", "welch_full", "lpm_full")
+MIMO: Final = "mimo"
+ESTIMATORS: Final = (*JOINT_BY_JOINT, MIMO)
+
+# Far beyond what happens. The default limits are made for one joint that yields: when all seven do,
+# every joint is moved by the others too, commands saturate and the last joint gets too fast.
+_LIMITS_FOR_ALL_AT_ONCE: Final[dict[str, JsonValue]] = {
+    "safety.position_limit": [10.0],
+    "safety.velocity_limit": [1000.0],
+    "safety.torque_limit": 300.0,
+    "safety.rate_limit": 1e6,
+    "safety.power_limit": 1e6,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """What one estimator found in one experiment.
+
+    Attributes
+    ----------
+    estimator, seed : which
+    estimate, fit : impedance over frequency, and M, B and K
+    vaf : (n, n) %
+    seconds : wall time from the records to the fit, s
+    coupling : of the inputs; of the estimator ``mimo`` only
+    """
+
+    estimator: str
+    seed: int
+    estimate: ImpedanceEstimate
+    fit: MBKFit
+    vaf: FloatArray
+    seconds: float
+    coupling: InputCoupling | None = None
+
+
+def all_at_once(
+    configs: Sequence[ExperimentConfig], correlation: float = 0.0
+) -> list[SimulatedExperiment]:
+    """Experiments of the same length, n trials in each of which all joints are perturbed.
+
+    The safety gate leaves them alone.
+
+    Parameters
+    ----------
+    configs : as for :func:`armimp_bringup.simulated.simulate`
+    correlation : of the perturbations of any two joints
+
+    Raises
+    ------
+    ConfigurationError, IntegrationError
+        As :func:`simulate`, and if there are no perturbations with this correlation.
+    """
+    free = [
+        one.model_copy(
+            update={"imbic_controller": {**one.imbic_controller, **_LIMITS_FOR_ALL_AT_ONCE}}
+        )
+        for one in configs
+    ]
+    parameters = [node_parameters(one, None) for one in free]
+    rigs = [one.rig() for one in parameters]
+    mixing = [input_mixing(rig.perturbation.peak, correlation) for rig in rigs]
+    n = configs[0].joints
+    trials = run_together(rigs, trials=n, mixing=mixing if correlation else None)
+    return [
+        SimulatedExperiment.of(config, one, of_config)
+        for config, one, of_config in zip(free, parameters, trials, strict=True)
+    ]
+
+
+def input_mixing(peak: Sequence[float], correlation: float) -> FloatArray:
+    """Matrix that makes correlated perturbations out of independent ones, and keeps their power.
+
+    With P = diag(peak), and the Cholesky factor L of the matrix of the correlations, ``P L P⁻¹``.
+
+    Parameters
+    ----------
+    peak : (n,) of the perturbations, N·m
+    correlation : of any two of them
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not between 0 and 1, the latter excluded.
+    """
+    if not 0.0 <= correlation < 1.0:
+        raise ConfigurationError(
+            f"correlation of the perturbations must be at least 0 and below 1, got {correlation}"
+        )
+    n = len(peak)
+    root = np.linalg.cholesky((1.0 - correlation) * np.eye(n) + correlation)
+    mixing: FloatArray = np.array(peak)[:, None] * root / np.array(peak)
+    return mixing
+
+
+def estimate(
+    experiment: SimulatedExperiment, estimators: Sequence[str], welch: WelchConfig
+) -> dict[str, Run]:
+    """Estimate the impedance from one experiment, each estimator from the records alone.
+
+    Parameters
+    ----------
+    experiment : SimulatedExperiment
+    estimators : names; :data:`MIMO` for experiments with all joints at once, and no other
+    welch : segments and band
+
+    Raises
+    ------
+    ConfigurationError, DataError
+        If there is no such estimator, or the records do not suit it.
+    """
+    runs = {}
+    for name in estimators:
+        begun = time.perf_counter()
+        coupling = None
+        if name == MIMO:
+            # How bad the coupling may get is what is to be found out.
+            found = estimate_mimo(experiment.records, welch, largest_condition=np.inf)
+            impedance, coupling = found.impedance, found.coupling
+        else:
+            data = [TrialData.from_record(one, welch) for one in experiment.records]
+            impedance = make_estimator(name, IdentifyConfig(welch=welch)).estimate(data)
+        fit = fit_mbk(impedance)
+        runs[name] = Run(
+            estimator=name,
+            seed=experiment.config.seed,
+            estimate=impedance,
+            fit=fit,
+            vaf=scores.vaf(impedance, experiment.truth),
+            seconds=time.perf_counter() - begun,
+            coupling=coupling,
+        )
+    return runs
+
+
+def with_voluntary(
+    base: ExperimentConfig, rms: float, seeds: Sequence[int]
+) -> list[ExperimentConfig]:
+    """Configurations with a voluntary torque, N·m rms; one for each seed."""
+    person = {**base.arm_sim, "voluntary.rms": rms}
+    return [base.model_copy(update={"arm_sim": person, "seed": seed}) for seed in seeds]
+
+
+def in_threads(
+    work: Callable[[Work], Result], tasks: Sequence[Work], workers: int | None
+) -> Iterator[Result]:
+    """Results of the tasks in their order; most of the time is spent without the GIL.
+
+    Raises
+    ------
+    ConfigurationError
+        If there are fewer workers than one.
+    """
+    if workers is not None and workers < 1:
+        raise ConfigurationError(f"--workers must be at least 1, got {workers}")
+
+    def numbered(task: tuple[int, Work]) -> tuple[int, Result]:
+        return task[0], work(task[1])
+
+    threads = workers if workers is not None else available_cores()
+    early: dict[int, Result] = {}
+    due = 0
+    progress(0, len(tasks), things="batches")
+    for done, (number, result) in enumerate(as_ready(numbered, list(enumerate(tasks)), threads), 1):
+        progress(done, len(tasks), things="batches")
+        early[number] = result
+        while due in early:
+            yield early.pop(due)
+            due += 1
+
+
+def in_blocks(runs: Sequence[Work]) -> list[tuple[Work, ...]]:
+    """Runs in groups that the compiled loop does at the price of one."""
+    starts = range(0, len(runs), WIDTH)
+    return [tuple(itertools.islice(runs, start, start + WIDTH)) for start in starts]
+
+
+def scales(truth: FloatArray) -> FloatArray:
+    """What errors of an element of M, B or K are measured by: ``sqrt(|X_ii X_jj|)``.
+
+    Small elements off the diagonal would have large relative errors that hardly matter.
+
+    Parameters
+    ----------
+    truth : (..., n, n)
+
+    Returns
+    -------
+    (..., n, n) NDArray
+        In the units of the truth.
+    """
+    diagonal = np.sqrt(np.abs(np.diagonal(truth, axis1=-2, axis2=-1)))
+    scale: FloatArray = diagonal[..., :, None] * diagonal[..., None, :]
+    return scale
+
+
+def matrices(mbk: MBK) -> FloatArray:
+    """M, B and K in one array, shape (3, n, n)."""
+    return np.stack((mbk.M, mbk.B, mbk.K))

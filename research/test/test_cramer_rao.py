@@ -1,0 +1,201 @@
+"""The Cramér-Rao bound: closed forms, and an estimator that reaches it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import stats
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from research.cramer_rao import (
+    SensorNoise,
+    cramer_rao_bound,
+    error_covariance,
+    motion_in_band,
+)
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+
+pytestmark = pytest.mark.slow
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+BAND = (0.122, 15.0)
+SAMPLES = 8192
+ONE_JOINT = MBK(M=np.array([[0.2]]), B=np.array([[0.6]]), K=np.array([[8.0]]))
+NOISE = SensorNoise(angle=2e-5, torque=5e-3)
+
+
+def motion(joints: int, trials: int, seed: int = 3) -> tuple[FloatArray, ComplexArray]:
+    random = np.random.default_rng(seed)
+    f = 0.122 * np.arange(1, 120, dtype=np.float64)
+    parts = random.standard_normal((2, trials, joints, f.size))
+    theta: ComplexArray = parts[0] + 1j * parts[1]
+    return f, theta
+
+
+def test_one_joint_has_the_bound_of_the_closed_form() -> None:
+    f, theta = motion(1, 1)
+    covariance = error_covariance(ONE_JOINT, f, SAMPLES, NOISE)
+    omega = 2.0 * np.pi * f
+    real = 8.0 - 0.2 * omega**2
+    variance = SAMPLES * (5e-3**2 + (real**2 + (0.6 * omega) ** 2) * 2e-5**2)
+    power = 2.0 * np.abs(theta[0, 0]) ** 2 / variance
+    # M and K act on the part in phase, B on the other one, so B stands alone.
+    m_m, m_k, k_k = (np.sum(power * omega**order) for order in (4, 2, 0))
+    determinant = m_m * k_k - m_k**2
+    expected = [k_k / determinant, 1.0 / np.sum(power * omega**2), m_m / determinant]
+    found = cramer_rao_bound(f, theta, covariance)
+    np.testing.assert_allclose(found[:, 0, 0], np.sqrt(expected), rtol=1e-9)
+
+
+def test_motion_that_is_unknown_costs_as_much_as_it_does_in_the_whole_information() -> None:
+    """That of all parameters and of the motion at every bin, inverted, has the same bound."""
+    f, theta = motion(2, 2)
+    f, theta = f[::15], theta[..., ::15]
+    power = np.linspace(1e-3, 1e-5, f.size)
+    s = 2j * np.pi * f
+    Z = TWO_JOINT_ARM.impedance(f)
+    parameters, nuisance = 12, 2 * theta.size
+    # Rows are readings: angles, then torques, by trial, joint and bin; columns what is unknown.
+    shape = (2, *theta.shape)
+    slopes = np.zeros((*shape, parameters + nuisance), dtype=complex)
+    for which, factor in enumerate((s**2, s, np.ones_like(s))):
+        for i, k in np.ndindex(2, 2):
+            slopes[1, :, i, :, 4 * which + 2 * i + k] = factor * theta[:, k]
+    for number, (trial, k, b) in enumerate(np.ndindex(theta.shape)):
+        for part, unit in enumerate((1.0, 1j)):
+            column = parameters + 2 * number + part
+            slopes[0, trial, k, b, column] = unit
+            slopes[1, trial, :, b, column] = unit * Z[:, k, b]
+    variance = np.empty(shape)
+    variance[0] = SAMPLES * NOISE.angle**2
+    variance[1] = SAMPLES * (NOISE.torque**2 + power)
+    rows = (slopes / np.sqrt(variance)[..., None]).reshape(-1, parameters + nuisance)
+    whole = 2.0 * np.real(np.conj(rows.T) @ rows)
+    size = np.sqrt(np.diagonal(whole))
+    expected = np.sqrt(np.diagonal(np.linalg.inv(whole / size[:, None] / size))) / size
+    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, NOISE, power)
+    found = cramer_rao_bound(f, theta, covariance)
+    np.testing.assert_allclose(found.ravel(), expected[:parameters], rtol=1e-6)
+
+
+def test_elements_lie_where_their_matrices_have_them() -> None:
+    """Less noise of one torque helps its row alone; more motion of one joint its column alone."""
+    f, theta = motion(2, 2)
+    plain = cramer_rao_bound(f, theta, np.tile(np.eye(2), (f.size, 1, 1)).astype(complex))
+    quiet = np.tile(np.diag([1.0, 0.25]), (f.size, 1, 1)).astype(complex)
+    np.testing.assert_allclose(
+        cramer_rao_bound(f, theta, quiet) / plain, [[[1.0, 1.0], [0.5, 0.5]]] * 3
+    )
+    moved = theta * np.array([1.0, 4.0])[None, :, None]
+    larger = cramer_rao_bound(f, moved, np.tile(np.eye(2), (f.size, 1, 1)).astype(complex))
+    np.testing.assert_allclose(larger / plain, [[[1.0, 0.25], [1.0, 0.25]]] * 3)
+
+
+def test_four_times_the_trials_halve_the_bound() -> None:
+    f, theta = motion(2, 2)
+    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, NOISE)
+    once = cramer_rao_bound(f, theta, covariance)
+    often = cramer_rao_bound(f, np.concatenate([theta] * 4), covariance)
+    np.testing.assert_allclose(often, 0.5 * once)
+
+
+def test_voluntary_torque_adds_to_the_noise_of_the_torques() -> None:
+    f, theta = motion(2, 2)
+    extra = np.full(f.size, 3.0 * 5e-3**2)
+    quiet = SensorNoise(angle=0.0, torque=5e-3)
+    without = cramer_rao_bound(f, theta, error_covariance(TWO_JOINT_ARM, f, SAMPLES, quiet))
+    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, quiet, extra)
+    np.testing.assert_allclose(cramer_rao_bound(f, theta, covariance), 2.0 * without)
+
+
+def test_without_noise_there_is_no_limit() -> None:
+    f, theta = motion(2, 2)
+    none = SensorNoise.of_rounding(angle=0.0, torque=0.0)
+    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, none)
+    assert not cramer_rao_bound(f, theta, covariance).any()
+
+
+def test_rounding_has_the_variance_of_a_uniform_error() -> None:
+    values = np.random.default_rng(1).uniform(0.0, 100.0, 200_000)
+    noise = SensorNoise.of_rounding(angle=1.0, torque=0.5)
+    assert float(np.std(np.rint(values) - values)) == pytest.approx(noise.angle, rel=0.01)
+    assert noise.torque == pytest.approx(0.5 * noise.angle)
+
+
+def test_joints_that_cannot_be_told_apart_are_refused() -> None:
+    f, theta = motion(2, 1)
+    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, NOISE)
+    with pytest.raises(DataError, match="does not move"):
+        cramer_rao_bound(f, theta * np.array([1.0, 0.0])[None, :, None], covariance)
+    with pytest.raises(DataError, match="apart"):
+        cramer_rao_bound(f, np.repeat(theta[:, :1], 2, axis=1), covariance)
+
+
+def test_noise_that_is_none_is_refused() -> None:
+    for value in (-1.0, np.nan, np.inf):
+        with pytest.raises(ConfigurationError, match="torque"):
+            SensorNoise(angle=0.0, torque=value)
+
+
+def test_trials_of_different_length_are_refused() -> None:
+    config = SyntheticConfig(samples=4096)
+    trial = synthetic_trial(TWO_JOINT_ARM, 0, config, 1)
+    other = synthetic_trial(TWO_JOINT_ARM, 1, replace(config, samples=2048), 1)
+    with pytest.raises(DataError, match="one length"):
+        motion_in_band([trial, other], BAND)
+
+
+def _likeliest(records: list[TrialRecord], covariance: ComplexArray) -> FloatArray:
+    """M, B and K, (3, n, n), that minimise ``Σ e* Σ⁻¹ e`` with a known covariance."""
+    f, theta = motion_in_band(records, BAND)
+    _, torque = motion_in_band([replace(r, position=r.torque) for r in records], BAND)
+    s = 2j * np.pi * f
+    root = np.conj(np.swapaxes(np.linalg.cholesky(np.linalg.inv(covariance)), 1, 2))
+    slopes = np.concatenate((s**2 * theta, s * theta, theta), axis=1)
+    trials, columns, bins = slopes.shape
+    n = theta.shape[1]
+    whitened = np.einsum("fwi,taf->tfwia", root, slopes).reshape(trials * bins * n, n * columns)
+    target = np.einsum("fwi,tif->tfw", root, torque).ravel()
+    found = np.linalg.lstsq(
+        np.concatenate((whitened.real, whitened.imag)),
+        np.concatenate((target.real, target.imag)),
+        rcond=None,
+    )[0]
+    return np.moveaxis(found.reshape(n, 3, n), 1, 0)
+
+
+def test_least_squares_with_known_noise_reach_the_bound_with_rounded_readings() -> None:
+    """100 experiments with sensors of resolution level 3; both trials differ in every one."""
+    angle, torque = 1.227e-4, 0.02
+    config = SyntheticConfig(samples=SAMPLES, perturbation=3.0, lock_stiffness=100.0)
+    noise = SensorNoise.of_rounding(angle=angle, torque=torque)
+    true = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
+    squares = []
+    for seed in range(100):
+        trials = [
+            synthetic_trial(TWO_JOINT_ARM, joint, config, 2 * seed + joint) for joint in (0, 1)
+        ]
+        rounded = [
+            replace(
+                one,
+                position=angle * np.rint(one.position / angle),
+                torque=torque * np.rint(one.torque / torque),
+            )
+            for one in trials
+        ]
+        f, theta = motion_in_band(trials, BAND)
+        covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, noise)
+        bound = cramer_rao_bound(f, theta, covariance)
+        squares.append(((_likeliest(rounded, covariance) - true) / bound) ** 2)
+    found = np.mean(squares, axis=0)
+    # Of each parameter, chi squared with 100 degrees of freedom over 100; 12 parameters, level 1 %.
+    lower, upper = stats.chi2.ppf([0.005 / 12, 1.0 - 0.005 / 12], 100) / 100
+    assert (found > lower).all(), found
+    assert (found < upper).all(), found

@@ -1,0 +1,242 @@
+"""`make research ARGS=decomposition`: its statistics, its coupled inputs, and what it finds."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.simulated import simulate
+from armimp_common.errors import ConfigurationError
+from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.mbk import MBK
+from research.decomposition import (
+    Cell,
+    DecompositionPlan,
+    investigate,
+    run_decomposition,
+)
+from research.decomposition_statistics import (
+    OCTAVES,
+    Mean,
+    critical_z,
+    octave_errors,
+)
+from research.decomposition_trials import (
+    all_at_once,
+    in_threads,
+    input_mixing,
+    scales,
+)
+from research.options import InvestigationOptions
+
+pytestmark = pytest.mark.slow
+
+# Shorter trials, larger steps and fewer seeds than anyone should draw conclusions from.
+BASE = ExperimentConfig(duration=16.4, arm_sim={"substeps": 10})
+PLAN = DecompositionPlan(
+    base=BASE, seeds="0:8", voluntary=(0.0, 0.3), correlations=(0.0, 0.9), coupled_at=0.3
+)
+Cells = dict[tuple[str, float, float | None], Cell]
+
+
+@pytest.fixture(scope="module")
+def cells() -> Cells:
+    found = run_decomposition(PLAN, workers=2)
+    return {(cell.estimator, cell.voluntary, cell.correlation): cell for cell in found}
+
+
+def test_every_estimator_is_in_every_condition(cells: Cells) -> None:
+    alone = {
+        (name, rms, None)
+        for name in ("direct", "welch_siso", "welch_full", "lpm_full")
+        for rms in (0.0, 0.3)
+    }
+    assert set(cells) == alone | {("mimo", 0.0, 0.0), ("mimo", 0.3, 0.0), ("mimo", 0.3, 0.9)}
+
+
+def test_voluntary_torque_biases_the_direct_estimate_of_z(cells: Cells) -> None:
+    shift = cells["direct", 0.3, None].octaves_shift
+    assert shift is not None
+    assert shift.significant
+    assert np.max(np.abs(shift.z)) > 1.3 * shift.critical
+
+
+@pytest.mark.parametrize("name", ["welch_full", "lpm_full"])
+def test_voluntary_torque_does_not_bias_estimates_from_the_perturbation(
+    cells: Cells, name: str
+) -> None:
+    shift = cells[name, 0.3, None].octaves_shift
+    assert shift is not None
+    assert not shift.significant
+    assert not cells[name, 0.3, None].biased
+
+
+def test_shift_and_weights_add_up_to_the_change_of_the_errors(cells: Cells) -> None:
+    with_torque, without = cells["welch_full", 0.3, None], cells["welch_full", 0.0, None]
+    assert with_torque.shift is not None
+    assert with_torque.reweighted is not None
+    np.testing.assert_allclose(
+        with_torque.shift.bias + with_torque.reweighted.bias,
+        with_torque.total.bias - without.total.bias,
+        atol=1e-12,
+    )
+
+
+def test_independent_inputs_make_mimo_less_uncertain_and_coupled_ones_more(cells: Cells) -> None:
+    def low_frequency_spread(cell: Cell) -> float:
+        return float(np.sqrt(np.mean(cell.octaves.spread[..., :3] ** 2)))
+
+    alone = low_frequency_spread(cells["welch_full", 0.3, None])
+    independent = low_frequency_spread(cells["mimo", 0.3, 0.0])
+    coupled = low_frequency_spread(cells["mimo", 0.3, 0.9])
+    # With all joints at once each is perturbed twice as long.
+    assert independent < 0.95 * alone
+    assert coupled > 1.3 * independent
+
+
+def test_coupling_of_the_inputs_is_that_of_the_correlation(cells: Cells) -> None:
+    independent, coupled = cells["mimo", 0.3, 0.0], cells["mimo", 0.3, 0.9]
+    assert independent.coherence < 0.15
+    assert coupled.coherence == pytest.approx(0.81, abs=0.04)
+    assert independent.inflation < 1.2
+    assert coupled.inflation == pytest.approx(1.0 / (1.0 - 0.81), rel=0.2)
+    assert np.isnan(cells["direct", 0.3, None].coherence)
+
+
+def test_stated_standard_errors_are_of_the_size_of_the_spread(cells: Cells) -> None:
+    cell = cells["lpm_full", 0.3, None]
+    ratio = np.sqrt(np.mean(cell.stated**2) / np.mean(cell.total.spread**2))
+    assert 0.5 < ratio < 2.0
+
+
+def test_results_do_not_depend_on_the_number_of_workers() -> None:
+    plan = DecompositionPlan(
+        base=BASE.model_copy(update={"duration": 10.0}),
+        seeds="0:2",
+        voluntary=(0.3,),
+        correlations=(),
+    )
+    one, two = (run_decomposition(plan, workers) for workers in (1, 2))
+    assert [cell.estimator for cell in one] == [cell.estimator for cell in two]
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.total.bias, b.total.bias)
+
+
+def test_investigation_leaves_tables_and_figures_and_prints_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = DecompositionPlan(
+        base=BASE.model_copy(update={"duration": 10.0}),
+        voluntary=(0.0, 0.3),
+        correlations=(0.0, 0.5),
+    )
+    assert investigate(InvestigationOptions(out=tmp_path, seeds="3:5", json=True), plan) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads((tmp_path / "decomposition.json").read_text(encoding="utf-8"))
+    assert printed["seeds"] == "3:5"
+    assert len(printed["cells"]) == 11
+    with (tmp_path / "decomposition.csv").open(encoding="utf-8") as file:
+        assert len(list(csv.DictReader(file))) == 11 * 12
+    for name in ("decomposition", "decomposition_coupling"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+        assert (tmp_path / f"{name}.pdf").stat().st_size > 5_000
+
+
+def test_without_json_it_prints_a_line_for_each_estimator(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = DecompositionPlan(
+        base=BASE.model_copy(update={"duration": 10.0}), seeds="0:2", voluntary=(0.0, 0.3),
+        correlations=(0.0,),
+    )  # fmt: skip
+    investigate(InvestigationOptions(out=tmp_path), plan)
+    text = capsys.readouterr().out
+    for name in ("direct", "welch_siso", "welch_full", "lpm_full", "mimo"):
+        assert text.count(f" {name} ") == 2
+
+
+def test_one_seed_is_too_few(tmp_path: Path) -> None:
+    plan = DecompositionPlan(base=BASE.model_copy(update={"duration": 10.0}), voluntary=(0.0,),
+                             correlations=())  # fmt: skip
+    with pytest.raises(ConfigurationError, match="1 seed is too few"):
+        investigate(InvestigationOptions(out=tmp_path, seeds="0"), plan)
+
+
+@pytest.mark.parametrize("correlation", [-0.1, 1.0, float("nan")])
+def test_impossible_correlation_is_refused(correlation: float) -> None:
+    with pytest.raises(ConfigurationError, match="correlation"):
+        input_mixing((3.0, 1.8), correlation)
+
+
+def test_no_workers_are_refused() -> None:
+    with pytest.raises(ConfigurationError, match="--workers must be at least 1, got 0"):
+        list(in_threads(str, [1], 0))
+
+
+def test_mixing_keeps_the_power_and_gives_the_correlation() -> None:
+    peak = np.array((9.0, 5.4, 1.0))
+    mixing = input_mixing(tuple(peak), 0.6)
+    covariance = mixing @ np.diag(peak**2) @ mixing.T
+    expected = np.outer(peak, peak) * (0.4 * np.eye(3) + 0.6)
+    np.testing.assert_allclose(covariance, expected, rtol=1e-12)
+
+
+def test_all_at_once_has_as_many_trials_each_with_signals_of_its_own() -> None:
+    config = BASE.model_copy(update={"duration": 10.0})
+    (alone,), (together,) = simulate([config]), all_at_once([config])
+    assert [record.samples for record in alone.records] == [10_000, 10_000]
+    assert [record.samples for record in together.records] == [10_000, 10_000]
+    signals = [row for record in together.records for row in record.perturbation]
+    for i, one in enumerate(signals):
+        assert np.any(one)
+        assert not any(np.array_equal(one, other) for other in signals[i + 1 :])
+    # Joint by joint only one is perturbed.
+    assert not alone.records[0].perturbation[1].any()
+
+
+def test_mean_tells_a_bias_from_chance() -> None:
+    random = np.random.default_rng(5)
+    noise = random.standard_normal((40, 3, 4))
+    assert not Mean.of(noise).significant
+    noise[:, 1, 2] += 1.0
+    found = Mean.of(noise)
+    assert found.significant
+    assert int(np.argmax(np.abs(found.z))) == 1 * 4 + 2
+    assert found.z[1, 2] == pytest.approx(found.bias[1, 2] / found.spread[1, 2] * np.sqrt(40.0))
+
+
+def test_chance_alone_is_significant_as_often_as_stated() -> None:
+    random = np.random.default_rng(6)
+    many = [Mean.of(random.standard_normal((12, 8))).significant for _ in range(2000)]
+    # 5 % by Bonferroni; four standard errors are 2 %.
+    assert 0.03 < np.mean(many) < 0.07
+
+
+def test_more_tests_ask_for_more_evidence() -> None:
+    assert critical_z(1_000_000, 1) == pytest.approx(1.96, abs=0.001)
+    assert critical_z(32, 12) > critical_z(32, 1)
+    assert critical_z(8, 12) > critical_z(32, 12)
+
+
+def test_octave_errors_are_means_relative_to_the_truth() -> None:
+    truth = MBK(M=np.diag([0.2, 0.1]), B=np.ones((2, 2)), K=np.full((2, 2), 5.0))
+    f = np.arange(1, 123) * 1000.0 / 8192
+    true = truth.impedance(f)
+    estimate = ImpedanceEstimate(
+        name="made", f=f, Z=true + (0.1 + 0.2j) * np.abs(true), variance=np.ones(true.shape),
+        bin_correlation=np.ones(1), averages=10.0, T=true, R=true,
+    )  # fmt: skip
+    errors = octave_errors(estimate, truth)
+    assert errors.shape == (2, 2, len(OCTAVES) - 1)
+    np.testing.assert_allclose(errors, 0.1 + 0.2j)
+
+
+def test_scales_are_geometric_means_of_the_diagonal() -> None:
+    np.testing.assert_allclose(
+        scales(np.array([[4.0, 1.0], [2.0, -9.0]])), [[4.0, 6.0], [6.0, 9.0]]
+    )

@@ -1,0 +1,163 @@
+"""`make research ARGS=limits`: its ratios, its bounds, and estimators against them."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.simulated import simulate
+from armimp_common.errors import ConfigurationError
+from research.decomposition_trials import (
+    with_voluntary,
+)
+from research.limits import LimitsPlan, bound_of, investigate, run_limits
+from research.limits_statistics import Cell
+from research.limits_tables import in_words
+from research.options import InvestigationOptions
+
+pytestmark = pytest.mark.slow
+
+BASE = ExperimentConfig(arm_sim={"substeps": 20})
+PLAN = LimitsPlan(
+    base=BASE, levels=((3, 3, 3),), seeds="0:24", estimators=("lpm_full", "welch_siso")
+)
+SHORT = ExperimentConfig(duration=16.4, arm_sim={"substeps": 10})
+BAND = (0.122, 15.0)
+Cells = dict[tuple[str, float], Cell]
+
+
+@pytest.fixture(scope="module")
+def cells() -> Cells:
+    return {(cell.estimator, cell.voluntary): cell for cell in run_limits(PLAN, workers=2)}
+
+
+def bound(voluntary: float, **levels: int) -> NDArray[np.float64]:
+    """Bound of a short experiment with seed 3."""
+    base = SHORT.model_copy(update=levels)
+    one, quiet = (simulate(with_voluntary(base, torque, [3]))[0] for torque in (voluntary, 0.0))
+    return bound_of(one, quiet, BAND)
+
+
+def made(errors: Sequence[float], limit: float) -> Cell:
+    runs = np.ones((len(errors), 3, 2, 2))
+    return Cell(
+        levels=(0, 1, 3),
+        voluntary=0.3,
+        estimator="made",
+        errors=np.array(errors)[:, None, None, None] * runs,
+        bounds=limit * runs,
+    )
+
+
+def test_no_estimator_has_a_spread_below_the_bound_by_more_than_chance(cells: Cells) -> None:
+    """24 runs, 48 ratios: below 0.5 by chance is beyond one in 10⁵ for each."""
+    for cell in cells.values():
+        assert (cell.spread_ratio > 0.5).all()
+        assert float(np.sqrt(np.mean(cell.spread_ratio**2))) > 1.0
+
+
+def test_local_polynomials_come_close_to_the_bound_with_voluntary_torque(cells: Cells) -> None:
+    assert float(np.sqrt(np.mean(cells["lpm_full", 0.3].ratio ** 2))) < 1.5
+    assert cells["lpm_full", 0.3].worst[1] < 2.0
+
+
+@pytest.mark.parametrize("voluntary", [0.3, 0.0])
+def test_welch_estimator_is_farther_from_the_bound(cells: Cells, voluntary: float) -> None:
+    assert cells["welch_siso", voluntary].worst[1] > 3.0 * cells["lpm_full", voluntary].worst[1]
+
+
+def test_estimators_of_a_condition_have_one_bound(cells: Cells) -> None:
+    for voluntary in (0.3, 0.0):
+        one, other = (cells[name, voluntary].bounds for name in ("lpm_full", "welch_siso"))
+        np.testing.assert_array_equal(one, other)
+
+
+def test_four_times_the_count_is_four_times_the_bound_of_a_relaxed_arm() -> None:
+    """Angle and torque counts of level 3 are both four times those of level 1."""
+    ratio = bound(0.0, friction=0, resolution=3) / bound(0.0, friction=0, resolution=1)
+    np.testing.assert_allclose(ratio, 4.0, rtol=0.02)
+
+
+def test_friction_hardly_changes_the_bound() -> None:
+    """It shapes the motion, which the controller keeps the same, and is no noise."""
+    ratio = bound(0.3, friction=3) / bound(0.3, friction=0)
+    np.testing.assert_allclose(ratio, 1.0, rtol=0.05)
+
+
+def test_with_exact_readings_the_bound_is_proportional_to_the_voluntary_torque() -> None:
+    """So the motion that the voluntary torque itself makes is left out."""
+    np.testing.assert_allclose(bound(0.3, resolution=0), 3.0 * bound(0.1, resolution=0))
+
+
+def test_exact_readings_of_a_relaxed_arm_have_no_limit() -> None:
+    assert not bound(0.0, resolution=0).any()
+
+
+def test_cell_tells_bound_rms_spread_and_their_ratios() -> None:
+    cell = made((0.01, 0.03, 0.05), 0.01)
+    np.testing.assert_allclose(cell.rms, np.sqrt(35.0 / 3.0) * 0.01)
+    np.testing.assert_allclose(cell.ratio, np.sqrt(35.0 / 3.0))
+    np.testing.assert_allclose(cell.bias, 0.03)
+    np.testing.assert_allclose(cell.spread_ratio, 2.0)
+    assert cell.elements[:3] == ["M11", "M12", "M21"]
+
+
+def test_uncertainty_of_the_ratio_is_its_scatter_over_experiments() -> None:
+    random = np.random.default_rng(1)
+    cells = [made(list(errors), 0.5) for errors in random.standard_normal((300, 64))]
+    scatter = np.std([cell.ratio[0, 0, 0] for cell in cells])
+    stated = np.mean([cell.uncertainty[0, 0, 0] for cell in cells])
+    assert stated == pytest.approx(float(scatter), rel=0.15)
+
+
+def test_without_a_bound_there_is_no_ratio() -> None:
+    cell = made((0.01, 0.02), 0.0)
+    assert np.isnan(cell.ratio).all()
+    assert in_words([cell]) == ["made, with 0.3 N·m rms: no noise, so there is no bound."]
+
+
+def test_words_name_the_worst_element() -> None:
+    cell = made((0.01, -0.01), 0.005)
+    cell.errors[:, 1, 0, 1] *= 3.0
+    (sentence,) = in_words([cell])
+    assert "2.00 to 6.00 times the bound" in sentence
+    assert "B12 at levels 0 1 3, an error of 3 %" in sentence
+
+
+def test_one_seed_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="--seeds 7: one seed is too few"):
+        run_limits(replace(PLAN, seeds="7"))
+
+
+def test_investigation_leaves_tables_and_a_figure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan = replace(PLAN, base=SHORT, levels=((3, 3, 3), (0, 0, 3)))
+    assert investigate(InvestigationOptions(out=tmp_path, seeds="0:3", workers=2), plan) == 0
+    assert "Cramér-Rao" in capsys.readouterr().out
+    result = json.loads((tmp_path / "limits.json").read_text(encoding="utf-8"))
+    assert [
+        (cell["estimator"], cell["voluntary_rms"], cell["friction"]) for cell in result["cells"]
+    ] == [
+        (name, torque, friction)
+        for name in ("lpm_full", "welch_siso")
+        for torque in (0.3, 0.0)
+        for friction in (3, 0)
+    ]
+    assert result["cells"][3]["rms_over_bound"] == [[[None, None], [None, None]]] * 3
+    with (tmp_path / "limits.csv").open(encoding="utf-8", newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 8 * 12
+    assert float(rows[0]["rms_over_bound"]) == pytest.approx(
+        float(rows[0]["rms_error_percent"]) / float(rows[0]["bound_percent"])
+    )
+    assert (tmp_path / "limits.png").stat().st_size > 10_000
+    assert (tmp_path / "limits.pdf").stat().st_size > 5_000

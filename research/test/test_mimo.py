@@ -1,0 +1,182 @@
+"""All joints perturbed at once: the estimate, and the check that inputs are independent."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
+from research.mimo import MimoEstimate, estimate_mimo, input_coupling
+from support.synthetic_trials import TWO_JOINT_ARM
+
+pytestmark = pytest.mark.slow
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+RATE, SAMPLES = 125.0, 6144
+WELCH = WelchConfig(segment=1024, overlap=768)
+CONTROL = MBK(M=0.2 * np.eye(2), B=4.0 * np.eye(2), K=30.0 * np.eye(2))
+
+
+def loop_record(
+    seed: int, *, push: float = 0.0, noise: float = 0.0, inputs: FloatArray | None = None
+) -> TrialRecord:
+    """One period of the loop ``(Y + Z) θ = x - d``, ``τ = Z θ + d`` with both joints compliant."""
+    rng = np.random.default_rng(seed)
+    x = rng.standard_normal((2, SAMPLES)) if inputs is None else inputs
+    d = push * rng.standard_normal((2, SAMPLES))
+    f = np.asarray(np.fft.rfftfreq(SAMPLES, 1.0 / RATE), dtype=np.float64)
+    arm, control = (np.moveaxis(m.impedance(f), 2, 0) for m in (TWO_JOINT_ARM, CONTROL))
+    push_spectrum = np.fft.rfft(d).T
+    motion = np.linalg.solve(arm + control, (np.fft.rfft(x).T - push_spectrum)[:, :, None])
+    torque = (arm @ motion)[:, :, 0] + push_spectrum
+    return TrialRecord(
+        trial=seed,
+        perturbed_joint=0,
+        rate=RATE,
+        joint_names=("a", "b"),
+        perturbation=x,
+        position=np.fft.irfft(motion[:, :, 0].T, SAMPLES, axis=1),
+        torque=np.fft.irfft(torque.T, SAMPLES, axis=1) + noise * rng.standard_normal((2, SAMPLES)),
+        start_ns=0,
+        seed=seed,
+    )
+
+
+def estimate(*records: TrialRecord) -> MimoEstimate:
+    return estimate_mimo(records, WELCH)
+
+
+def relative_error(found: MimoEstimate) -> float:
+    true = TWO_JOINT_ARM.impedance(found.impedance.f)
+    error = np.sum(np.abs(found.impedance.Z - true) ** 2, axis=2)
+    return float(np.sqrt(np.max(error / np.sum(np.abs(true) ** 2, axis=2))))
+
+
+def test_one_record_gives_the_whole_matrix() -> None:
+    found = estimate(loop_record(1))
+    assert found.impedance.name == "mimo"
+    assert found.impedance.Z.shape == (2, 2, 122)
+    assert relative_error(found) < 0.02
+
+
+def test_responses_of_a_static_system_are_its_gains_however_inputs_are_coupled() -> None:
+    rng = np.random.default_rng(2)
+    x = np.array([[1.0, 0.0], [0.8, 0.6]]) @ rng.standard_normal((2, SAMPLES))
+    R = np.array([[0.5, 0.1], [0.2, 0.4]])
+    T = np.array([[3.0, -2.0], [1.0, 5.0]])
+    record = dataclasses.replace(loop_record(1), perturbation=x, position=R @ x, torque=T @ x)
+    found = estimate(record)
+    for i, j in np.ndindex(2, 2):
+        np.testing.assert_allclose(found.impedance.R[i, j], R[i, j], atol=1e-12)
+        np.testing.assert_allclose(found.impedance.T[i, j], T[i, j], atol=1e-11)
+        np.testing.assert_allclose(found.impedance.Z[i, j], (T @ np.linalg.inv(R))[i, j])
+
+
+def test_several_records_count_as_one_longer_one() -> None:
+    one = estimate(loop_record(1, push=0.5))
+    many = estimate(*(loop_record(seed, push=0.5) for seed in range(1, 7)))
+    assert many.impedance.averages + 1.0 == pytest.approx(6.0 * (one.impedance.averages + 1.0))
+    assert relative_error(many) < 0.6 * relative_error(one)
+    assert np.mean(many.impedance.variance) < 0.2 * np.mean(one.impedance.variance)
+
+
+def test_when_the_subject_pushes_expect_no_bias_and_variance_that_is_right() -> None:
+    true = TWO_JOINT_ARM.impedance(WELCH.frequencies(RATE))
+    found = [estimate(loop_record(s, push=0.2, noise=0.1)).impedance for s in range(150)]
+    errors = np.array([one.Z - true for one in found])
+    squares = np.mean(np.abs(errors) ** 2, axis=0)
+    bias = np.abs(np.mean(errors, axis=0)) / np.sqrt(squares)
+    assert (np.mean(bias, axis=2) < 0.12).all()  # 0.07 for the mean of 150
+    ratio = np.mean(np.mean([one.variance for one in found], axis=0) / squares, axis=2)
+    assert (np.abs(ratio - 1.0) < 0.12).all()
+    inside = np.mean([np.abs(one.Z - true) <= one.confidence_radius(0.95) for one in found])
+    assert 0.935 < inside < 0.97
+
+
+def spectra_of(x: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    accumulator = SpectralAccumulator(len(x), RATE, WELCH)
+    accumulator.push(x)
+    return accumulator.result().f, accumulator.result().matrix
+
+
+def test_coupling_of_independent_inputs_is_that_of_chance() -> None:
+    f, matrix = spectra_of(np.random.default_rng(3).standard_normal((2, SAMPLES)))
+    coupling = input_coupling(f, matrix)
+    # One over 11 averages.
+    assert 0.06 < np.mean(coupling.coherence[0, 1]) < 0.13
+    np.testing.assert_allclose(coupling.coherence[[0, 1], [0, 1]], 1.0, rtol=1e-12)
+    np.testing.assert_array_equal(coupling.f, f)
+    # Of two inputs with coherence γ²: (1 + γ)/(1 - γ) and 1/(1 - γ²).
+    gamma = np.sqrt(coupling.coherence[0, 1])
+    np.testing.assert_allclose(coupling.condition, (1.0 + gamma) / (1.0 - gamma), rtol=1e-9)
+    np.testing.assert_allclose(coupling.inflation, [1.0 / (1.0 - gamma**2)] * 2, rtol=1e-9)
+
+
+def test_coupling_does_not_depend_on_the_scale_of_inputs() -> None:
+    x = np.random.default_rng(3).standard_normal((3, SAMPLES))
+    one, other = (
+        input_coupling(*spectra_of(scale[:, None] * x))
+        for scale in (np.ones(3), np.array([1e-3, 1.0, 50.0]))
+    )
+    np.testing.assert_allclose(one.condition, other.condition, rtol=1e-9)
+    np.testing.assert_allclose(one.inflation, other.inflation, rtol=1e-9)
+
+
+def test_when_inputs_have_much_in_common_expect_data_error() -> None:
+    x = np.random.default_rng(4).standard_normal((2, SAMPLES))
+    coupled = loop_record(1, inputs=np.stack((x[0], x[0] + 0.1 * x[1])))
+    with pytest.raises(DataError, match=r"not independent: condition number .* \(limit 100\)"):
+        estimate(coupled)
+    found = estimate_mimo([coupled], WELCH, largest_condition=1e5)
+    assert np.min(found.coupling.inflation) > 20.0
+    assert relative_error(found) < 0.1
+
+
+def test_when_inputs_are_the_same_expect_data_error_whatever_the_limit() -> None:
+    x = np.random.default_rng(4).standard_normal(SAMPLES)
+    same = loop_record(1, inputs=np.stack((x, x)))
+    with pytest.raises(DataError, match="not independent"):
+        estimate_mimo([same], WELCH, largest_condition=1e12)
+    assert not np.isfinite(input_coupling(*spectra_of(same.perturbation)).inflation).any()
+
+
+def test_when_a_joint_is_not_perturbed_expect_its_name() -> None:
+    record = loop_record(1)
+    record = dataclasses.replace(record, perturbation=record.perturbation * [[1.0], [0.0]])
+    with pytest.raises(DataError, match="trial 1 does not perturb b: all joints"):
+        estimate(record)
+
+
+def test_when_an_input_has_no_power_at_a_frequency_expect_it_in_the_error() -> None:
+    f, matrix = spectra_of(np.random.default_rng(3).standard_normal((2, SAMPLES)))
+    matrix[1, :, 4] = matrix[:, 1, 4] = 0.0
+    with pytest.raises(DataError, match=r"no perturbation of joint 2 at 0\.6104 Hz"):
+        input_coupling(f, matrix)
+
+
+def test_when_there_are_too_few_averages_expect_data_error() -> None:
+    record = loop_record(1)
+    short = dataclasses.replace(
+        record,
+        perturbation=record.perturbation[:, :1400],
+        position=record.position[:, :1400],
+        torque=record.torque[:, :1400],
+    )
+    with pytest.raises(DataError, match="independent"):
+        estimate_mimo([short], WELCH, largest_condition=1e9)
+    with pytest.raises(DataError, match="trial 1: record of 1400 samples is shorter"):
+        estimate_mimo([short], WelchConfig(segment=2048, overlap=1024))
+
+
+def test_when_records_do_not_belong_together_expect_data_error() -> None:
+    one = loop_record(1)
+    with pytest.raises(DataError, match="no trial"):
+        estimate()
+    with pytest.raises(DataError, match="trials 1 and 2 are of different joints or rates"):
+        estimate(one, dataclasses.replace(loop_record(2), joint_names=("x", "y")))

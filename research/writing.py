@@ -1,0 +1,142 @@
+"""What all investigations leave behind: JSON, CSV, figures, and a table on the terminal."""
+
+from __future__ import annotations
+
+import csv
+import functools
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+
+from armimp_bringup.study.store import replace_file, write_file
+
+# Colours by Okabe and Ito, which colour-blind readers can tell apart.
+COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X")
+WIDTH: Final = 7.16  # inches, two columns of a journal
+_DPI: Final = 150
+_STYLE: Final[Any] = {
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.markersize": 3.5,
+    "lines.linewidth": 1.0,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "grid.linewidth": 0.4,
+    "pdf.fonttype": 42,  # embedded as TrueType, as journals ask for
+}
+
+
+@contextmanager
+def figure_style() -> Iterator[None]:
+    """Make figures look as those of the study while this is open."""
+    import matplotlib as mpl
+
+    with mpl.rc_context(_STYLE):
+        yield
+
+
+def write_figure(directory: Path, name: str, figure: Any) -> list[Path]:
+    """Write a figure as PNG and PDF.
+
+    Parameters
+    ----------
+    directory : Path
+    name : without suffix
+    figure : matplotlib.figure.Figure
+
+    Raises
+    ------
+    StudyError
+        If a file can't be written.
+    """
+    paths = []
+    # The time of day would make every file another one.
+    for suffix, metadata in (("png", None), ("pdf", {"CreationDate": None})):
+        path = directory / f"{name}.{suffix}"
+        replace_file(path, functools.partial(figure.savefig, dpi=_DPI, metadata=metadata))
+        paths.append(path)
+    return paths
+
+
+def to_json(result: Mapping[str, Any]) -> str:
+    """JSON with null for what is not a finite number, which JSON has no word for."""
+    return json.dumps(_finite(result), indent=1, allow_nan=False)
+
+
+def write_tables(
+    directory: Path, name: str, result: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]
+) -> None:
+    """Write NAME.json, and NAME.csv with one line for each row.
+
+    Parameters
+    ----------
+    directory : Path
+    name : of the investigation
+    result : content of the JSON file
+    rows : all with the keys of the first one, at least one
+
+    Raises
+    ------
+    StudyError
+        If a file can't be written.
+    """
+    write_file(directory / f"{name}.json", to_json(result) + "\n")
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(_finite(row) for row in rows)
+    write_file(directory / f"{name}.csv", text.getvalue())
+
+
+def print_table(
+    title: str,
+    columns: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    caption: str | None = None,
+    console: Console | None = None,
+) -> None:
+    """Print a table; the first column is text, the others are numbers."""
+    out = console if console is not None else Console()
+    table = Table(
+        title=title,
+        caption=caption,
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        title_justify="left",
+        caption_justify="left",
+    )
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="right" if number else "left", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    # Wider than the terminal rather than with gaps.
+    wide = Measurement.get(out, out.options.update(max_width=1000), table).maximum
+    out.width = max(out.width, wide)
+    out.print(table)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

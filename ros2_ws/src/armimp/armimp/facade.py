@@ -1,0 +1,288 @@
+"""Recordings and results as notebooks want them: plain arrays, and four functions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """Trials of one experiment, in each of which one joint was perturbed.
+
+    Attributes
+    ----------
+    trials : tuple of TrialRecord
+        Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N).
+    reading : TorqueReading
+        When and how torques were read.
+    truth : MBK or None
+        The arm that was simulated, if it was.
+    """
+
+    trials: tuple[TrialRecord, ...]
+    reading: TorqueReading = field(default_factory=TorqueReading)
+    truth: MBK | None = None
+
+    @classmethod
+    def from_arrays(
+        cls,
+        perturbation: Sequence[ArrayLike] | ArrayLike,
+        position: Sequence[ArrayLike] | ArrayLike,
+        torque: Sequence[ArrayLike] | ArrayLike,
+        *,
+        rate: float,
+        command: Sequence[ArrayLike] | ArrayLike | None = None,
+        joint_names: Sequence[str] | None = None,
+        timing: str = "unknown",
+        torque_delay: float = 0.0,
+    ) -> Recording:
+        """Make a recording of one array of shape (n, N) for each trial and signal.
+
+        Parameters
+        ----------
+        perturbation : sequence of array_like
+            Known random torque of each joint, N·m. The joint with the largest one was perturbed.
+        position : sequence of array_like
+            Joint angles, rad.
+        torque : sequence of array_like
+            Torques applied to the arm, N·m.
+        rate : float
+            Samples per second, Hz.
+        command : sequence of array_like, optional
+            Torque commands, N·m, each in force from its sample to the next.
+        joint_names : sequence of str, optional
+            Names of the n joints.
+        timing : str
+            When torques are read, relative to the update of the command at the same sample:
+            ``before_update``, ``after_update``, ``mid_interval``, ``interval_mean`` or
+            ``simultaneous``; ``unknown`` leaves it to the records, with the errors that this has.
+        torque_delay : float
+            How late torques are read beside that, s.
+
+        Raises
+        ------
+        DataError
+            If shapes disagree or a sample is not finite.
+        ConfigurationError
+            If the timing is unknown or the delay impossible.
+        """
+        known = [one.value for one in TorqueTiming]
+        if timing not in known:
+            raise ConfigurationError(f"timing: {timing!r} is none of {', '.join(known)}")
+        signals: list[Any] = [perturbation, position, torque]
+        if command is not None:
+            signals.append(command)
+        try:
+            trials = [
+                [np.asarray(one, dtype=np.float64) for one in trial]
+                for trial in zip(*map(list, signals), strict=True)
+            ]
+        except ValueError as error:
+            raise DataError(f"signals do not make trials: {error}") from None
+        if not trials or any(one.ndim != 2 for trial in trials for one in trial):
+            raise DataError("each signal needs an array of shape (joints, samples) for each trial")
+        names = tuple(joint_names or (f"joint_{i + 1}" for i in range(len(trials[0][0]))))
+        records = [
+            TrialRecord(
+                trial=number,
+                perturbed_joint=int(np.argmax(np.sum(trial[0] ** 2, axis=1))),
+                rate=rate,
+                joint_names=names,
+                perturbation=trial[0],
+                position=trial[1],
+                torque=trial[2],
+                command=None if command is None else trial[3],
+                start_ns=0,
+                seed=None,
+            )
+            for number, trial in enumerate(trials, start=1)
+        ]
+        reading = TorqueReading(timing=TorqueTiming(timing), delay=torque_delay)
+        return cls(trials=tuple(records), reading=reading)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result:
+    """Inertia, viscosity and stiffness of the arm, with errors and a verdict.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+        Names of the n joints.
+    M, B, K : ndarray, shape (n, n)
+        In kg·m², N·m·s/rad and N·m/rad.
+    M_se, B_se, K_se : ndarray, shape (n, n)
+        Their standard errors.
+    f : ndarray, shape (n_freq,)
+        Frequencies, Hz.
+    Z, Z_variance : ndarray, shape (n, n, n_freq)
+        Impedance, N·m/rad, and the variance of each complex value.
+    valid : bool
+        Whether M, B, K and their intervals can be trusted.
+    impedance_valid : bool
+        Whether Z(f) and its variance can.
+    problems : tuple of str
+        What speaks against the result, and what was found and put right.
+    """
+
+    joint_names: tuple[str, ...]
+    M: FloatArray
+    B: FloatArray
+    K: FloatArray
+    M_se: FloatArray
+    B_se: FloatArray
+    K_se: FloatArray
+    f: FloatArray
+    Z: ComplexArray
+    Z_variance: FloatArray
+    valid: bool
+    impedance_valid: bool
+    problems: tuple[str, ...]
+
+    def interval(
+        self, matrix: Literal["M", "B", "K"], level: float = 0.95
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the confidence interval of each element, from a normal distribution.
+
+        Parameters
+        ----------
+        matrix : {"M", "B", "K"}
+        level : float
+            Probability with which the interval holds the truth.
+
+        Returns
+        -------
+        low, high : ndarray, shape (n, n)
+        """
+        from scipy.special import ndtri
+
+        if matrix not in ("M", "B", "K") or not 0.0 < level < 1.0:
+            raise ConfigurationError(f"there is no interval of {matrix!r} at level {level!r}")
+        value = getattr(self, matrix)
+        half = ndtri(0.5 * (1.0 + level)) * getattr(self, f"{matrix}_se")
+        return value - half, value + half
+
+
+def simulate(**options: Any) -> Recording:
+    """Simulate an experiment; samples are those of ``armimp run`` with the same options.
+
+    Parameters
+    ----------
+    **options
+        As for ``armimp run``: ``joints``, ``friction``, ``resolution``, ``perturbation``,
+        ``duration`` (s), ``seed``.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such option, or its value is out of range.
+    """
+    from pydantic import ValidationError
+
+    from armimp_bringup.config import ExperimentConfig
+    from armimp_bringup.simulated import simulate as run_without_ros
+
+    try:
+        config = ExperimentConfig(**options)
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        raise ConfigurationError(f"{name}: {first['msg']}: {first['input']!r}") from None
+    (experiment,) = run_without_ros([config])
+    return Recording(
+        trials=experiment.records,
+        reading=experiment.options.lpm.reading,
+        truth=experiment.truth,
+    )
+
+
+def read_bag(*bags: str | Path) -> Recording:
+    """Read the trials of bags that belong to one experiment.
+
+    Parameters
+    ----------
+    *bags : str or Path
+        rosbag2 directories, ``.mcap`` or ``.db3`` files.
+
+    Raises
+    ------
+    BagError
+        If a bag can't be read.
+    DataError
+        If the bags don't belong together, or a trial has lost samples.
+    """
+    from armimp_bringup.offline_estimate import read_bags
+    from armimp_estimation.conclusion import reading_of
+    from armimp_estimation.timing import latest_metadata
+
+    contents = read_bags([Path(bag) for bag in bags])
+    records = []
+    for trial in (trial for content in contents for trial in content.trials):
+        record, *others = trial.intact()
+        if others:
+            raise DataError(f"trial {record.trial}: clipped commands divide it: armimp estimate")
+        records.append(record)
+    return Recording(
+        trials=tuple(records),
+        reading=reading_of(latest_metadata([content.metadata for content in contents])),
+    )
+
+
+def identify(recording: Recording, estimator: str = "lpm_full") -> Result:
+    """Identify M, B and K from one trial for each joint.
+
+    Parameters
+    ----------
+    recording : Recording
+    estimator : str
+        Name of an estimator, as ``lpm_full`` or ``welch_siso``.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such estimator.
+    DataError
+        If the trials cannot be estimated.
+    """
+    from armimp_estimation.identify import identify as identify_trials
+    from armimp_estimation.lpm import LpmConfig
+    from armimp_estimation.settings import IdentifyConfig
+    from armimp_estimation.spectra import WelchConfig
+    from armimp_estimation.trial import TrialData
+
+    if not recording.trials:
+        raise DataError("there is no trial in the recording")
+    welch = WelchConfig.for_samples(min(trial.samples for trial in recording.trials))
+    data = [TrialData.from_record(one, welch, recording.reading) for one in recording.trials]
+    config = IdentifyConfig(welch=welch, lpm=LpmConfig(reading=recording.reading))
+    found = identify_trials(data, [estimator], recording.truth, config)
+    one = found.estimators[estimator]
+    return Result(
+        joint_names=found.joint_names,
+        M=one.fit.mbk.M,
+        B=one.fit.mbk.B,
+        K=one.fit.mbk.K,
+        M_se=one.fit.M_se,
+        B_se=one.fit.B_se,
+        K_se=one.fit.K_se,
+        f=one.estimate.f,
+        Z=one.estimate.Z,
+        Z_variance=one.estimate.variance,
+        valid=found.valid,
+        impedance_valid=found.impedance_valid,
+        problems=tuple(problem.sentence for problem in found.problems),
+    )

@@ -1,0 +1,110 @@
+"""The facade: recordings of any origin give the same result, with intervals that hold the truth."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import armimp
+from armimp_estimation.bags import BagWriter
+from support.synthetic_bags import synthetic_recording
+
+
+@pytest.fixture(scope="module")
+def recording() -> armimp.Recording:
+    return armimp.simulate(duration=20.0, seed=1)
+
+
+def arrays_of(recording: armimp.Recording) -> tuple[list[np.ndarray], ...]:
+    names = ("perturbation", "position", "torque")
+    return tuple([getattr(one, name) for one in recording.trials] for name in names)
+
+
+def test_intervals_hold_the_arm_that_was_simulated(recording: armimp.Recording) -> None:
+    result = armimp.identify(recording)
+
+    assert result.valid, result.problems
+    assert recording.truth is not None
+    held = 0
+    for letter in ("M", "B", "K"):
+        low, high = result.interval(letter, 0.999)
+        true = getattr(recording.truth, letter)
+        held += int(np.count_nonzero((low < true) & (true < high)))
+        assert np.abs(getattr(result, letter) - true).max() < 0.05 * np.abs(true).max()
+    assert held >= 11  # of twelve
+    assert result.Z.shape == result.Z_variance.shape == (2, 2, result.f.size)
+
+
+def test_a_wider_level_makes_a_wider_interval_of_a_normal_distribution(
+    recording: armimp.Recording,
+) -> None:
+    result = armimp.identify(recording)
+    low, high = result.interval("K")
+    assert np.allclose(high - low, 2 * 1.959964 * result.K_se)
+    wide = result.interval("K", 0.99)
+    assert (wide[0] < low).all()
+    assert (wide[1] > high).all()
+    with pytest.raises(armimp.ArmimpError, match=r"level 1\.0"):
+        result.interval("K", 1.0)
+
+
+def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_found(
+    recording: armimp.Recording,
+) -> None:
+    perturbation, position, torque = arrays_of(recording)
+    made = armimp.Recording.from_arrays(
+        perturbation,
+        position,
+        torque,
+        rate=1000.0,
+        command=[one.command for one in recording.trials if one.command is not None],
+        timing="before_update",
+    )
+    assert [one.perturbed_joint for one in made.trials] == [0, 1]
+    assert np.array_equal(armimp.identify(made).K, armimp.identify(recording).K)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda one: one[:, :-1], "trial 1: position has 19999 samples"),
+        (lambda one: np.where(np.arange(20000) == 7, math.nan, one), "is nan at sample 7"),
+        (lambda one: one[0], "shape"),
+    ],
+)
+def test_when_arrays_are_no_good_expect_one_line_that_says_where(
+    recording: armimp.Recording, spoil: object, message: str
+) -> None:
+    perturbation, position, torque = arrays_of(recording)
+    with pytest.raises(armimp.ArmimpError, match=message) as error:
+        armimp.Recording.from_arrays(
+            perturbation,
+            [spoil(one) for one in position],  # type: ignore[operator]
+            torque,
+            rate=1000.0,
+        )
+    assert "\n" not in str(error.value)
+
+
+def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
+    with pytest.raises(armimp.ArmimpError, match="frictoin"):
+        armimp.simulate(frictoin=3)
+    with pytest.raises(armimp.ArmimpError, match=r"friction: .*: 7"):
+        armimp.simulate(friction=7)
+    with pytest.raises(armimp.ArmimpError, match="timing: 'never'"):
+        armimp.Recording.from_arrays([], [], [], rate=1.0, timing="never")
+
+
+def test_a_bag_becomes_a_recording_of_its_trials(tmp_path: Path) -> None:
+    made = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10)
+    writer = BagWriter(tmp_path / "bag", metadata={})
+    for topic, time_ns, raw in made.messages:
+        writer.write(topic, raw, time_ns)
+    writer.close()
+
+    recording = armimp.read_bag(tmp_path / "bag")
+
+    assert [one.perturbed_joint for one in recording.trials] == [0, 1]
+    assert [one.samples for one in recording.trials] == [2000, 2000]
+    assert recording.truth is None

@@ -1,1 +1,0 @@
-"""Monte Carlo studies that answer one question each: ``armimp investigate``."""

@@ -1,0 +1,282 @@
+"""What people see while they wait: complaints, named phases, progress, running results.
+
+All of it goes to standard error. One :class:`Display` is open at a time; whatever has something to
+tell calls :func:`phase` or :func:`progress`, which do nothing where no display is open.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import threading
+import time
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.table import Table
+from rich.text import Text
+
+from armimp_common.contract import NS_PER_S, PERIOD_NS
+
+if TYPE_CHECKING:
+    from armimp_bringup.supervisor import Progress as Snapshot
+
+_RATE = NS_PER_S / PERIOD_NS
+_UNITS = ("kg·m²", "N·m·s/rad", "N·m/rad")
+_REFRESHES = 1.0
+"""Per second; each takes some milliseconds from nodes in this process."""
+_BAR_WIDTH = 16
+_LONGEST = 1200
+"""Letters of a line: files of unknown origin may hold names of any length."""
+
+
+def repair_streams() -> None:
+    """Make standard input, output and error usable, whatever the environment gave the process.
+
+    One that is closed leads to the null device, so that no other file takes its place. Letters that
+    the encoding of standard output does not have become question marks.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            null = os.open(os.devnull, os.O_RDWR)
+            os.dup2(null, number)  # which child processes inherit
+            if null != number:
+                os.close(null)
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+    with suppress(AttributeError):  # not a file of this interpreter's own
+        sys.stdout.reconfigure(errors="replace")  # type: ignore[union-attr]
+
+
+def say(line: str) -> None:
+    """Print a line on standard error, which stays one line whatever the values it quotes hold."""
+    shown = "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape").decode()
+        for letter in line
+    )
+    if len(shown) > _LONGEST:
+        shown = f"{shown[: _LONGEST // 2]} ... {shown[-_LONGEST // 2 :]}"
+    print(shown, file=sys.stderr)
+
+
+def phase(text: str) -> None:
+    """Name what goes on now on the display that is open, with the seconds that it takes."""
+    if Display.present is not None:
+        Display.present.phase(text)
+
+
+def progress(done: int, total: int, stored: int = 0, *, things: str) -> None:
+    """Show on the display that is open how many things are done, and how long the others take.
+
+    Parameters
+    ----------
+    done, total : int
+        Things that are done, and all of them.
+    stored : int
+        Those that were done before this command began.
+    things : str
+        What they are, in the plural.
+    """
+    if Display.present is not None:
+        Display.present.progress(done, total, stored, things=things)
+
+
+def complete(text: str) -> None:
+    """Let the bar of the display that is open reach its end, and name what comes then."""
+    if Display.present is not None:
+        Display.present.complete(text)
+
+
+def leave_terminal() -> None:
+    """Close the display that is open, so that results can be printed."""
+    if Display.present is not None:
+        Display.present.close()
+
+
+class Display:
+    """A bar, a named phase and running results at the bottom of the terminal.
+
+    It is gone without a trace when it is closed, so that nothing is painted over what is printed
+    afterwards. Where standard error is no terminal, only progress is told, a line for each step.
+    """
+
+    present: Display | None = None
+    """The one that is open."""
+
+    def __init__(self, console: Console | None = None) -> None:
+        self._console = console if console is not None else Console(stderr=True)
+        self._lock = threading.Lock()
+        self._phase = ""
+        self._phase_began = self._progress_began = time.monotonic()
+        self._bar: tuple[str, int, int, str] | None = None
+        self._lines: list[str] = []
+        self._told: int | None = None
+        self._live = Live(
+            console=self._console,
+            get_renderable=self._content,
+            refresh_per_second=_REFRESHES,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+
+    def phase(self, text: str) -> None:
+        """Name what goes on now, beside the bar if there is one."""
+        with self._lock:
+            self._phase, self._phase_began = text, time.monotonic()
+        self._refresh()
+
+    def progress(self, done: int, total: int, stored: int = 0, *, things: str) -> None:
+        """As :func:`progress`."""
+        with self._lock:
+            if self._bar is None:
+                self._progress_began = time.monotonic()
+            text = describe(
+                done, total, stored, time.monotonic() - self._progress_began, things=things
+            )
+            self._bar, self._phase = ("", done, total, text), ""
+        if not self._console.is_terminal:
+            self._console.print(text, highlight=False)
+        self._refresh()
+
+    def show(self, snapshot: Snapshot) -> None:
+        """Show where an experiment stands."""
+        if not snapshot.samples:
+            return
+        label = f"trial {snapshot.trial}/{snapshot.trials}  joint {snapshot.joint}"
+        text = describe_trial(snapshot)
+        with self._lock:
+            # Fewer are planned than at first where a trial ends early.
+            self._bar = label, snapshot.samples, snapshot.planned, text
+            self._lines = [describe_coherence(snapshot), *describe_column(snapshot)]
+            self._phase = ""
+        if not self._console.is_terminal and self._told != snapshot.trial:
+            self._told = snapshot.trial
+            self._console.print(f"{label}: {text}", highlight=False)
+
+    def complete(self, text: str) -> None:
+        """Let the bar reach its end, and name what comes then."""
+        with self._lock:
+            if self._bar is not None:
+                label, _, total, _ = self._bar
+                self._bar = label, total, total, f"{total / _RATE:.1f} s"
+        self.phase(text)
+
+    def close(self) -> None:
+        """Leave the terminal to others."""
+        if self._console.is_terminal:
+            self._live.stop()
+        if Display.present is self:
+            Display.present = None
+
+    def _refresh(self) -> None:
+        if self._live.is_started:
+            self._live.refresh()
+
+    def _content(self) -> RenderableType:
+        with self._lock:
+            parts: list[RenderableType] = []
+            if self._bar is not None:
+                label, done, total, text = self._bar
+                row = Table.grid(padding=(0, 1))
+                row.add_column(no_wrap=True)
+                row.add_column(width=_BAR_WIDTH)
+                row.add_column(no_wrap=True)
+                bar = ProgressBar(total=max(total, 1), completed=done, width=_BAR_WIDTH)
+                row.add_row(*([label] if label else []), bar, text)
+                parts.append(row)
+            parts += [Text(line, no_wrap=True, overflow="ellipsis") for line in self._lines if line]
+            if self._phase:
+                took = time.monotonic() - self._phase_began
+                parts.append(Text(f"{self._phase}, {took:.0f} s", no_wrap=True))
+            return Group(*parts)
+
+    def __enter__(self) -> Display:
+        Display.present = self
+        if self._console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def describe(done: int, total: int, stored: int, seconds: float, *, things: str) -> str:
+    """Progress in words; the time left follows from what was done in these seconds."""
+    parts = [f"{done} of {total} {things}"]
+    if stored:
+        parts.append(f"{stored} of them from before")
+    if done > stored and done == total:
+        parts.append(f"took {duration(seconds)}")
+    elif done > stored:
+        parts.append(f"{duration(seconds * (total - done) / (done - stored))} left")
+    return ", ".join(parts)
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it: ``12 s``, ``3 min 20 s``, ``2 h 5 min``."""
+    whole = max(1, round(seconds))
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
+
+
+def describe_trial(snapshot: Snapshot) -> str:
+    """How far a trial is, how fast it runs, and the time left of all trials."""
+    parts = [
+        f"{snapshot.samples / _RATE:.1f}/{snapshot.planned / _RATE:.1f} s",
+        f"{snapshot.rate / _RATE:.1f}x",
+    ]
+    if snapshot.rate > 0.0:
+        waiting = snapshot.trials - snapshot.trial
+        left = snapshot.planned * (1 + waiting) - snapshot.samples
+        parts.append(f"{duration(left / snapshot.rate)} left")
+    return "  ".join(parts)
+
+
+def describe_coherence(snapshot: Snapshot) -> str:
+    """Running coherences of angle and torque; empty as long as there are none."""
+    if snapshot.coherence_motion is None or snapshot.coherence_torque is None:
+        return ""
+    return f"coherence θ {snapshot.coherence_motion:.3f}  τ {snapshot.coherence_torque:.3f}"
+
+
+def describe_column(snapshot: Snapshot) -> list[str]:
+    """Running M, B and K of the column that is measured, a line for each.
+
+    Standard errors are told only where the motion of the locked joints is accounted for.
+    """
+    lines = []
+    for letter, (values, errors), unit in zip("MBK", snapshot.column or (), _UNITS, strict=False):
+        elements = [
+            f"{letter}{row}{snapshot.joint} "
+            f"{_with_digits(value, error, stated=not snapshot.preliminary)}"
+            for row, (value, error) in enumerate(zip(values, errors, strict=True), 1)
+        ]
+        lines.append(f"{'   '.join(elements)} {unit}")
+    if snapshot.largest_error is not None:
+        kind = "preliminary; random errors" if snapshot.preliminary else "standard errors"
+        lines.append(f"{kind} up to {100.0 * snapshot.largest_error:.2g} %")
+    return lines
+
+
+def _with_digits(value: float, error: float, *, stated: bool) -> str:
+    """A value with as many digits as two of its standard error take, and that if it is stated."""
+    digits = 3
+    if 0.0 < error < math.inf:
+        digits = min(max(1 - math.floor(math.log10(error)), 0), 9)
+    return f"{value:.{digits}f} ± {error:.{digits}f}" if stated else f"{value:.{digits - 1}f}"

@@ -1,0 +1,168 @@
+"""Time that nobody can set: timers, spinning, and the refusal of simulated time."""
+
+import ast
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.clock_type import ClockType
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.parameters import declare
+from armimp_common.schema import Schema
+from armimp_common.spin import ExecutorKind, Spinner
+from armimp_common.steady import refuse_simulated_time, steady_timer
+from support.graph import CLOCK_STEPS, PATIENCE, eventually, set_clock
+
+SOURCES = Path(__file__).parents[2]
+KINDS: tuple[ExecutorKind, ...] = ("events", "single")
+stepped = pytest.mark.parametrize("step", CLOCK_STEPS)
+both_kinds = pytest.mark.parametrize("kind", KINDS)
+
+WALL_CLOCK = {
+    "create_timer",
+    "create_rate",
+    "get_clock",
+    "ROSClock",
+    "time.time",
+    "time.time_ns",
+    "time.localtime",
+    "time.gmtime",
+    "time.strftime",
+    "datetime.now",
+    "datetime.today",
+    "datetime.utcnow",
+    "CLOCK_REALTIME",
+}
+"""What reads a clock that can be set, or waits by one."""
+
+PERMITTED = {
+    ("armimp_common/steady.py", "create_timer"): "on the steady clock",
+    ("armimp_common/rig_node.py", "get_clock"): "stamps of reports, for people",
+    ("armimp_bringup/cli.py", "datetime.now"): "name of the output directory",
+}
+
+
+class Settings(Schema):
+    gain: float = 1.0
+
+
+@both_kinds
+@stepped
+def test_when_the_clock_is_set_expect_timers_to_go_on(
+    node: Node, kind: ExecutorKind, step: float
+) -> None:
+    ticks: list[int] = []
+    timer = steady_timer(node, 0.005, lambda: ticks.append(1))
+    with Spinner([node], kind=kind) as spinner:
+        eventually(spinner, lambda: len(ticks) > 2, "ticks before the step")
+        set_clock(node, step)
+        ticks.clear()
+        eventually(spinner, lambda: len(ticks) > 5, "ticks after the step")
+
+    assert timer.clock.clock_type is ClockType.STEADY_TIME
+
+
+def test_timer_starts_when_it_is_told_to(node: Node) -> None:
+    ticks: list[int] = []
+    timer = steady_timer(node, 0.005, lambda: ticks.append(1), autostart=False)
+    with Spinner([node]) as spinner:
+        spinner.spin_until(Future(), 0.05)
+        assert not ticks
+        timer.reset()
+        eventually(spinner, lambda: len(ticks) > 1, "ticks")
+
+
+@both_kinds
+@stepped
+@pytest.mark.timeout(60)
+def test_when_the_clock_is_set_expect_stop_conditions_of_a_busy_node_to_be_looked_at(
+    node: Node, kind: ExecutorKind, step: float
+) -> None:
+    publisher = node.create_publisher(Clock, "echo", 10)
+    echoes: list[Clock] = []
+
+    def echo(message: Clock) -> None:
+        echoes.append(message)
+        publisher.publish(message)
+
+    node.create_subscription(Clock, "echo", echo, 10)
+    publisher.publish(Clock())
+    with Spinner([node], kind=kind) as spinner:
+        eventually(spinner, lambda: len(echoes) > 2, "echoes")
+        set_clock(node, step)
+        assert not spinner.spin_until(Future(), 0.1)
+        begun = time.monotonic()
+        spinner.spin(lambda: time.monotonic() > begun + 0.1)
+
+    assert time.monotonic() - begun < PATIENCE
+
+
+@pytest.fixture
+def simulated(context: Context) -> Iterator[Node]:
+    """A node that was started with ``use_sim_time:=true``."""
+    node = Node(
+        "simulated", context=context, parameter_overrides=[Parameter("use_sim_time", value=True)]
+    )
+    yield node
+    node.destroy_node()
+
+
+def test_when_started_with_simulated_time_expect_a_refusal(simulated: Node) -> None:
+    for begin in (
+        lambda: declare(simulated, Settings),
+        lambda: Spinner([simulated]),
+        lambda: refuse_simulated_time(simulated),
+    ):
+        with pytest.raises(ConfigurationError, match="'use_sim_time' cannot be true: watchdogs"):
+            begin()
+
+
+def test_when_simulated_time_is_set_later_expect_a_refusal_and_the_clock_as_it_was(
+    node: Node,
+) -> None:
+    declare(node, Settings)
+    with Spinner([node]):
+        pass
+
+    for setting in (
+        node.set_parameters([Parameter("use_sim_time", value=True)])[0],
+        node.set_parameters_atomically(
+            [Parameter("gain", value=2.0), Parameter("use_sim_time", value=True)]
+        ),
+    ):
+        assert not setting.successful
+        assert "cannot be true: watchdogs" in setting.reason
+    assert node.get_parameter("use_sim_time").value is False
+    assert node.get_parameter("gain").value == 1.0
+    clock: Any = node.get_clock()
+    assert not clock.ros_time_is_active
+    assert node.set_parameters([Parameter("use_sim_time", value=False)])[0].successful
+
+
+def names_in(tree: ast.AST) -> Iterator[str]:
+    """Names that are used, and the last two parts of dotted ones; imported ones, too."""
+    for part in ast.walk(tree):
+        if isinstance(part, ast.Name):
+            yield part.id
+        elif isinstance(part, ast.Attribute):
+            yield part.attr
+            yield f"{ast.unparse(part.value).rpartition('.')[2]}.{part.attr}"
+        elif isinstance(part, ast.ImportFrom):
+            yield from (f"{part.module}.{alias.name}" for alias in part.names)
+
+
+def test_nothing_else_reads_a_clock_that_can_be_set() -> None:
+    found = {
+        ("/".join(path.parts[-2:]), name)
+        for path in SOURCES.glob("armimp_*/armimp_*/**/*.py")
+        for name in WALL_CLOCK.intersection(names_in(ast.parse(path.read_text("utf-8"))))
+    }
+    assert found == set(PERMITTED)

@@ -1,0 +1,154 @@
+"""The engine of all reports: templates in, one page that holds everything it needs out.
+
+No request leaves a page, and none could: its policy lets only its own scripts run.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, PrefixLoader, StrictUndefined
+from markupsafe import Markup
+
+from armimp_estimation.report.formats import plain, symbol
+from armimp_estimation.report.look import style_rules
+
+_SCRIPTS = ("plots.js", "tables.js")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Group:
+    """Rows of a table which belong together; the first cell of each row is its header."""
+
+    rows: Sequence[Sequence[object]]
+    title: object = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table.
+
+    Attributes
+    ----------
+    caption : object
+        Title.
+    columns : sequence
+        Header of each column.
+    groups : sequence of Group
+        Rows.
+    spans : sequence of (object, int)
+        Headers above those of the columns, with the number of columns that each is above.
+    words : sequence of int
+        Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
+    sortable : bool
+        Whether a press on a heading sorts the rows.
+    """
+
+    caption: object
+    columns: Sequence[object]
+    groups: Sequence[Group]
+    spans: Sequence[tuple[object, int]] = ()
+    words: Sequence[int] = ()
+    sortable: bool = False
+
+    def __post_init__(self) -> None:
+        for group in self.groups:
+            for row in group.rows:
+                if len(row) != len(self.columns):
+                    raise ValueError(f"{len(row)} cells in {len(self.columns)} columns: {row!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A section of a page: identifier, title in the contents, template, and what that takes."""
+
+    identifier: str
+    title: str
+    template: str
+    content: Mapping[str, Any] = field(default_factory=dict)
+
+
+def script_json(value: Any) -> Markup:
+    """JSON for a script element, which nothing in it can end."""
+    dumped = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    # Only strings can hold these characters, and there the escapes mean the same.
+    for character in "<>&":
+        dumped = dumped.replace(character, f"\\u{ord(character):04x}")
+    return Markup(dumped)
+
+
+def _environment(packages: Mapping[str, str]) -> Environment:
+    """Templates of packages by prefix; whatever is not markup is escaped."""
+
+    def shown(value: object) -> object:
+        return value if isinstance(value, Markup) else "" if value is None else plain(value)
+
+    made = Environment(
+        loader=PrefixLoader({prefix: PackageLoader(name) for prefix, name in packages.items()}),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.globals["symbol"] = symbol
+    made.filters |= {"json": script_json, "words": lambda value: Markup(value).striptags()}
+    return made
+
+
+def render_page(
+    title: str,
+    header: str,
+    sections: Sequence[Section],
+    *,
+    packages: Mapping[str, str] | None = None,
+    **content: Any,
+) -> str:
+    """Put a page together.
+
+    Parameters
+    ----------
+    title : str
+        Of the document.
+    header : str
+        Template of heading and introduction, which takes `content`.
+    sections : sequence of Section
+        In their order.
+    packages : mapping of str to str
+        Packages with ``templates/`` of their own, by the prefix of their names.
+    """
+    scripts = [_plotly(), *map(_resource, _SCRIPTS)]
+    return (
+        _environment({"report": __package__, **(packages or {})})
+        .get_template("report/page.html")
+        .render(
+            title=title,
+            header=header,
+            sections=sections,
+            style=Markup(style_rules() + _resource("style.css")),
+            scripts=[Markup(script) for script in scripts],
+            script_hashes=[_hash(script) for script in scripts],
+            **content,
+        )
+    )
+
+
+def _plotly() -> str:
+    from plotly.offline import get_plotlyjs
+
+    return str(get_plotlyjs())
+
+
+def _resource(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _hash(script: str) -> str:
+    digest = hashlib.sha256(script.encode("utf-8")).digest()
+    return f"'sha256-{base64.b64encode(digest).decode('ascii')}'"

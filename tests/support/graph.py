@@ -1,0 +1,222 @@
+"""Fixtures and helpers for tests with real nodes over real DDS, each test in a domain of its own.
+
+A ``conftest.py`` takes the fixtures over by importing them.
+"""
+
+import signal
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+import pytest
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from pydantic import BaseModel
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+from rclpy.subscription import Subscription
+
+from armimp_common import contract, qos
+from armimp_common.channels import (
+    CommandSubscription,
+    JointStatePublisher,
+    JointStateSubscription,
+    wait_until_matched,
+)
+from armimp_common.diagnostics import values_of
+from armimp_common.domain import DomainClaim
+from armimp_common.schema import Value, flatten
+from armimp_common.spin import Spinner
+from armimp_common.trial_status import Phase, TrialStatus
+
+PATIENCE = 30.0
+"""How long to wait for what must happen (s): long, as the machine may have other work."""
+
+MOMENT = 0.2
+"""How long to wait for what must not happen (s)."""
+
+CLOCK_STEPS = (-600.0, -20.0, 3600.0)
+"""By how much somebody sets the clock (s)."""
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible() -> None:
+    """Have child processes hear SIGINT: shells turn it off for what they run in the background."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+@pytest.fixture
+def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
+    """A domain id that no other test on this machine has, also for child processes."""
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with DomainClaim() as claim:
+        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
+        yield claim.domain_id
+
+
+@pytest.fixture
+def context(domain_id: int) -> Iterator[Context]:
+    """An initialised context."""
+    context = Context()
+    rclpy.init(
+        args=[],
+        context=context,
+        domain_id=domain_id,
+        signal_handler_options=SignalHandlerOptions.NO,
+    )
+    yield context
+    context.try_shutdown()
+
+
+@pytest.fixture
+def node(context: Context) -> Iterator[Node]:
+    """A plain node."""
+    node = Node("tester", context=context)
+    yield node
+    node.destroy_node()
+
+
+def eventually(
+    spinner: Spinner, condition: Callable[[], bool], what: str, patience: float = PATIENCE
+) -> None:
+    """Spin until a condition is met.
+
+    Parameters
+    ----------
+    spinner
+        Spins the nodes on which the condition depends.
+    condition
+        What must come true.
+    what
+        The condition in words, for the failure.
+    patience
+        How long to wait at most (s).
+
+    Raises
+    ------
+    AssertionError
+        If it is not met in time.
+    """
+    end = time.monotonic() + patience
+    spinner.spin(lambda: condition() or time.monotonic() > end, period=0.01)
+    assert condition(), f"did not happen within {patience} s: {what}"
+
+
+def a_moment(spinner: Spinner, seconds: float = MOMENT) -> None:
+    """Spin for a moment, in which something could happen that must not."""
+    end = time.monotonic() + seconds
+    spinner.spin(lambda: time.monotonic() > end, period=0.05)
+
+
+def overrides(model: BaseModel, changes: Mapping[str, Value] | None = None) -> list[Parameter]:
+    """Return the ``parameter_overrides`` that give a node the values of a schema.
+
+    Parameters
+    ----------
+    model
+        The values.
+    changes
+        Other values by dotted name, which need not be right.
+    """
+    values = {**flatten(model), **(changes or {})}
+    return [Parameter(name, value=value) for name, value in values.items()]
+
+
+def set_clock(node: Node, step: float) -> None:
+    """Set the clock of a node forward (s), or back, and have it stand still from then on.
+
+    That is what a step of the wall clock looks like to a timer, without one.
+    """
+    clock: Any = node.get_clock()
+    now = clock.now()
+    clock._set_ros_time_is_active(True)
+    clock.set_ros_time_override(now + Duration(nanoseconds=round(step * contract.NS_PER_S)))
+
+
+class ScriptedDriver:
+    """Stands for the rig: feeds samples to a controller, and keeps what comes back.
+
+    Parameters
+    ----------
+    node
+        Publishes and listens, in its namespace.
+    names
+        Joints in the order of the values that are fed.
+    start_ns
+        Stamp of the first sample (ns).
+
+    Attributes
+    ----------
+    tick
+        Number of the next sample.
+    commands
+        Torques received (N·m).
+    perturbations
+        Stamps (ns) and torques (N·m) received.
+    messages
+        Trial statuses received, as messages.
+    """
+
+    def __init__(self, node: Node, names: Sequence[str], *, start_ns: int = 0) -> None:
+        self.names = tuple(names)
+        self.start_ns = start_ns
+        self.tick = 0
+        self.channels = {
+            topic: JointStatePublisher(node, topic, names, contract.VALUE_FIELD[topic])
+            for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
+        }
+        self.commands: list[tuple[float, ...]] = []
+        self.perturbations: list[tuple[int, tuple[float, ...]]] = []
+        self.messages: list[DiagnosticStatus] = []
+        self._node = node
+        self._subscriptions = [
+            CommandSubscription(node, contract.COMMANDS, len(names), self.commands.append),
+            JointStateSubscription(
+                node,
+                contract.PERTURBATION,
+                names,
+                "effort",
+                lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
+            ),
+        ]
+        self.trial: Subscription = node.create_subscription(
+            DiagnosticStatus, contract.TRIAL, self.messages.append, qos.LATCHED
+        )
+
+    def wait_for_controller(self) -> None:
+        """Wait until a controller listens and is heard."""
+        assert not wait_until_matched(
+            self._node,
+            publishers=self.channels.values(),
+            subscriptions=[*self._subscriptions, self.trial],
+            timeout_s=PATIENCE,
+        )
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the next sample (ns)."""
+        return self.start_ns + self.tick * contract.PERIOD_NS
+
+    @property
+    def statuses(self) -> list[TrialStatus]:
+        """Trial statuses received."""
+        return [TrialStatus.from_values(values_of(message)) for message in self.messages]
+
+    def has_said(self, phase: Phase) -> bool:
+        """Whether the controller announced this phase."""
+        return any(status.phase is phase for status in self.statuses)
+
+    @property
+    def answered(self) -> bool:
+        """Whether every sample has an answer."""
+        return min(len(self.commands), len(self.perturbations)) >= self.tick
+
+    def feed(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
+        """Publish one sample: angles (rad) and torques on the arm (N·m)."""
+        self.channels[contract.JOINT_STATES].publish(self.stamp_ns, theta)
+        self.channels[contract.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
+        self.tick += 1

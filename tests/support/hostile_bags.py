@@ -1,0 +1,874 @@
+"""Files made to harm whoever reads them; ``python -m`` tries the command.
+
+Every function takes an empty directory and returns what stands after ``armimp``. What must stay as
+it was is in ``witness`` beside the directory. All but the links are below 10 MB.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import resource
+import signal
+import sqlite3
+import struct
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import closing
+from io import BytesIO
+from itertools import islice, pairwise
+from pathlib import Path
+from typing import Final, NoReturn, TypeAlias
+
+import lz4.frame
+import numpy as np
+import yaml
+import zstandard
+
+from armimp_bringup.cli import program
+from armimp_common import contract
+from armimp_common.cdr import CommandEncoder, JointStateEncoder
+from armimp_common.contract import PERIOD_NS
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.bags.mcap_file import LIBRARY, MAGIC
+from armimp_estimation.bags.metadata import BagSummary, bag_information, dump
+from armimp_estimation.bags.statuses import encode_trial_status
+from support.recordings import recorded_arm
+
+Arguments: TypeAlias = tuple[str, ...]
+Attack: TypeAlias = Callable[[Path], Arguments]
+Message: TypeAlias = tuple[str, int, bytes]
+
+WITNESS: Final = "witness"
+_TOPICS: Final = (*contract.DATA_STREAMS, contract.TRIAL)
+_GIB: Final = 1 << 30
+
+ATTACKS: dict[str, Attack] = {}
+QUICK: list[str] = []
+"""Names of those that also run in the quick tests, one for each way to harm."""
+
+
+def attack(*, quick: bool = False) -> Callable[[Attack], Attack]:
+    def register(function: Attack) -> Attack:
+        name = function.__name__.replace("_", " ")
+        ATTACKS[name] = function
+        if quick:
+            QUICK.append(name)
+        return function
+
+    return register
+
+
+# --- MCAP by hand -----------------------------------------------------------------------------
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def text(value: str | bytes) -> bytes:
+    data = value.encode() if isinstance(value, str) else value
+    return struct.pack("<I", len(data)) + data
+
+
+def channel(number: int, name: str, schema: int) -> bytes:
+    content = struct.pack("<HH", number, schema) + text(name) + text("cdr") + struct.pack("<I", 0)
+    return record(4, content)
+
+
+def schema(number: int, name: str) -> bytes:
+    return record(3, struct.pack("<H", number) + text(name) + text("ros2msg") + text(""))
+
+
+def message(number: int, log_time_ns: int, payload: bytes) -> bytes:
+    return record(5, struct.pack("<HIQQ", number, 0, log_time_ns, log_time_ns) + payload)
+
+
+def chunk(compression: str, size: int, data: bytes) -> bytes:
+    head = struct.pack("<QQQI", 0, 0, size, 0)
+    return record(6, head + text(compression) + struct.pack("<Q", len(data)) + data)
+
+
+def metadata_record(name: str, values: dict[str, str]) -> bytes:
+    pairs = b"".join(text(key) + text(value) for key, value in values.items())
+    return record(12, text(name) + text(pairs))
+
+
+def head(library: str = "strange", prefix: str = "/") -> bytes:
+    """Magic, header, and schema and channel of each topic of the contract, numbered from 1."""
+    parts = [MAGIC, record(1, text("ros2") + text(library))]
+    for number, topic in enumerate(_TOPICS, 1):
+        parts += [
+            schema(number, contract.MESSAGE_TYPES[topic]),
+            channel(number, prefix + topic, number),
+        ]
+    return b"".join(parts)
+
+
+def packed(messages: Iterable[Message]) -> bytes:
+    return b"".join(records_of(messages))
+
+
+def records_of(messages: Iterable[Message]) -> Iterable[bytes]:
+    return (message(_TOPICS.index(topic) + 1, t, raw) for topic, t, raw in messages)
+
+
+def repeated(piece: bytes, times: int, prefix: bytes = b"") -> bytes:
+    """A zstd frame, without the length of its content, of a piece many times over."""
+    out = BytesIO()
+    compressor = zstandard.ZstdCompressor(level=1)
+    with compressor.stream_writer(out, closefd=False) as writer:
+        writer.write(prefix)
+        block = piece * max(1, (1 << 20) // len(piece))
+        whole, rest = divmod(len(piece) * times, len(block))
+        for _ in range(whole):
+            writer.write(block)
+        writer.write(block[:rest])
+    return out.getvalue()
+
+
+def experiment() -> Sequence[Message]:
+    return recorded_arm(1800).messages
+
+
+def samples(
+    ticks: int, *, joint: Callable[[int], int] = lambda _: 0, value: Callable[[int], float] = float
+) -> Iterable[Message]:
+    """Messages of so many ticks without any status."""
+    names = ("joint_1", "joint_2")
+    states, efforts = JointStateEncoder(names, "position"), JointStateEncoder(names, "effort")
+    commands = CommandEncoder(2)
+    for tick in range(ticks):
+        stamp = tick * PERIOD_NS
+        torque = [0.0, 0.0]
+        torque[joint(tick)] = 1.0 + tick % 7
+        yield contract.JOINT_STATES, stamp, states.encode(stamp, [value(tick), 0.1])
+        yield contract.TORQUE_SENSORS, stamp, efforts.encode(stamp, [0.1, 0.2])
+        yield contract.PERTURBATION, stamp, efforts.encode(stamp, torque)
+        yield contract.COMMANDS, stamp, commands.encode([0.1, 0.2])
+
+
+def status(trial: int, start_ns: int, ticks: int, **values: object) -> bytes:
+    fields: dict[str, object] = {"phase": Phase.PERTURB, "valid": True, **values}
+    return encode_trial_status(
+        TrialStatus(
+            trial=trial, trials=1_000_000, joint=0, joint_name="joint_1", tick=0,
+            start_ns=start_ns, ticks=ticks, seed=1, **fields,  # type: ignore[arg-type]
+        )
+    )  # fmt: skip
+
+
+def zstd(data: bytes) -> bytes:
+    return zstandard.ZstdCompressor(level=1).compress(data)
+
+
+def mcap(directory: Path, *parts: bytes, name: str = "bag.mcap") -> Arguments:
+    file = directory / name
+    file.write_bytes(b"".join(parts))
+    return "estimate", str(file)
+
+
+def zstd_chunk(content: bytes) -> bytes:
+    return chunk("zstd", len(content), zstd(content))
+
+
+def zstd_chunks(records: Iterable[bytes]) -> bytes:
+    """Chunks of 10,000 records each."""
+    found = []
+    records = iter(records)
+    while content := b"".join(islice(records, 10_000)):
+        found.append(zstd_chunk(content))
+    return b"".join(found)
+
+
+# --- compression ------------------------------------------------------------------------------
+
+
+@attack(quick=True)
+def zstd_chunks_of_a_gibibyte(directory: Path) -> Arguments:
+    length = _GIB - len(message(1, 1, b""))
+    begin = struct.pack("<BQ", 5, 22 + length) + struct.pack("<HIQQ", 1, 0, 1, 1)
+    one = chunk("zstd", _GIB, repeated(bytes(1 << 20), length >> 20, begin))
+    return mcap(directory, head(), one, one, one)
+
+
+@attack()
+def zstd_chunk_of_one_message_of_a_gibibyte(directory: Path) -> Arguments:
+    begin = struct.pack("<BQ", 5, 22 + _GIB - 31) + struct.pack("<HIQQ", 1, 0, 1, 1)
+    frame = zstandard.ZstdCompressor(level=1).compress(begin + bytes(_GIB - 31))
+    one = chunk("zstd", _GIB, frame)
+    return mcap(directory, head(), one, one, one)
+
+
+@attack()
+def zstd_chunk_that_is_larger_than_it_says(directory: Path) -> Arguments:
+    return mcap(directory, head(), chunk("zstd", 1000, zstd(bytes(_GIB))))
+
+
+@attack()
+def zstd_frame_that_claims_four_gibibytes(directory: Path) -> Arguments:
+    frame = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 4 * _GIB) + b"\x01\x00\x00"
+    return mcap(directory, head(), chunk("zstd", 4 * _GIB, frame), chunk("zstd", _GIB, frame))
+
+
+@attack(quick=True)
+def lz4_chunk_bomb(directory: Path) -> Arguments:
+    return mcap(directory, head(), chunk("lz4", 1000, lz4.frame.compress(bytes(2 * _GIB))))
+
+
+@attack()
+def many_chunks(directory: Path) -> Arguments:
+    one = zstd_chunk(message(1, 1, bytes(100)) * 8000)
+    return mcap(directory, head(), one * min(4000, 9_000_000 // len(one)))
+
+
+@attack()
+def many_chunks_of_lz4(directory: Path) -> Arguments:
+    content = message(1, 1, bytes(60)) * 10_000
+    one = chunk("lz4", len(content), lz4.frame.compress(content))
+    return mcap(directory, head(), one * min(4000, 9_000_000 // len(one)))
+
+
+@attack()
+def tiny_chunks(directory: Path) -> Arguments:
+    one = chunk("", 31, message(1, 1, b""))
+    return mcap(directory, head(), one * (9_500_000 // len(one)))
+
+
+@attack(quick=True)
+def messages_without_content(directory: Path) -> Arguments:
+    one = zstd_chunk(message(1, 1, b"") * 1_000_000)
+    return mcap(directory, head(), one * 40)
+
+
+@attack()
+def messages_that_nobody_wants(directory: Path) -> Arguments:
+    one = zstd_chunk(message(999, 1, b"") * 1_000_000)
+    return mcap(directory, head(), one * 60)
+
+
+@attack()
+def chunks_of_many_layouts(directory: Path) -> Arguments:
+    chunks = (
+        zstd_chunk(message(1, 1, bytes(i % 31)) * 5 + message(1, 1, b"") * (30_000 + i))
+        for i in range(300)
+    )
+    return mcap(directory, head(), *chunks)
+
+
+@attack(quick=True)
+def compressed_messages(directory: Path) -> Arguments:
+    bomb = zstd(bytes(64 << 20))
+    return mcap(directory, head(), message(1, 1, bomb) * 1000)
+
+
+@attack()
+def compressed_messages_without_a_size(directory: Path) -> Arguments:
+    bomb = repeated(bytes(1 << 20), 256)
+    return mcap(directory, head(), message(1, 1, bomb) * 300)
+
+
+@attack(quick=True)
+def compressed_file_of_zeros(directory: Path) -> Arguments:
+    return mcap(directory, repeated(bytes(1 << 20), 6 << 10), name="bag.mcap.zstd")
+
+
+@attack()
+def compressed_file_of_messages(directory: Path) -> Arguments:
+    content = repeated(message(1, 1, b""), 100_000_000, head())
+    return mcap(directory, content, name="bag.mcap.zstd")
+
+
+@attack()
+def compressed_database_of_zeros(directory: Path) -> Arguments:
+    content = repeated(bytes(1 << 20), 4 << 10, b"SQLite format 3\0")
+    return mcap(directory, content, name="bag.db3.zstd")
+
+
+@attack()
+def compressed_file_in_a_compressed_file(directory: Path) -> Arguments:
+    return mcap(directory, zstd(repeated(bytes(1 << 20), 6 << 10)), name="bag.mcap.zstd")
+
+
+@attack()
+def many_frames_in_a_compressed_file(directory: Path) -> Arguments:
+    return mcap(directory, zstd(head()), zstd(b"") * 900_000, name="bag.mcap.zstd")
+
+
+# --- counts and names -------------------------------------------------------------------------
+
+
+@attack(quick=True)
+def sixty_five_thousand_channels(directory: Path) -> Arguments:
+    names = (channel(i, f"/strange/{i}", 1) for i in range(10, 65_500))
+    return mcap(directory, head(), *names, packed(experiment()))
+
+
+@attack(quick=True)
+def sixty_five_thousand_rigs(directory: Path) -> Arguments:
+    topics = contract.DATA_STREAMS
+    names = (channel(10 + i, f"/{i // 4}/{topics[i % 4]}", 0) for i in range(65_500))
+    return mcap(directory, MAGIC, *names, message(10, 1, b"x"))
+
+
+@attack()
+def channels_that_change_their_names(directory: Path) -> Arguments:
+    content = b"".join(channel(1, f"/{i}/joint_states", 0) for i in range(1_000_000))
+    return mcap(directory, MAGIC, zstd_chunk(content), message(1, 1, b"x"))
+
+
+@attack()
+def the_same_channel_millions_of_times(directory: Path) -> Arguments:
+    one = zstd_chunk(channel(1, "/joint_states", 0) * 200_000)
+    return mcap(directory, MAGIC, one * 100, message(1, 1, b"x"))
+
+
+@attack(quick=True)
+def topic_with_a_name_of_five_million_letters(directory: Path) -> Arguments:
+    name = "/" + "a" * 5_000_000 + "/joint_states"
+    return mcap(directory, MAGIC, channel(1, name, 0), message(1, 1, b"x"))
+
+
+@attack()
+def message_type_of_five_million_letters(directory: Path) -> Arguments:
+    kind = schema(9, "a" * 5_000_000) + channel(1, "/joint_states", 9)
+    return mcap(directory, head(), kind, message(1, 1, b"x"))
+
+
+@attack(quick=True)
+def statuses_by_the_hundred_thousand(directory: Path) -> Arguments:
+    many = (message(5, i, status(1 + i, i * 10**9, 10)) for i in range(200_000))
+    return mcap(directory, head(), zstd_chunk(packed(experiment())), zstd_chunks(many))
+
+
+@attack()
+def statuses_of_one_trial_by_the_hundred_thousand(directory: Path) -> Arguments:
+    many = zstd_chunk(message(5, 1, status(1, 0, 1000)) * 1000) * 300
+    return mcap(directory, head(), zstd_chunk(packed(experiment())), many)
+
+
+@attack(quick=True)
+def trials_that_overlap(directory: Path) -> Arguments:
+    many = (message(5, i, status(1 + i, 60 * PERIOD_NS + i, 100_000)) for i in range(900))
+    data = zstd_chunks(records_of(samples(50_000)))
+    return mcap(directory, head(), data, zstd_chunks(many))
+
+
+@attack()
+def trials_of_ten_million_samples(directory: Path) -> Arguments:
+    many = (message(5, i, status(1 + i, i * 10**6, 10_000_000)) for i in range(900))
+    data = zstd_chunk(packed(experiment()))
+    return mcap(directory, head(), data, zstd_chunks(many))
+
+
+@attack()
+def many_trials_of_many_samples(directory: Path) -> Arguments:
+    many = (message(5, i, status(1 + i, i * 10**8, 100)) for i in range(900))
+    data = zstd_chunks(records_of(samples(90_000)))
+    return mcap(directory, head(), data, zstd_chunks(many))
+
+
+@attack()
+def clipped_intervals_beyond_reason(directory: Path) -> Arguments:
+    intervals = " ".join(["0-" + "9" * 19] * 100)
+    one = status(1, 60 * PERIOD_NS, 10_000_000, clipped=1, clipped_intervals=intervals)
+    done = status(1, 60 * PERIOD_NS, 10_000_000, phase=Phase.DONE)
+    return mcap(
+        directory, head(), zstd_chunk(packed(experiment())), message(5, 1, one), message(5, 2, done)
+    )
+
+
+@attack(quick=True)
+def perturbed_joint_changes_with_each_sample(directory: Path) -> Arguments:
+    data = zstd_chunks(records_of(samples(50_000, joint=lambda tick: tick % 2)))
+    return mcap(directory, head(), data)
+
+
+@attack()
+def every_third_sample_is_not_finite(directory: Path) -> Arguments:
+    data = records_of(samples(150_000, value=lambda tick: np.nan if tick % 3 == 0 else 0.1))
+    return "estimate", *mcap(directory, head(), zstd_chunks(data))[1:], "--allow-gaps"
+
+
+@attack()
+def stamps_years_apart(directory: Path) -> Arguments:
+    def late(one: Message) -> Message:
+        return one[0], one[1], one[2][:4] + struct.pack("<iI", one[1] % 2**31, 0) + one[2][12:]
+
+    return mcap(directory, head(), zstd_chunks(records_of(map(late, samples(20_000)))))
+
+
+@attack()
+def messages_of_changing_layout(directory: Path) -> Arguments:
+    encoders = [
+        JointStateEncoder(("joint_1", "joint_2"), "effort", frame_id=str(10_000 + i))
+        for i in range(1000)
+    ]
+    parts = []
+    for tick in range(150_000):
+        raw = encoders[tick % 1000].encode(tick * PERIOD_NS, [1.0, 0.0])
+        parts += [message(topic, tick, raw) for topic in (2, 3)]
+    half = len(parts) // 2
+    return mcap(directory, head(), *(zstd_chunk(b"".join(p)) for p in (parts[:half], parts[half:])))
+
+
+def million_joints() -> tuple[str, ...]:
+    return tuple(f"j{i}" for i in range(300_000))
+
+
+@attack(quick=True)
+def three_hundred_thousand_joints_in_messages(directory: Path) -> Arguments:
+    names = million_joints()
+    parts = []
+    for number, field in ((1, "position"), (2, "effort"), (3, "effort")):
+        encoder = JointStateEncoder(names, field)  # type: ignore[arg-type]
+        values = [float(i == 0) for i in range(len(names))]
+        parts += [message(number, i, encoder.encode(i * PERIOD_NS, values)) for i in range(4)]
+    return mcap(directory, head(), *(zstd_chunk(part) for part in parts))
+
+
+@attack()
+def three_hundred_thousand_joints_in_metadata(directory: Path) -> Arguments:
+    names = "[" + ",".join(f'"{name}"' for name in million_joints()) + "]"
+    data = zstd_chunk(packed(experiment()))
+    return mcap(directory, head(), metadata_record("armimp", {"joint_names": names}), data)
+
+
+@attack()
+def metadata_of_millions_of_nodes(directory: Path) -> Arguments:
+    bomb = metadata_record("rosbag2", {"serialized_metadata": "- a\n" * 2_000_000})
+    return mcap(directory, head(), bomb, zstd_chunk(packed(experiment())))
+
+
+@attack()
+def metadata_that_is_told_again_and_again(directory: Path) -> Arguments:
+    bomb = metadata_record("rosbag2", {"serialized_metadata": "[" + "a," * 5000 + "]"})
+    return mcap(directory, head(), bomb * 900, zstd_chunk(packed(experiment())))
+
+
+@attack()
+def metadata_nested_without_end(directory: Path) -> Arguments:
+    values = dict.fromkeys(("config", "truth", "joint_names"), "[" * 3000000)
+    bomb = metadata_record("armimp", values)
+    return mcap(directory, head(), bomb, zstd_chunk(packed(experiment())))
+
+
+# --- SQLite -----------------------------------------------------------------------------------
+
+_SCHEMA: Final = """
+CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT);
+CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB);
+"""
+
+
+def database(directory: Path, script: str, *, fill: bool = True) -> Arguments:
+    file = directory / "bag.db3"
+    with closing(sqlite3.connect(file)) as connection:
+        connection.executescript(script)
+        if fill:
+            fill_topics(connection)
+        connection.commit()
+    return "estimate", str(file)
+
+
+def fill_topics(connection: sqlite3.Connection) -> None:
+    rows = [(i, "/" + t, contract.MESSAGE_TYPES[t], "cdr") for i, t in enumerate(_TOPICS, 1)]
+    connection.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
+
+
+_COUNTING: Final = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
+_TOPICS_TABLE, _MESSAGES_TABLE = _SCHEMA.strip().splitlines()
+
+
+@attack(quick=True)
+def recursive_view_of_messages(directory: Path) -> Arguments:
+    view = (
+        f"CREATE VIEW messages AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data"
+    )
+    return database(directory, f"{_TOPICS_TABLE} {view} FROM n;")
+
+
+@attack()
+def recursive_view_that_finds_nothing(directory: Path) -> Arguments:
+    view = (
+        f"CREATE VIEW messages AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data"
+    )
+    return database(directory, f"{_TOPICS_TABLE} {view} FROM n WHERE i < 0;")
+
+
+@attack()
+def recursive_view_of_topics(directory: Path) -> Arguments:
+    view = f"CREATE VIEW topics AS {_COUNTING} SELECT i AS id, '/' || i AS name, '' AS type"
+    script = f"{_MESSAGES_TABLE} {view}, 'cdr' AS serialization_format FROM n;"
+    return database(directory, script, fill=False)
+
+
+@attack()
+def recursive_view_of_metadata(directory: Path) -> Arguments:
+    view = f"CREATE VIEW metadata AS {_COUNTING} SELECT i AS id, '- a' AS metadata FROM n;"
+    return database(directory, _SCHEMA + view)
+
+
+@attack(quick=True)
+def generated_column(directory: Path) -> Arguments:
+    columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER"
+    generated = "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL"
+    rows = "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3), (2, 4);"
+    return database(
+        directory, f"{_TOPICS_TABLE} CREATE TABLE messages({columns}, {generated});{rows}"
+    )
+
+
+@attack()
+def virtual_table(directory: Path) -> Arguments:
+    columns = "topic_id, timestamp, data"
+    return database(
+        directory, f"{_TOPICS_TABLE} CREATE VIRTUAL TABLE messages USING fts5({columns});"
+    )
+
+
+@attack()
+def a_million_topics(directory: Path) -> Arguments:
+    rows = f"{_COUNTING} INSERT INTO topics SELECT 10 + i, i, '', 'cdr' FROM n LIMIT 400000;"
+    return database(directory, _SCHEMA + rows)
+
+
+def interior_page(child: int, cells: int, size: int = 4096) -> bytes:
+    """An interior page of a table, all of whose cells lead to the same child."""
+    page = bytearray(size)
+    page[:12] = struct.pack(">BHHHBI", 5, 0, cells, size - 12 * cells, 0, child)
+    for i in range(cells):
+        where = size - 12 * (i + 1)
+        page[where : where + 12] = (struct.pack(">I", child) + b"\x81" * 7 + b"\x01")[:12]
+        struct.pack_into(">H", page, 12 + 2 * i, where)
+    return bytes(page)
+
+
+@attack(quick=True)
+def tree_whose_branches_are_one(directory: Path) -> Arguments:
+    arguments = database(directory, _SCHEMA + "INSERT INTO messages VALUES (1, 9, 1, x'00');")
+    file = Path(arguments[1])
+    with closing(sqlite3.connect(file)) as connection:
+        (root,) = connection.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'messages'"
+        ).fetchone()
+    data = bytearray(file.read_bytes())
+    leaf = data[4096 * (root - 1) : 4096 * root]
+    depth, pages = 6, len(data) // 4096
+    numbers = [root, *range(pages + 1, pages + depth + 1)]
+    for number, child in pairwise(numbers):
+        data[4096 * (number - 1) : 4096 * number] = interior_page(child, 250)
+    data += leaf
+    struct.pack_into(">I", data, 28, len(data) // 4096)
+    file.write_bytes(data)
+    return arguments
+
+
+@attack(quick=True)
+def journal_that_has_another_file_deleted(directory: Path) -> Arguments:
+    rows = f"{_COUNTING} INSERT INTO messages SELECT i, 1, i, zeroblob(100) FROM n LIMIT 100;"
+    arguments = database(directory, _SCHEMA + rows)
+    file = Path(arguments[1])
+    content = file.read_bytes()
+    target = bytes(directory.parent / WITNESS / "canary")
+    pages = len(content) // 4096
+    magic = bytes.fromhex("d9d505f920a163d7")
+    journal = magic + struct.pack(">IIIII", 1, 0, pages, 512, 4096)
+    journal = journal.ljust(512, b"\0")
+    page = content[4096 * (pages - 1) :]
+    total = sum(page[i] for i in range(4096 - 200, 0, -200)) & 0xFFFFFFFF
+    journal += struct.pack(">I", pages) + page + struct.pack(">I", total)
+    name_sum = sum(struct.unpack(f"{len(target)}b", target)) & 0xFFFFFFFF
+    journal += (
+        struct.pack(">I", 262145) + target + struct.pack(">II", len(target), name_sum) + magic
+    )
+    Path(f"{file}-journal").write_bytes(journal)
+    return arguments
+
+
+@attack()
+def log_that_is_a_device(directory: Path) -> Arguments:
+    arguments = database(directory, _SCHEMA)
+    Path(f"{arguments[1]}-journal").symlink_to("/dev/zero")
+    Path(f"{arguments[1]}-wal").write_bytes(b"x" * 100)
+    return arguments
+
+
+@attack()
+def log_that_is_a_pipe(directory: Path) -> Arguments:
+    arguments = database(directory, _SCHEMA)
+    os.mkfifo(f"{arguments[1]}-journal")
+    Path(f"{arguments[1]}-wal").write_bytes(b"x" * 100)
+    return arguments
+
+
+# --- directories ------------------------------------------------------------------------------
+
+
+def provisional(directory: Path, *content: bytes) -> Path:
+    """A bag whose recorder was killed: whoever reads it finishes it."""
+    bag = directory / "bag"
+    bag.mkdir()
+    (bag / "bag.mcap").write_bytes(b"".join((head(LIBRARY), *content)))
+    summary = BagSummary(file_name="bag.mcap", topics={}, start_ns=0, duration_ns=0, custom={})
+    information = {"rosbag2_bagfile_information": bag_information(summary)}
+    (bag / "metadata.yaml").write_text(dump(information))
+    return bag
+
+
+@attack(quick=True)
+def link_in_place_of_the_temporary_metadata(directory: Path) -> Arguments:
+    bag = provisional(directory, zstd_chunk(packed(experiment())))
+    (bag / ".metadata.yaml.tmp").symlink_to(directory.parent / WITNESS / "canary")
+    return "estimate", str(bag)
+
+
+@attack()
+def pipe_in_place_of_the_temporary_metadata(directory: Path) -> Arguments:
+    bag = provisional(directory, zstd_chunk(packed(experiment())))
+    os.mkfifo(bag / ".metadata.yaml.tmp")
+    return "estimate", str(bag)
+
+
+@attack(quick=True)
+def unfinished_bag_of_large_chunks(directory: Path) -> Arguments:
+    begin = struct.pack("<BQ", 5, 22 + (30 << 20)) + struct.pack("<HIQQ", 1, 0, 1, 1)
+    content = begin + bytes(30 << 20)
+    return "estimate", str(provisional(directory, zstd_chunk(content) * 200))
+
+
+@attack(quick=True)
+def metadata_from_a_pipe(directory: Path) -> Arguments:
+    os.mkfifo(directory / "metadata.yaml")
+    return "estimate", str(directory)
+
+
+@attack(quick=True)
+def metadata_on_a_device(directory: Path) -> Arguments:
+    (directory / "metadata.yaml").symlink_to("/dev/zero")
+    return "estimate", str(directory)
+
+
+@attack()
+def metadata_on_the_terminal(directory: Path) -> Arguments:
+    (directory / "metadata.yaml").symlink_to("/dev/full")
+    return "estimate", str(directory)
+
+
+@attack(quick=True)
+def metadata_of_ten_million_letters(directory: Path) -> Arguments:
+    (directory / "metadata.yaml").write_text("- a\n" * 2_400_000)
+    return "estimate", str(directory)
+
+
+@attack()
+def metadata_that_lists_a_file_again_and_again(directory: Path) -> Arguments:
+    mcap(directory, head(), zstd_chunk(packed(experiment())))
+    paths = {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.mcap"] * 20_000}}
+    (directory / "metadata.yaml").write_text(yaml.safe_dump(paths))
+    return "estimate", str(directory)
+
+
+@attack()
+def a_file_under_many_names(directory: Path) -> Arguments:
+    mcap(directory, head(), zstd_chunk(packed(experiment())))
+    for i in range(3000):
+        (directory / f"bag_{i}.mcap").symlink_to("bag.mcap")
+    return "estimate", str(directory)
+
+
+@attack(quick=True)
+def storage_from_a_pipe(directory: Path) -> Arguments:
+    os.mkfifo(directory / "bag.mcap")
+    (directory / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {storage_identifier: mcap, message_count: 0,"
+        " relative_file_paths: [bag.mcap]}\n"
+    )
+    return "estimate", str(directory)
+
+
+@attack()
+def storage_on_a_device(directory: Path) -> Arguments:
+    (directory / "bag.mcap").symlink_to("/dev/zero")
+    return "estimate", str(directory / "bag.mcap")
+
+
+@attack(quick=True)
+def name_that_is_not_text(directory: Path) -> Arguments:
+    name = os.fsdecode(b"b\xff\xfeg.mcap")
+    return mcap(directory, head(), zstd_chunk(packed(experiment())), name=name)
+
+
+@attack()
+def directory_whose_name_is_not_text(directory: Path) -> Arguments:
+    bag = directory / os.fsdecode(b"\xff\xfe")
+    bag.mkdir()
+    mcap(bag, head(), zstd_chunk(packed(experiment())))
+    return "estimate", str(bag)
+
+
+@attack()
+def results_into_a_name_that_is_not_text(directory: Path) -> Arguments:
+    arguments = mcap(directory, head(), zstd_chunk(packed(experiment())))
+    return (*arguments, "--out", str(directory / os.fsdecode(b"\xff\xfe")))
+
+
+# --- configurations ---------------------------------------------------------------------------
+
+
+def config(directory: Path, content: str | bytes) -> Arguments:
+    file = directory / "config.yaml"
+    file.write_bytes(content.encode() if isinstance(content, str) else content)
+    return "run", "--config", str(file), "--out", str(directory / "out")
+
+
+@attack(quick=True)
+def config_nested_nine_hundred_deep(directory: Path) -> Arguments:
+    return config(directory, "arm_sim: {a: " + "[" * 900 + "]" * 900 + "}")
+
+
+@attack()
+def config_nested_a_million_deep(directory: Path) -> Arguments:
+    return config(directory, "[" * 1_000_000)
+
+
+@attack(quick=True)
+def config_of_nested_aliases(directory: Path) -> Arguments:
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
+    return config(directory, "arm_sim:\n" + "".join(f"  {line}\n" for line in lines))
+
+
+@attack()
+def config_of_nested_merges(directory: Path) -> Arguments:
+    lines = ["a0: &a0 {x: 1}"]
+    lines += [f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}" for i in range(1, 12)]
+    return config(directory, "arm_sim:\n" + "".join(f"  {line}\n" for line in lines))
+
+
+@attack()
+def config_of_a_million_joints(directory: Path) -> Arguments:
+    names = ", ".join(f"j{i}" for i in range(1_000_000))
+    return config(directory, f"arm_sim: {{joints: [{names}]}}")
+
+
+@attack(quick=True)
+def config_of_ten_thousand_joints(directory: Path) -> Arguments:
+    names = ", ".join(f"j{i}" for i in range(10_000))
+    return config(directory, f"arm_sim: {{joints: [{names}]}}")
+
+
+@attack()
+def config_with_a_number_of_base_sixty(directory: Path) -> Arguments:
+    return config(directory, "seed: 1" + ":59" * 2_000_000)
+
+
+@attack(quick=True)
+def config_with_a_real_number_of_base_sixty(directory: Path) -> Arguments:
+    return config(directory, "duration: 1" + ":59" * 5_000 + ".5")
+
+
+@attack()
+def config_with_a_value_of_ten_million_letters(directory: Path) -> Arguments:
+    return config(directory, "mode: " + "a" * 9_500_000)
+
+
+@attack()
+def config_from_a_pipe(directory: Path) -> Arguments:
+    os.mkfifo(directory / "config.yaml")
+    return "run", "--config", str(directory / "config.yaml"), "--out", str(directory / "out")
+
+
+@attack(quick=True)
+def config_on_a_device(directory: Path) -> Arguments:
+    return "run", "--config", "/dev/zero", "--out", str(directory / "out")
+
+
+@attack()
+def config_whose_name_is_not_text(directory: Path) -> Arguments:
+    file = directory / os.fsdecode(b"\xff.yaml")
+    file.write_text("mode: nonsense")
+    return "run", "--config", str(file), "--out", str(directory / "out")
+
+
+# --- trying them ------------------------------------------------------------------------------
+
+_KILLED_AFTER: Final = 240.0
+_ADDRESS_SPACE: Final = 8 << 30
+"""Bytes, so that what fails does not take the machine with it."""
+
+
+def forked(work: Callable[[], object], said: Path) -> tuple[int, resource.struct_rusage]:
+    """Run something in a process of its own with its output in a file; status and usage.
+
+    A fork has everything imported already, and its memory counts from nothing.
+    """
+    pid = os.fork()
+    if not pid:
+        try:
+            os.setsid()
+            limits = (_ADDRESS_SPACE, _ADDRESS_SPACE)
+            resource.setrlimit(resource.RLIMIT_AS, limits)
+            nothing = os.open(os.devnull, os.O_RDWR)
+            text_file = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+            for number, file in enumerate((nothing, nothing, text_file)):
+                os.dup2(file, number)
+            work()
+            os._exit(0)
+        except BaseException:  # noqa: BLE001 (all that would end the interpreter)
+            traceback.print_exc()
+            sys.stderr.flush()
+            os._exit(99)
+    end = time.monotonic() + _KILLED_AFTER
+    while True:
+        found, status, usage = os.wait4(pid, os.WNOHANG)
+        if found:
+            return os.waitstatus_to_exitcode(status), usage
+        if time.monotonic() > end:
+            os.killpg(pid, signal.SIGKILL)
+        time.sleep(0.02)
+
+
+def tried(name: str, directory: Path) -> dict[str, object]:
+    """Let the command read the file of an attack in an empty directory, and measure."""
+    inside = directory / "inside"
+    inside.mkdir(parents=True)
+    (directory / WITNESS).mkdir()
+    (directory / WITNESS / "canary").write_bytes(b"ten years of work")
+    arguments, said = directory / "arguments", directory / "err"
+
+    def make() -> None:
+        arguments.write_text(json.dumps(ATTACKS[name](inside)))
+
+    def read() -> NoReturn:
+        os.chdir(directory)
+        sys.argv = ["armimp", *json.loads(arguments.read_text())]
+        program()
+
+    status, _ = forked(make, said)
+    if status:
+        raise RuntimeError(f"{name}: {said.read_text()}")
+    status, usage = forked(read, said)
+    return {
+        "name": name,
+        "status": status,
+        "err": said.read_bytes().decode(errors="replace")[-20_000:],
+        "seconds": usage.ru_utime + usage.ru_stime,
+        "memory": usage.ru_maxrss * 1024.0,
+        "untouched": (directory / WITNESS / "canary").read_bytes() == b"ten years of work"
+        if (directory / WITNESS / "canary").is_file()
+        else False,
+    }
+
+
+if __name__ == "__main__":
+    # What the command imports when it is needed, once for all of them.
+    for module in ("display", "offline_estimate", "orchestrator", "presentation"):
+        importlib.import_module(f"armimp_bringup.{module}")
+
+    for one in sys.argv[2:]:
+        outcome = tried(one, Path(sys.argv[1]) / one.replace(" ", "_"))
+        print(json.dumps(outcome), flush=True)

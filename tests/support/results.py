@@ -1,0 +1,75 @@
+"""Results on disk, for tests of whatever shows them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from armimp_estimation.bags import BagWriter, read_bag
+from armimp_estimation.conclusion import FinishedTrial, conclude
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message
+from support.synthetic_trials import TWO_JOINT_ARM
+
+METADATA: Mapping[str, str] = {
+    "config": json.dumps(
+        {
+            "experiment": {
+                "joints": 2,
+                "friction": 2,
+                "resolution": 1,
+                "perturbation": 3,
+                "imbic_controller": {"law": {"gamma": 90.0}},
+            },
+            "arm_sim": {
+                "arm.inertia": TWO_JOINT_ARM.M.ravel().tolist(),
+                "friction.coulomb": [1.0, 1.0],
+            },
+            "imbic_controller": {"law.gamma": 90.0, "target.damping": [2.0, 1.0]},
+            "versions": {"python": "3.12.0", "armimp": "0.1.0"},
+            "git_revision": "0123abc",
+        }
+    ),
+    "seed": "5",
+    "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
+}
+
+
+def make_result(
+    directory: Path,
+    *,
+    messages: Sequence[Message] | None = None,
+    metadata: Mapping[str, str] = METADATA,
+    estimators: Sequence[str] = ("welch_siso", "welch_full"),
+) -> Path:
+    """Record messages in ``bags/session``, conclude from them, and write the files of the result.
+
+    Parameters
+    ----------
+    directory : Path
+        Made for the result.
+    messages : sequence of Message, optional
+        By default two good trials of a two-joint arm.
+    metadata : mapping of str to str
+        Of the bag.
+    estimators : sequence of str
+        Names.
+
+    Returns
+    -------
+    Path
+        The directory.
+    """
+    bag = directory / "bags" / "session"
+    with BagWriter(bag, metadata=metadata) as writer:
+        for topic, time_ns, raw in recorded_arm().messages if messages is None else messages:
+            writer.write(topic, raw, time_ns)
+    content = read_bag(bag)
+    conclude(
+        [FinishedTrial(assembled=trial, bag="bags/session") for trial in content.trials],
+        metadata=content.metadata,
+        joint_names=content.joint_names,
+        estimators=estimators,
+    ).write(directory)
+    return directory

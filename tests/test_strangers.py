@@ -1,0 +1,161 @@
+"""What somebody else in the same domain can do to an experiment: end it, never spoil its result."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.parameter_client import AsyncParameterClient
+from rclpy.signals import SignalHandlerOptions
+from std_msgs.msg import Float64MultiArray
+
+from armimp_bringup import orchestrator
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.orchestrator import PARAMETERS_FILE, run_experiment
+from armimp_bringup.supervisor import Progress
+from armimp_common import contract, qos
+from armimp_common.channels import CommandPublisher
+from armimp_common.diagnostics import judgement_message, trial_status_message
+from armimp_common.judgement import Judgement
+from armimp_common.lifecycle import LifecycleManager
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.results import Summary
+from support.graph import PATIENCE
+
+DOMAIN = 91
+SHORT: dict[str, Any] = {"duration": 10.0}
+pytestmark = pytest.mark.usefixtures("environment")
+Act = Callable[[Node], None]
+
+
+def disturbed(directory: Path, act: Act, **options: Any) -> Summary:
+    """Run an experiment in which a stranger does something once, amid the first trial."""
+    context: list[Context] = []
+
+    def on_progress(progress: Progress) -> None:
+        if progress.samples < 2000 or context:
+            return
+        context.append(Context())
+        rclpy.init(
+            args=[],
+            context=context[0],
+            domain_id=DOMAIN,
+            signal_handler_options=SignalHandlerOptions.NO,
+        )
+        act(Node("stranger", context=context[0], use_global_arguments=False))
+
+    try:
+        return run_experiment(
+            ExperimentConfig.model_validate({**SHORT, **options}),
+            directory,
+            domain_id=DOMAIN,
+            on_progress=on_progress,
+        )
+    finally:
+        assert context
+        context[0].try_shutdown()
+
+
+def until_heard(publisher: Any, listeners: int) -> None:
+    """Discovery goes on in threads of the middleware, so that nothing has to spin."""
+    end = time.monotonic() + PATIENCE
+    while publisher.get_subscription_count() < listeners and time.monotonic() < end:
+        time.sleep(0.002)
+    assert publisher.get_subscription_count() >= listeners
+
+
+def unnumbered(node: Node) -> None:
+    publisher = node.create_publisher(Float64MultiArray, contract.COMMANDS, qos.SAMPLE)
+    until_heard(publisher, 2)
+    publisher.publish(Float64MultiArray(data=[0.0, 0.0]))
+
+
+def numbered(node: Node) -> None:
+    channel = CommandPublisher(node, contract.COMMANDS, 2)
+    until_heard(channel.publisher, 2)
+    channel.publish((0.0, 0.0))
+    assert channel.publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+    node.destroy_publisher(channel.publisher)
+
+
+@pytest.mark.parametrize("act", [unnumbered, numbered])
+@pytest.mark.parametrize("processes", ["composed", "separate"])
+def test_one_command_of_somebody_else_is_a_fault_with_who_and_when(
+    tmp_path: Path, act: Act, processes: str
+) -> None:
+    summary = disturbed(tmp_path / "out", act, processes=processes)
+    assert not summary.valid
+    faults = [one for one in summary.problems if one.startswith("arm_sim: rig: ")]
+    assert all(contract.COMMANDS in one and " s; published by " in one for one in faults)
+    assert act is not unnumbered or any("/stranger" in one for one in faults)
+
+
+def shortening(node: Node) -> None:
+    publisher = node.create_publisher(DiagnosticStatus, contract.TRIAL, qos.LATCHED)
+    until_heard(publisher, 2)
+    publisher.publish(
+        trial_status_message(
+            TrialStatus(
+                phase=Phase.PERTURB,
+                trial=1,
+                trials=2,
+                joint=0,
+                joint_name="shoulder",
+                tick=500,
+                start_ns=500_000_000,
+                ticks=6000,
+                seed=1,
+                valid=True,
+            )
+        )
+    )
+
+
+def test_a_status_that_ends_a_trial_early_is_refused_and_spoils_the_result(tmp_path: Path) -> None:
+    summary = disturbed(tmp_path / "out", shortening)
+    assert not summary.valid
+    assert [trial.ticks for trial in summary.trials] == [10_000, 10_000]
+    assert any("ends after 6000 samples, which nobody asked for" in p for p in summary.problems)
+
+
+def judging(node: Node) -> None:
+    publisher = node.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
+    until_heard(publisher, 1)
+    for trial in (1, 2):
+        judgement = Judgement(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
+        publisher.publish(judgement_message(judgement))
+
+
+def test_a_judgement_that_nobody_asked_for_ends_no_trial(tmp_path: Path) -> None:
+    summary = disturbed(tmp_path / "out", judging)
+    assert [trial.ticks for trial in summary.trials] == [10_000, 10_000]
+
+
+def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Disturbed(LifecycleManager):
+        def configure(self, name: str) -> None:
+            if name == contract.SIM_NODE:
+                client = AsyncParameterClient(self._node, name)
+                future = client.set_parameters([Parameter("sensors.torque_gain", value=[1.3, 1.3])])
+                assert self._spin_until(future, PATIENCE)
+            super().configure(name)
+
+    monkeypatch.setattr(orchestrator, "LifecycleManager", Disturbed)
+    out = tmp_path / "out"
+    summary = run_experiment(ExperimentConfig.model_validate(SHORT), out)
+    assert summary.problems[0].startswith("arm_sim: sensors.torque_gain is [1.3, 1.3], not ")
+    assert not summary.trials
+    active = yaml.safe_load((out / PARAMETERS_FILE).read_text(encoding="utf-8"))
+    assert active["arm_sim"]["ros__parameters"]["sensors.torque_gain"] == [1.3, 1.3]

@@ -1,0 +1,104 @@
+"""The one wheel of the project works where there is no ROS, by the lines of the README."""
+
+import os
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import armimp
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = ROOT / "ros2_ws" / "src"
+PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
+
+
+def lines() -> str:
+    """The program in the README."""
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"^```python\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    return str(program)
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    trials = armimp.simulate(duration=20.0, seed=1).trials
+    names = ("perturbation", "position", "torque")
+    arrays: dict[str, Any] = {
+        name: np.stack([getattr(one, name) for one in trials]) for name in names
+    }
+    np.savez(tmp_path / "recording.npz", **arrays)
+    return tmp_path
+
+
+def test_ten_lines_of_the_readme_identify_an_arm_from_arrays(recording: Path) -> None:
+    program = lines()
+    assert len(program.strip().splitlines()) <= 10
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        cwd=recording,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "valid"
+
+
+def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -> None:
+    project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    setups = {one: (SOURCES / one / "setup.py").read_text(encoding="utf-8") for one in PACKAGES}
+    where = re.findall(r'^    "ros2_ws/src/(\w+)",$', project, flags=re.MULTILINE)
+    assert sorted(where) == PACKAGES
+    version, *_ = re.findall(r'^version = "(.+)"$', project, flags=re.MULTILINE)
+    assert all(f'version="{version}"' in text for text in setups.values())
+    scripts = re.findall(r'console_scripts": \["(\w+) = ([\w.:]+)"', "".join(setups.values()))
+    assert {f'{name} = "{function}"' for name, function in scripts} <= set(project.splitlines())
+    pins = re.findall(r'^    "(ros-.+)",$', project, flags=re.MULTILINE)
+    locked = (ROOT / "requirements.txt").read_text(encoding="utf-8")
+    assert pins
+    assert all(pin in locked for pin in pins)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_the_wheel_identifies_an_arm_in_an_empty_environment(
+    recording: Path, tmp_path: Path
+) -> None:
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in ("PYTHONPATH", "LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+    }
+
+    def run(*command: str) -> str:
+        done = subprocess.run(
+            command, cwd=recording, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stdout + done.stderr
+        return done.stdout
+
+    checkout = tmp_path / "checkout"
+    run("git", "clone", "--quiet", str(ROOT), str(checkout))
+    pip = [sys.executable, "-m", "pip", "-qq", "wheel", "--no-deps", "--no-build-isolation"]
+    run(*pip, "--wheel-dir", str(tmp_path), str(checkout))
+    (wheel,) = tmp_path.glob("armimp-*.whl")
+    with zipfile.ZipFile(wheel) as file:
+        assert {name.split("/")[0] for name in file.namelist()} >= set(PACKAGES)
+    run(sys.executable, "-m", "venv", "empty")
+    python = str(recording / "empty" / "bin" / "python")
+    run(python, "-m", "pip", "-qq", "install", str(wheel))
+
+    assert "rclpy" not in run(python, "-m", "pip", "list")
+    assert run(python, "-c", lines()).splitlines()[-1] == "valid"
+    command = [str(recording / "empty" / "bin" / "armimp"), "run"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        "armimp: this needs ROS, which is not installed: pip install 'armimp[ros]'"
+    ]
