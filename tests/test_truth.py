@@ -49,7 +49,7 @@ def test_what_is_valid_is_right_and_noise_is_valid(name: str) -> None:
     judge(name, seed=11)
 
 
-@pytest.mark.faults
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", sorted(set(CASES) - set(QUICK)))
 def test_what_is_valid_is_right_in_each_class(name: str, seed: int) -> None:
