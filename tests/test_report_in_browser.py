@@ -72,12 +72,13 @@ def test_verdict_is_read_first(page: Browser) -> None:
 
 def test_switches_hide_and_show_lines_in_all_plots(page: Browser) -> None:
     single, full = "Welch, single input", "Welch, full matrix"
-    assert shown(page, "bode-1-2") == {single: 2, full: 2, "truth": 2, "": 4}
+    # Magnitude, phase and distance of each estimator, with a band around each or about zero.
+    assert shown(page, "bode-1-2") == {single: 3, full: 3, "truth": 2, "": 6}
     drawn = paths(page, "bode-1-2")
 
     switch(page, "estimator:welch_full")
     page.wait_for("document.querySelector('#coherence-2-2 .canvas').data[3].visible === false")
-    assert shown(page, "bode-1-2") == {single: 2, "truth": 2, "": 2}
+    assert shown(page, "bode-1-2") == {single: 3, "truth": 2, "": 3}
     assert f"derived, {full}" not in shown(page, "coherence-2-2")
     assert paths(page, "bode-1-2") < drawn
     # The control beside the other plots follows.
@@ -87,7 +88,7 @@ def test_switches_hide_and_show_lines_in_all_plots(page: Browser) -> None:
     switch(page, "bands")
     switch(page, "truth")
     page.wait_for("document.querySelector('#bode-2-2 .canvas').data.at(-1).visible === false")
-    assert shown(page, "bode-2-2") == {single: 2}
+    assert shown(page, "bode-2-2") == {single: 3}
 
     for tag in ("estimator:welch_full", "bands", "truth"):
         switch(page, tag)
@@ -178,7 +179,7 @@ def test_the_command_writes_a_report_of_an_invalid_result_too(
     browser.open(tmp_path / "out" / "report.html")
 
     assert browser.said() == []
-    verdict = browser.value("document.querySelector('#verdict').textContent")
+    verdict = browser.value("document.querySelector('#verdict').innerText")
     assert verdict.startswith("Not valid: 1 problem")
     assert "no trial perturbs joint 2 (elbow)" in verdict
     assert "Record what is missing" in verdict

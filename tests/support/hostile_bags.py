@@ -866,7 +866,7 @@ def tried(name: str, directory: Path) -> dict[str, object]:
 
 if __name__ == "__main__":
     # What the command imports when it is needed, once for all of them.
-    for module in ("display", "offline_estimate", "orchestrator", "presentation"):
+    for module in ("offline_estimate", "orchestrator", "presentation", "replay", "terminal"):
         importlib.import_module(f"armimp_bringup.{module}")
 
     for one in sys.argv[2:]:

@@ -119,7 +119,7 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
             raise ConfigurationError(f"{path}: is not a text file") from None
         except yaml.YAMLError as error:
             reason = " ".join(str(error).split())
-            raise ConfigurationError(f"{path}: is not YAML: {reason:.300}") from None
+            raise ConfigurationError(f"{path}: cannot be read as YAML: {reason:.300}") from None
         if loaded is not None and not isinstance(loaded, dict):
             raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
         values.update(loaded or {})
@@ -333,4 +333,7 @@ def _row_by_row(name: str, value: Any) -> Any:
     lengths = {len(row) if isinstance(row, list) else None for row in value}
     if len(lengths) > 1:
         raise ConfigurationError(f"parameter '{name}' = {value!r:.80}: rows differ in length")
+    if lengths != {len(value)}:
+        rows = f"{len(value)} row{'s' * (len(value) > 1)}"
+        raise ConfigurationError(f"parameter '{name}' has {rows} for {lengths.pop()} columns")
     return [number for row in value for number in row]

@@ -186,14 +186,14 @@ def check_names(names: Iterable[str], known: Iterable[str]) -> None:
     Raises
     ------
     ConfigurationError
-        Naming the first that is not, and the valid name nearest to it.
+        Naming the first that is not, and a valid name that is much like it, if there is one.
     """
     valid = list(known)
     for name in names:
         if name not in valid:
             # Compared without case, since that is a common slip that costs many characters.
             by_folded = {other.lower(): other for other in valid}
-            near = difflib.get_close_matches(name.lower(), list(by_folded), n=1, cutoff=0.0)
+            near = difflib.get_close_matches(name.lower(), list(by_folded), n=1)
             hint = f"; the nearest valid name is '{by_folded[near[0]]}'" if near else ""
             raise ConfigurationError(f"parameter '{name}' does not exist{hint}")
 

@@ -37,9 +37,9 @@ def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST:
             # The loader in C ends the process when it runs out of stack.
-            raise yaml.YAMLError("nested too deeply")
+            raise yaml.YAMLError("it is nested too deeply")
         if nodes > _MOST_NODES:
-            raise yaml.YAMLError(f"more than {_MOST_NODES} values")
+            raise yaml.YAMLError(f"it has more than {_MOST_NODES} values")
         if isinstance(event, yaml.AliasEvent) and not aliases:
-            raise yaml.YAMLError(f"alias *{event.anchor:.40}, which is not allowed here")
+            raise yaml.YAMLError(f"the alias *{event.anchor:.40} is not allowed")
     return yaml.load(text, Loader=loader)
