@@ -17,8 +17,8 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import closing
-from io import BytesIO
+from contextlib import closing, redirect_stderr, suppress
+from io import BytesIO, StringIO
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Final, NoReturn, TypeAlias
@@ -28,7 +28,7 @@ import numpy as np
 import yaml
 import zstandard
 
-from armimp_bringup.cli import program
+from armimp_bringup.cli import main, program
 from armimp_common import contract
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
@@ -216,7 +216,7 @@ def zstd_frame_that_claims_four_gibibytes(directory: Path) -> Arguments:
 
 @attack(quick=True)
 def lz4_chunk_bomb(directory: Path) -> Arguments:
-    return mcap(directory, head(), chunk("lz4", 1000, lz4.frame.compress(bytes(2 * _GIB))))
+    return mcap(directory, head(), chunk("lz4", 1000, lz4.frame.compress(bytes(_GIB))))
 
 
 @attack()
@@ -273,7 +273,7 @@ def compressed_messages_without_a_size(directory: Path) -> Arguments:
 
 @attack(quick=True)
 def compressed_file_of_zeros(directory: Path) -> Arguments:
-    return mcap(directory, repeated(bytes(1 << 20), 6 << 10), name="bag.mcap.zstd")
+    return mcap(directory, repeated(bytes(1 << 20), 2 << 10), name="bag.mcap.zstd")
 
 
 @attack()
@@ -294,6 +294,18 @@ def compressed_file_in_a_compressed_file(directory: Path) -> Arguments:
 
 
 @attack()
+def compressed_file_of_compressed_chunks(directory: Path) -> Arguments:
+    one = zstd_chunk(message(1, 1, b"") * 1_000_000)
+    return mcap(directory, repeated(one, 100_000, head()), name="bag.mcap.zstd")
+
+
+@attack()
+def compressed_messages_in_compressed_chunks_of_a_compressed_file(directory: Path) -> Arguments:
+    one = zstd_chunk(message(1, 1, zstd(bytes(8 << 20))) * 1000)
+    return mcap(directory, repeated(one, 10_000, head()), name="bag.mcap.zstd")
+
+
+@attack()
 def many_frames_in_a_compressed_file(directory: Path) -> Arguments:
     return mcap(directory, zstd(head()), zstd(b"") * 900_000, name="bag.mcap.zstd")
 
@@ -307,7 +319,7 @@ def sixty_five_thousand_channels(directory: Path) -> Arguments:
     return mcap(directory, head(), *names, packed(experiment()))
 
 
-@attack(quick=True)
+@attack()
 def sixty_five_thousand_rigs(directory: Path) -> Arguments:
     topics = contract.DATA_STREAMS
     names = (channel(10 + i, f"/{i // 4}/{topics[i % 4]}", 0) for i in range(65_500))
@@ -339,8 +351,8 @@ def message_type_of_five_million_letters(directory: Path) -> Arguments:
 
 
 @attack(quick=True)
-def statuses_by_the_hundred_thousand(directory: Path) -> Arguments:
-    many = (message(5, i, status(1 + i, i * 10**9, 10)) for i in range(200_000))
+def thirty_thousand_statuses(directory: Path) -> Arguments:
+    many = (message(5, i, status(1 + i, i * 10**9, 10)) for i in range(30_000))
     return mcap(directory, head(), zstd_chunk(packed(experiment())), zstd_chunks(many))
 
 
@@ -381,7 +393,7 @@ def clipped_intervals_beyond_reason(directory: Path) -> Arguments:
     )
 
 
-@attack(quick=True)
+@attack()
 def perturbed_joint_changes_with_each_sample(directory: Path) -> Arguments:
     data = zstd_chunks(records_of(samples(50_000, joint=lambda tick: tick % 2)))
     return mcap(directory, head(), data)
@@ -512,7 +524,7 @@ def recursive_view_of_metadata(directory: Path) -> Arguments:
     return database(directory, _SCHEMA + view)
 
 
-@attack(quick=True)
+@attack()
 def generated_column(directory: Path) -> Arguments:
     columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER"
     generated = "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL"
@@ -646,7 +658,7 @@ def metadata_from_a_pipe(directory: Path) -> Arguments:
     return "estimate", str(directory)
 
 
-@attack(quick=True)
+@attack()
 def metadata_on_a_device(directory: Path) -> Arguments:
     (directory / "metadata.yaml").symlink_to("/dev/zero")
     return "estimate", str(directory)
@@ -714,6 +726,215 @@ def directory_whose_name_is_not_text(directory: Path) -> Arguments:
 def results_into_a_name_that_is_not_text(directory: Path) -> Arguments:
     arguments = mcap(directory, head(), zstd_chunk(packed(experiment())))
     return (*arguments, "--out", str(directory / os.fsdecode(b"\xff\xfe")))
+
+
+def enlarged(file: Path) -> None:
+    """Give a file a tebibyte that nobody ever wrote."""
+    with file.open("r+b") as content:
+        content.truncate(1 << 40)
+
+
+@attack(quick=True)
+def storage_that_is_a_hole(directory: Path) -> Arguments:
+    arguments = mcap(directory, head(), zstd_chunk(packed(experiment())))
+    enlarged(directory / "bag.mcap")
+    return arguments
+
+
+@attack()
+def database_that_is_a_hole(directory: Path) -> Arguments:
+    arguments = database(directory, _SCHEMA)
+    enlarged(directory / "bag.db3")
+    return arguments
+
+
+@attack()
+def unfinished_bag_that_is_a_hole(directory: Path) -> Arguments:
+    bag = provisional(directory, zstd_chunk(packed(experiment())), struct.pack("<BQ", 6, 1 << 39))
+    enlarged(bag / "bag.mcap")
+    return "estimate", str(bag)
+
+
+@attack()
+def metadata_that_is_a_hole(directory: Path) -> Arguments:
+    (directory / "metadata.yaml").touch()
+    enlarged(directory / "metadata.yaml")
+    return "estimate", str(directory)
+
+
+@attack(quick=True)
+def link_to_an_unfinished_bag_elsewhere(directory: Path) -> Arguments:
+    bag = provisional(directory.parent / WITNESS, zstd_chunk(packed(experiment())))
+    run = directory / "bags"
+    run.mkdir()
+    (run / "trial_1_joint_1").symlink_to(bag)
+    return "estimate", str(directory)
+
+
+@attack()
+def unfinished_storage_that_is_a_link(directory: Path) -> Arguments:
+    bag = provisional(directory, zstd_chunk(packed(experiment())))
+    (bag / "bag.mcap").rename(directory.parent / WITNESS / "bag.mcap")
+    (bag / "bag.mcap").symlink_to(directory.parent / WITNESS / "bag.mcap")
+    return "estimate", str(bag)
+
+
+@attack()
+def links_in_a_circle(directory: Path) -> Arguments:
+    (directory / "bags").mkdir()
+    for i in range(100):
+        (directory / "bags" / f"trial_{i}").symlink_to(directory)
+    (directory / "bags" / "bags").symlink_to("bags")
+    return "estimate", str(directory)
+
+
+@attack(quick=True)
+def thousands_of_links_to_one_bag(directory: Path) -> Arguments:
+    (directory / "one").mkdir()
+    mcap(directory / "one", head(), zstd_chunk(packed(experiment())))
+    for i in range(5000):
+        (directory / f"bag_{i}").symlink_to("one")
+    return "estimate", str(directory)
+
+
+@attack()
+def thousands_of_bags_with_one_storage(directory: Path) -> Arguments:
+    mcap(directory, head(), zstd_chunk(packed(experiment())), name="storage")
+    for i in range(5000):
+        (directory / f"bag_{i}").mkdir()
+        (directory / f"bag_{i}" / "bag.mcap").hardlink_to(directory / "storage")
+    return "estimate", str(directory)
+
+
+@attack()
+def a_hundred_thousand_files(directory: Path) -> Arguments:
+    for i in range(100_000):
+        (directory / f"{i}.mcap").touch()
+    return "estimate", str(directory)
+
+
+@attack()
+def a_hundred_thousand_foreign_files(directory: Path) -> Arguments:
+    for i in range(100_000):
+        (directory / f"{i}.txt").touch()
+    return "estimate", str(directory)
+
+
+@attack(quick=True)
+def names_of_many_lines(directory: Path) -> Arguments:
+    bag = directory / "a\nTraceback (most recent call last):\r\x1b[2J"
+    bag.mkdir()
+    (bag / "b\nc.mcap").write_bytes(b"\n")
+    return "estimate", str(bag)
+
+
+@attack()
+def storage_named_by_many_lines(directory: Path) -> Arguments:
+    name = "a\nb\x1b[2J" + "c" * 100
+    paths = {"rosbag2_bagfile_information": {"relative_file_paths": [name]}}
+    (directory / "metadata.yaml").write_text(yaml.safe_dump(paths))
+    return "estimate", str(directory)
+
+
+def changing(directory: Path, change: Callable[[Path, bytes, int], object]) -> Arguments:
+    """A bag that another process changes, again and again, for as long as it may be read."""
+    arguments = mcap(directory, head(), *(zstd_chunk(packed(experiment())) for _ in range(20)))
+    file = Path(arguments[1])
+    content = file.read_bytes()
+    if not os.fork():
+        end = time.monotonic() + 5.0
+        turn = 0
+        while time.monotonic() < end:
+            with suppress(OSError):
+                change(file, content, turn)
+            turn += 1
+        os._exit(0)
+    return arguments
+
+
+@attack()
+def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
+    def change(file: Path, content: bytes, turn: int) -> None:
+        os.truncate(file, turn * 7919 % len(content))
+        file.write_bytes(content)
+
+    return changing(directory, change)
+
+
+@attack()
+def storage_that_is_scrambled_while_it_is_read(directory: Path) -> Arguments:
+    def change(file: Path, content: bytes, turn: int) -> None:
+        with file.open("r+b") as open_file:
+            open_file.seek(turn * 7919 % len(content))
+            open_file.write(os.urandom(100))
+
+    return changing(directory, change)
+
+
+@attack()
+def storage_that_becomes_a_pipe_and_back(directory: Path) -> Arguments:
+    def change(file: Path, content: bytes, turn: int) -> None:
+        file.unlink()
+        if turn % 2:
+            file.write_bytes(content)
+        else:
+            os.mkfifo(file)
+
+    return changing(directory, change)
+
+
+# --- studies that go on ----------------------------------------------------------------------
+
+
+def study(directory: Path) -> Arguments:
+    only = "friction=0,resolution=0,perturbation=3"
+    return "reproduce", "--no-figures", "--only", only, "--out", str(directory)
+
+
+@attack(quick=True)
+def lock_of_a_study_that_is_a_link(directory: Path) -> Arguments:
+    (directory / ".lock").symlink_to(directory.parent / WITNESS / "canary")
+    (directory / "config.json").write_text("{}")
+    return study(directory)
+
+
+@attack()
+def lock_of_a_study_that_is_a_pipe(directory: Path) -> Arguments:
+    os.mkfifo(directory / ".lock")
+    (directory / "config.json").write_text("{}")
+    return study(directory)
+
+
+@attack(quick=True)
+def results_of_a_study_that_are_elsewhere(directory: Path) -> Arguments:
+    (directory / "conditions").symlink_to(directory.parent / WITNESS)
+    (directory / "config.json").write_text("{}")
+    return study(directory)
+
+
+@attack()
+def study_configured_by_a_pipe(directory: Path) -> Arguments:
+    os.mkfifo(directory / "config.json")
+    return study(directory)
+
+
+@attack()
+def study_configured_by_a_device(directory: Path) -> Arguments:
+    (directory / "config.json").symlink_to("/dev/zero")
+    return study(directory)
+
+
+@attack()
+def study_configured_by_a_hole(directory: Path) -> Arguments:
+    (directory / "config.json").touch()
+    enlarged(directory / "config.json")
+    return study(directory)
+
+
+@attack()
+def study_configured_by_nine_million_lists(directory: Path) -> Arguments:
+    (directory / "config.json").write_text("[" + "[]," * 3_000_000 + "[]]")
+    return study(directory)
 
 
 # --- configurations ---------------------------------------------------------------------------
@@ -788,6 +1009,13 @@ def config_on_a_device(directory: Path) -> Arguments:
 
 
 @attack()
+def config_that_is_a_hole(directory: Path) -> Arguments:
+    arguments = config(directory, "mode: realtime\n")
+    enlarged(directory / "config.yaml")
+    return arguments
+
+
+@attack()
 def config_whose_name_is_not_text(directory: Path) -> Arguments:
     file = directory / os.fsdecode(b"\xff.yaml")
     file.write_text("mode: nonsense")
@@ -832,12 +1060,19 @@ def forked(work: Callable[[], object], said: Path) -> tuple[int, resource.struct
         time.sleep(0.02)
 
 
+def witnessed(directory: Path) -> dict[str, bytes]:
+    """What is in the files that must stay as they are."""
+    inside = (directory / WITNESS).rglob("*")
+    return {str(path): path.read_bytes() for path in inside if path.is_file()}
+
+
 def tried(name: str, directory: Path) -> dict[str, object]:
     """Let the command read the file of an attack in an empty directory, and measure."""
     inside = directory / "inside"
     inside.mkdir(parents=True)
     (directory / WITNESS).mkdir()
-    (directory / WITNESS / "canary").write_bytes(b"ten years of work")
+    for name_of_file in ("canary", ".canary"):
+        (directory / WITNESS / name_of_file).write_bytes(b"ten years of work")
     arguments, said = directory / "arguments", directory / "err"
 
     def make() -> None:
@@ -851,6 +1086,7 @@ def tried(name: str, directory: Path) -> dict[str, object]:
     status, _ = forked(make, said)
     if status:
         raise RuntimeError(f"{name}: {said.read_text()}")
+    before = witnessed(directory)
     status, usage = forked(read, said)
     return {
         "name": name,
@@ -858,16 +1094,18 @@ def tried(name: str, directory: Path) -> dict[str, object]:
         "err": said.read_bytes().decode(errors="replace")[-20_000:],
         "seconds": usage.ru_utime + usage.ru_stime,
         "memory": usage.ru_maxrss * 1024.0,
-        "untouched": (directory / WITNESS / "canary").read_bytes() == b"ten years of work"
-        if (directory / WITNESS / "canary").is_file()
-        else False,
+        "untouched": witnessed(directory) == before,
     }
 
 
 if __name__ == "__main__":
     # What the command imports when it is needed, once for all of them.
-    for module in ("offline_estimate", "orchestrator", "presentation", "replay", "terminal"):
+    for module in ("offline_estimate", "orchestrator", "presentation", "study.command", "terminal"):
         importlib.import_module(f"armimp_bringup.{module}")
+    # Numba gets ready once, by the first matrix.
+    arm_inertia = config(Path(sys.argv[1]), "arm_sim: {arm: {inertia: [1.0]}}")
+    with redirect_stderr(StringIO()):
+        main(arm_inertia)
 
     for one in sys.argv[2:]:
         outcome = tried(one, Path(sys.argv[1]) / one.replace(" ", "_"))

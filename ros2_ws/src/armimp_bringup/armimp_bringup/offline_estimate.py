@@ -10,6 +10,7 @@ from pathlib import Path
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
+from armimp_estimation.bags.storage import require_distinct
 from armimp_estimation.conclusion import (
     RATE_KEY,
     TIMING_KEY,
@@ -159,10 +160,11 @@ def read_bags(
     Raises
     ------
     BagError
-        If a bag can't be read.
+        If a bag can't be read, or is given twice.
     DataError
         If the joints differ between them, or the metadata make no sense.
     """
+    require_distinct(bags)
     contents = []
     for path in bags:
         finished = finish_bag(path, trust=trust)

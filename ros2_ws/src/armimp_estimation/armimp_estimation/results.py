@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence, Sized
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,12 +21,14 @@ from armimp_estimation.problems import Concern, Problem, Severity, spoiled
 from armimp_estimation.sample_ledger import SampleLedger
 from armimp_estimation.scores import Coherences
 from armimp_estimation.torque_reading import ReadingSummary
-from armimp_estimation.whole_files import write_whole
+from armimp_estimation.whole_files import open_regular, read_bytes, write_whole
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Complex64Array = NDArray[np.complex64]
 
+
+_MOST_BYTES_OF_CURVES: Final = 512 << 20
 
 Intervals = list[Matrix]
 """Lower and upper end of an interval for each element of a matrix."""
@@ -470,7 +472,7 @@ def read_summary(path: Path) -> Summary:
         If it cannot be read or is not a summary of schema 1; the message names file and place.
     """
     try:
-        return Summary.model_validate_json(path.read_bytes())
+        return Summary.model_validate_json(read_bytes(path))
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from error
     except ValidationError as error:
@@ -593,7 +595,10 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
     """
     try:
         # Opened here, as numpy leaves a file that it cannot read open.
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        with open_regular(path) as raw, np.load(raw, allow_pickle=False) as file:
+            size = sum(entry.file_size for entry in file.zip.infolist())
+            if size > _MOST_BYTES_OF_CURVES:
+                raise ValueError(f"it holds {size} bytes")
             names = [key[2:] for key in file.files if key.startswith("Z_")]
             curves = {name: _curve(file, name) for name in names}
         for name, curve in curves.items():

@@ -1,13 +1,20 @@
 """Files of which nobody ever sees a part, and files that must be plain ones to be read."""
 
 import os
+import re
 import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final, Literal
 
 from armimp_common.errors import ArmimpError, DataError
+
+_PART_BYTES: Final = 8
+_MOST_BYTES: Final = 256 << 20
+_NEVER_SPARSE: Final = 64 << 20
+_SPARSEST: Final = 20
+"""Size of a large file relative to what was ever written of it."""
 
 
 def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -27,7 +34,7 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
     OSError
         If the file cannot be written.
     """
-    part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
+    part = path.with_name(f".{secrets.token_hex(_PART_BYTES)}{path.suffix}")
     exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     os.close(os.open(part, exclusively, 0o666))
     try:
@@ -35,6 +42,23 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def is_part(path: Path) -> bool:
+    """Tell whether a file is named like those of `replace_whole`, which an end may leave behind."""
+    return re.fullmatch(rf"\.[0-9a-f]{{{2 * _PART_BYTES}}}", path.stem) is not None
+
+
+def open_lock(path: Path) -> BinaryIO:
+    """Open a file, new or not, that serves as a lock; no link to one is followed.
+
+    Raises
+    ------
+    OSError
+        If it is no regular file, or cannot be opened.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    return _checked(path, os.open(path, flags, 0o666), "r+b")
 
 
 def write_whole(
@@ -71,26 +95,43 @@ def write_whole(
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a link to one is followed.
 
-    Pipes and devices are refused before anything is read: they may have no end, or never begin.
+    Pipes and devices are refused before anything is read: they may have no end, or never begin;
+    and files that are hardly more than a hole, which could be read for years.
 
     Raises
     ------
     OSError
         If it is no regular file, or cannot be opened.
     """
-    _require_regular(path, path.stat().st_mode)
+    _require_regular(path, path.stat())
     # Should it become a pipe in between, opening it must not wait for a writer.
-    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    return _checked(path, os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+
+
+def _checked(path: Path, descriptor: int, mode: Literal["rb", "r+b"]) -> BinaryIO:
     try:
-        _require_regular(path, os.fstat(file.fileno()).st_mode)
+        _require_regular(path, os.fstat(descriptor))
+        return os.fdopen(descriptor, mode)
     except OSError:
-        file.close()
+        os.close(descriptor)
         raise
-    return file
 
 
-def read_text(path: Path, most: int) -> str:
-    """Read a regular file of UTF-8 text.
+def read_text(path: Path, most: int = _MOST_BYTES) -> str:
+    """Read a regular file of UTF-8 text, as `read_bytes` does.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    UnicodeDecodeError
+        If it is not UTF-8.
+    """
+    return read_bytes(path, most).decode()
+
+
+def read_bytes(path: Path, most: int = _MOST_BYTES) -> bytes:
+    """Read a regular file.
 
     Parameters
     ----------
@@ -103,14 +144,12 @@ def read_text(path: Path, most: int) -> str:
     ------
     OSError
         If it is larger or no regular file, or cannot be read.
-    UnicodeDecodeError
-        If it is not UTF-8.
     """
     with open_regular(path) as file:
         content = file.read(most + 1)  # what /proc says of sizes is nothing to go by
     if len(content) > most:
         raise OSError(0, f"has more than the {most} bytes that are read", str(path))
-    return content.decode()
+    return content
 
 
 def require_text(path: Path) -> None:
@@ -127,8 +166,11 @@ def require_text(path: Path) -> None:
         raise OSError(0, "its name is not UTF-8", str(path)) from None
 
 
-def _require_regular(path: Path, mode: int) -> None:
-    if stat.S_ISDIR(mode):
+def _require_regular(path: Path, status: os.stat_result) -> None:
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(21, "Is a directory", str(path))
-    if not stat.S_ISREG(mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(0, "is not a regular file", str(path))
+    written = 512 * status.st_blocks
+    if status.st_size > _NEVER_SPARSE and 0 < _SPARSEST * written < status.st_size:
+        raise OSError(0, f"is a sparse file: {written} of {status.st_size} bytes", str(path))

@@ -12,6 +12,7 @@ from armimp_bringup.study.conditions import Condition
 from armimp_common.errors import DataError
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.results import Summary
+from armimp_estimation.whole_files import read_bytes
 
 
 class StudyEntry(Summary):
@@ -64,7 +65,7 @@ def read_study(path: Path) -> list[StudyEntry]:
         If it can't be read, or is something else.
     """
     try:
-        return _ENTRIES.validate_json(path.read_bytes())
+        return _ENTRIES.validate_json(read_bytes(path))
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from None
     except ValidationError as error:
@@ -80,7 +81,7 @@ def read_entry(path: Path) -> StudyEntry:
         If it can't be read, or is something else.
     """
     try:
-        return StudyEntry.model_validate_json(path.read_bytes())
+        return StudyEntry.model_validate_json(read_bytes(path))
     except OSError as error:
         raise DataError(f"{path}: {error.strerror}") from None
     except ValidationError as error:

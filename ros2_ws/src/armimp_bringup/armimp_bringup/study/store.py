@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import Any, BinaryIO
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study.conditions import Condition
@@ -20,7 +20,7 @@ from armimp_bringup.study.entry import StudyEntry, differences, read_entry
 from armimp_bringup.study.errors import StudyError
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.results import ImpedanceCurve, read_frf, write_frf, write_summary
-from armimp_estimation.whole_files import write_whole
+from armimp_estimation.whole_files import is_part, open_lock, read_text, write_whole
 
 CONFIG_FILE = "config.json"
 RESULTS_DIRECTORY = "conditions"
@@ -144,13 +144,13 @@ class StudyStore:
         results = self.directory / RESULTS_DIRECTORY
         try:
             results.mkdir(exist_ok=True)
-            for left_over in results.glob(".*"):
+            for left_over in filter(is_part, results.glob(".*")):
                 left_over.unlink()
         except OSError as error:
             raise StudyError(f"{results}: cannot be used: {error.strerror}") from None
 
-    def _locked(self) -> IO[str]:
-        lock = (self.directory / _LOCK).open("w")
+    def _locked(self) -> BinaryIO:
+        lock = open_lock(self.directory / _LOCK)
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -161,8 +161,10 @@ class StudyStore:
     def _check(self, described: dict[str, Any]) -> None:
         path = self.directory / CONFIG_FILE
         try:
-            stored = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
+            stored = json.loads(read_text(path))
+        except OSError as error:
+            raise StudyError(f"{path}: {error.strerror}") from None
+        except (ValueError, RecursionError) as error:
             raise StudyError(f"{path}: not the configuration of a study: {error}") from None
         different = next(iter(sorted(differences(stored, described))), None)
         if different is not None:

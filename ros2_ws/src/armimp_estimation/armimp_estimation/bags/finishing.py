@@ -37,7 +37,8 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
 
     A finished copy takes the place of the storage file at once, then ``metadata.yaml`` is
     replaced. All whole chunks are kept, byte for byte. A bag that is still being recorded is known
-    by its lock, one that is whole by its metadata.
+    by its lock, one that is whole by its metadata. A bag behind a link stays as it is, since that
+    may lead anywhere.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
     str
         What was done, or why it could not be, in one line; empty if there was nothing to do.
     """
-    if not is_provisional(path / FILE_NAME):
+    if path.is_symlink() or path.parent.is_symlink() or not is_provisional(path / FILE_NAME):
         return ""
     try:
         files, custom = read_metadata(path / FILE_NAME)

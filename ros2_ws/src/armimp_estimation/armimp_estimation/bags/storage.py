@@ -96,6 +96,27 @@ def find_bags(paths: Sequence[Path]) -> list[Path]:
     return found
 
 
+def require_distinct(bags: Sequence[Path]) -> None:
+    """Refuse bags that are one and the same, by another path, link or name of their files.
+
+    Raises
+    ------
+    BagError
+        If there are such ones.
+    """
+    found: dict[tuple[int, int], Path] = {}
+    for bag in bags:
+        try:
+            for file in bag.iterdir() if bag.is_dir() else (bag,):
+                if file == bag or file.name.endswith(_SUFFIXES):
+                    status = file.stat()
+                    other = found.setdefault((status.st_dev, status.st_ino), bag)
+                    if other is not bag:
+                        raise BagError(f"{bag}: is the same bag as {other}")
+        except OSError:  # as the reader will say
+            continue
+
+
 def _bags_in(folder: Path) -> list[Path]:
     try:
         entries = list(folder.iterdir())
