@@ -3,8 +3,10 @@
 import copy
 import io
 import json
+import os
 import random
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from armimp_bringup.study.entry import read_entry, read_study
 from armimp_common.errors import DataError
 from armimp_estimation.results import read_frf, read_summary
 from support.command import Told, call
@@ -206,6 +209,32 @@ def test_wrong_arrays_of_curves_are_named(
     told = go_on(damaged)
     assert told.status == 1
     assert f"armimp: {caught.value}\n" in told.err
+
+
+READERS = [read_frf, read_summary, read_study, read_entry]
+
+
+@pytest.mark.parametrize("read", READERS)
+def test_what_is_no_regular_file_is_not_waited_for(
+    read: Callable[[Path], object], tmp_path: Path
+) -> None:
+    pipe, hole = tmp_path / "pipe", tmp_path / "hole"
+    os.mkfifo(pipe)
+    with hole.open("wb") as file:
+        file.write(b"[")
+        file.truncate(1 << 40)
+    assert reason_against(read, pipe).endswith("is not a regular file")
+    assert "of 1099511627776 bytes" in reason_against(read, hole)
+    assert reason_against(read, Path("/dev/zero")).endswith("is not a regular file")
+
+
+def test_curves_that_unfold_beyond_reason_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "frf.npz"
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive_file:
+        for i in range(65):
+            archive_file.writestr(f"Z_{i}.npy", bytes(8 << 20))
+    assert file.stat().st_size < 10_000_000
+    assert "it holds 545259520 bytes" in reason_against(read_frf, file)
 
 
 def test_curves_that_are_not_finite_are_refused(study: Path, tmp_path: Path) -> None:

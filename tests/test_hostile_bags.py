@@ -12,7 +12,7 @@ from typing import Any, Final
 import pytest
 
 from support.fault_figures import Figures
-from support.hostile_bags import ATTACKS, QUICK
+from support.hostile_bags import ATTACKS, QUICK, REPLAY
 
 _MOST_MEMORY: Final = 1.5e9
 _MOST_TIME: Final = 30.0
@@ -77,7 +77,8 @@ def test_a_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
+@pytest.mark.parametrize("names", [REST, [REPLAY + name for name in ATTACKS]], ids=["", "replay"])
 def test_every_hostile_file_gets_one_line_in_bounded_memory_and_touches_nothing(
-    tmp_path: Path, figures: Figures
+    names: Sequence[str], tmp_path: Path, figures: Figures
 ) -> None:
-    withstood(REST, tmp_path, figures)
+    withstood(names, tmp_path, figures)

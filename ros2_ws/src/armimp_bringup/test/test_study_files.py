@@ -160,11 +160,12 @@ def test_curves_without_a_result_are_made_again(
     stored = tmp_path / "conditions" / CONDITIONS[1].name
     stored.with_name(f"{stored.name}.json").unlink()
     stored.with_name(f"{stored.name}.npz").write_bytes(b"half of")
-    (tmp_path / "conditions" / f".12.{stored.name}.json").write_text("left over")
+    (tmp_path / "conditions" / ".0123456789abcdef.json").write_text("left over")
+    (tmp_path / "conditions" / ".notes.json").write_text("of somebody else")
     backend = Recorded(results)
     run_study(BASE, CONDITIONS, tmp_path, backend, figures=False)
     assert backend.asked == [CONDITIONS[1]]
-    assert not list((tmp_path / "conditions").glob(".*"))
+    assert [path.name for path in (tmp_path / "conditions").glob(".*")] == [".notes.json"]
     with StudyStore(tmp_path, BASE, Provenance.here()) as store:
         curve = store.curves(CONDITIONS[1])["lpm_full"]
     np.testing.assert_array_equal(curve.Z, results[1].results["lpm_full"].estimate.Z)

@@ -604,7 +604,8 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
         for name, curve in curves.items():
             check_curve(name, curve)
     except UNREADABLE as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
+        told = getattr(error, "strerror", None) or str(error)
+        reason = " ".join(told.split()) or type(error).__name__
         raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
     return curves
 
