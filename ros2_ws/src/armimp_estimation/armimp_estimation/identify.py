@@ -11,6 +11,7 @@ from armimp_estimation import scores, verdict
 from armimp_estimation.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
+from armimp_estimation.lpm import LpmFull
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_stiffness
 from armimp_estimation.plausibility import judge_angles
@@ -210,8 +211,10 @@ def identify(
     problems += of_estimates
     best = next((r for r in results.values() if r.estimate.unbiased), None)
     if best is not None:
+        reading = options.lpm.reading
+        jump = LpmFull(config=options.lpm).jump([trial.record for trial in ordered])
         for trial in ordered:
-            problems += judge_stiffness(trial.record, best.fit.mbk)
+            problems += judge_stiffness(trial.record, best.fit.mbk, jump, reading)
     if balance is not None:
         arm = best if best is not None else first
         problems += judge_balance(names, balance, arm.fit)

@@ -145,7 +145,7 @@ class LpmFull:
     def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
         """As :meth:`estimate`, from one record for each joint, in their order."""
         options = self.config
-        jump = self._jump(records)
+        jump = self.jump(records)
         columns = self._columns(records, with_steps=jump is not None)
         f, n = columns[0].f, len(records)
         stacked = np.stack([column.response for column in columns], axis=1)
@@ -222,7 +222,7 @@ class LpmFull:
             errors = np.stack([matrix[:, k] for matrix in (fitted.M_se, fitted.B_se, fitted.K_se)])
             return FittedColumn(joint=k, values=values, errors=errors, preliminary=False)
         record = by_joint[k]
-        jump = self._jump([record])
+        jump = self.jump([record])
         (response,) = self._columns([record], with_steps=jump is not None)
         f, stacked = response.f, response.response
         if not (np.abs(stacked[k]) > 0.0).all():
@@ -269,7 +269,7 @@ class LpmFull:
             skew /= reading.response(f)
         return skew
 
-    def _jump(self, records: Sequence[TrialRecord]) -> UpdateJump | None:
+    def jump(self, records: Sequence[TrialRecord]) -> UpdateJump | None:
         """Jump of torques with the commands, if that is what is late and can be known."""
         reading = self.config.reading.at_rate(records[0].rate)
         if reading.timing is TorqueTiming.UNKNOWN:

@@ -3,9 +3,11 @@
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
 perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
 spring of short range yields, ``θ̇³``, too; if stiffness changes over the trial, ``θ t``. The
-regressors are taken without what is proportional to θ or θ̇, so that a linear arm gives zero on
-average, whatever the person does beside. The trial is cut into parts, in each of which the
-coefficient is found anew: its scatter is its error, with no assumption about the spectrum of e.
+regressors are taken without what is in proportion to the angle or its first three derivatives, so
+that a linear arm gives zero on average, whatever the person does beside. What readings lack because
+torques jump with commands is put right before: commands that overcome friction would make it look
+like a bent spring. The trial is cut into parts, in each of which the coefficient is found anew: its
+scatter is its error, with no assumption about the spectrum of e.
 """
 
 from __future__ import annotations
@@ -16,6 +18,8 @@ from numpy.typing import NDArray
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_reading import TorqueReading
+from armimp_estimation.update_jump import UpdateJump, command_steps
 
 FloatArray = NDArray[np.float64]
 
@@ -29,8 +33,13 @@ _NEGLIGIBLE = 0.003
 _LEAST = 10.0
 
 
-def unexplained_torque(record: TrialRecord, arm: MBK) -> tuple[FloatArray, FloatArray]:
-    """Angle of the perturbed joint and what the arm leaves of its torque, both within the band.
+def unexplained_torque(
+    record: TrialRecord,
+    arm: MBK,
+    jump: UpdateJump | None = None,
+    reading: TorqueReading | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
 
     Parameters
     ----------
@@ -38,25 +47,43 @@ def unexplained_torque(record: TrialRecord, arm: MBK) -> tuple[FloatArray, Float
         One trial.
     arm : MBK
         What was fitted.
+    jump : UpdateJump, optional
+        How torques jump with the commands, if that is known.
+    reading : TorqueReading, optional
+        How torques were read.
 
     Returns
     -------
-    angle, torque : ndarray, shape (N,)
-        rad and N·m.
+    motion : ndarray, shape (4, N)
+        Angle, rad, and its first three derivatives.
+    torque : ndarray, shape (N,)
+        N·m.
     """
     k, samples = record.perturbed_joint, record.samples
     f = np.asarray(np.fft.rfftfreq(samples, 1.0 / record.rate), dtype=np.float64)
     inside = (f >= BAND[0]) & (f <= BAND[1])
     angle = np.fft.rfft(record.position - record.position.mean(axis=1, keepdims=True))
     torque = np.fft.rfft(record.torque[k] - record.torque[k].mean())
+    if jump is not None:
+        lacking = jump.missing(f, record.rate, reading)[k]
+        torque = torque + np.sum(lacking * np.fft.rfft(command_steps(record, samples)), axis=0)
+        torque /= (reading or TorqueReading()).response(f)
     rest = torque - np.sum(arm.impedance(f)[k] * angle, axis=0)
     whole: FloatArray = np.fft.irfft(np.where(inside, rest, 0.0), samples)
-    moved: FloatArray = np.fft.irfft(np.where(inside, angle[k], 0.0), samples)
-    return moved, whole
+    derivatives = (2j * np.pi * f) ** np.arange(4)[:, None]
+    motion: FloatArray = np.fft.irfft(np.where(inside, angle[k], 0.0) * derivatives, samples)
+    return motion, whole
 
 
-def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float, float]]:
+def change_of_stiffness(
+    record: TrialRecord,
+    arm: MBK,
+    jump: UpdateJump | None = None,
+    reading: TorqueReading | None = None,
+) -> dict[str, tuple[float, float]]:
     """Change of the stiffness of the perturbed joint, and its standard error.
+
+    Parameters are those of :func:`unexplained_torque`.
 
     Returns
     -------
@@ -67,20 +94,17 @@ def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float,
     """
     if record.duration < _LEAST:
         return {}
-    angle, rest = unexplained_torque(record, arm)
-    size, stiffness = (
-        float(np.std(angle)),
-        float(arm.K[record.perturbed_joint][record.perturbed_joint]),
-    )
+    motion, rest = unexplained_torque(record, arm, jump, reading)
+    size = float(np.std(motion[0]))
+    stiffness = float(arm.K[record.perturbed_joint][record.perturbed_joint])
     if not (size > 0.0 and stiffness > 0.0):
         return {}
-    x = angle / size
+    linear = motion / np.std(motion, axis=1, keepdims=True)
+    x, v = linear[:2]
     t = np.linspace(-0.5, 0.5, x.size)
-    v = np.gradient(x)
-    v /= np.std(v)
     found = {}
-    for name, bent, plain in (("amplitude", x**3, x), ("speed", v**3, v), ("time", x * t, x)):
-        regressor = bent - plain * float(np.mean(bent * plain))
+    for name, bent in (("amplitude", x**3), ("speed", v**3), ("time", x * t)):
+        regressor = bent - np.linalg.lstsq(linear.T, bent, rcond=None)[0] @ linear
         products = np.array([np.sum(p * q) for p, q in _pairs(regressor, rest)])
         squares = np.array([np.sum(p * p) for p, _ in _pairs(regressor, rest)])
         slope = float(np.sum(products) / np.sum(squares))
@@ -88,20 +112,25 @@ def change_of_stiffness(record: TrialRecord, arm: MBK) -> dict[str, tuple[float,
         error = float(np.sqrt(np.sum(scatter**2)) / np.sum(squares))
         # The slope of the torque over the angle: 3 x² of a cube, which is 3 at one rms.
         factor = 1.0 if name == "time" else 3.0
-        scale = factor / (stiffness * size)
-        found[name] = (scale * slope, scale * error)
+        relative = factor / (stiffness * size)
+        found[name] = (relative * slope, relative * error)
     return found
 
 
-def judge_stiffness(record: TrialRecord, arm: MBK) -> list[Problem]:
-    """Find stiffness that isn't constant."""
+def judge_stiffness(
+    record: TrialRecord,
+    arm: MBK,
+    jump: UpdateJump | None = None,
+    reading: TorqueReading | None = None,
+) -> list[Problem]:
+    """Find stiffness that isn't constant; parameters are those of :func:`unexplained_torque`."""
     problems = []
     codes = {
         "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
         "speed": ProblemCode.DEPENDS_ON_SPEED,
         "time": ProblemCode.CHANGES_OVER_TIME,
     }
-    for name, (share, error) in change_of_stiffness(record, arm).items():
+    for name, (share, error) in change_of_stiffness(record, arm, jump, reading).items():
         if not abs(share) > SIGNIFICANT * error or abs(share) < _NEGLIGIBLE:
             continue
         severity = Severity.ERROR if abs(share) > LARGE[name] else Severity.NOTE
