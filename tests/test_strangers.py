@@ -22,48 +22,51 @@ from std_msgs.msg import Float64MultiArray
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import PARAMETERS_FILE, run_experiment
-from armimp_bringup.supervisor import Progress
 from armimp_common import contract, qos
 from armimp_common.channels import CommandPublisher
 from armimp_common.diagnostics import judgement_message, trial_status_message
+from armimp_common.domain import DomainClaim
 from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.results import Summary
 from support.graph import PATIENCE
 
-DOMAIN = 91
-SHORT: dict[str, Any] = {"duration": 10.0}
+SHORT: dict[str, Any] = {"duration": 2.0}
 pytestmark = pytest.mark.usefixtures("environment")
-Act = Callable[[Node], None]
+Act = Callable[[Node], object]
 
 
 def disturbed(directory: Path, act: Act, **options: Any) -> Summary:
-    """Run an experiment in which a stranger does something once, amid the first trial."""
-    context: list[Context] = []
+    """Run an experiment in which a stranger does something once, as the first trial begins."""
+    with DomainClaim() as claim:
+        domain_id = claim.domain_id
+    stranger: list[Node] = []
+    kept: list[object] = []
 
-    def on_progress(progress: Progress) -> None:
-        if progress.samples < 2000 or context:
+    def on_phase(phase: Phase) -> None:
+        if phase is not Phase.PERTURB or stranger:
             return
-        context.append(Context())
+        context = Context()
         rclpy.init(
             args=[],
-            context=context[0],
-            domain_id=DOMAIN,
+            context=context,
+            domain_id=domain_id,
             signal_handler_options=SignalHandlerOptions.NO,
         )
-        act(Node("stranger", context=context[0], use_global_arguments=False))
+        stranger.append(Node("stranger", context=context, use_global_arguments=False))
+        kept.append(act(stranger[0]))
 
     try:
         return run_experiment(
             ExperimentConfig.model_validate({**SHORT, **options}),
             directory,
-            domain_id=DOMAIN,
-            on_progress=on_progress,
+            domain_id=domain_id,
+            on_phase=on_phase,
         )
     finally:
-        assert context
-        context[0].try_shutdown()
+        assert stranger
+        stranger[0].context.try_shutdown()
 
 
 def until_heard(publisher: Any, listeners: int) -> None:
@@ -74,13 +77,25 @@ def until_heard(publisher: Any, listeners: int) -> None:
     assert publisher.get_subscription_count() >= listeners
 
 
-def unnumbered(node: Node) -> None:
+def unnumbered(node: Node, torque: float = 0.0) -> object:
     publisher = node.create_publisher(Float64MultiArray, contract.COMMANDS, qos.SAMPLE)
     until_heard(publisher, 2)
-    publisher.publish(Float64MultiArray(data=[0.0, 0.0]))
+    publisher.publish(Float64MultiArray(data=[0.0, torque]))
+    return publisher
 
 
-def numbered(node: Node) -> None:
+def not_finite(node: Node) -> object:
+    return unnumbered(node, torque=float("nan"))
+
+
+def numbered(node: Node) -> object:
+    channel = CommandPublisher(node, contract.COMMANDS, 2)
+    until_heard(channel.publisher, 2)
+    channel.publish((0.0, 0.0))
+    return channel
+
+
+def leaving(node: Node) -> None:
     channel = CommandPublisher(node, contract.COMMANDS, 2)
     until_heard(channel.publisher, 2)
     channel.publish((0.0, 0.0))
@@ -88,16 +103,27 @@ def numbered(node: Node) -> None:
     node.destroy_publisher(channel.publisher)
 
 
-@pytest.mark.parametrize("act", [unnumbered, numbered])
-@pytest.mark.parametrize("processes", ["composed", "separate"])
+@pytest.mark.parametrize(
+    ("act", "processes", "who"),
+    [
+        (unnumbered, "composed", "/stranger"),
+        (not_finite, "composed", "/stranger"),
+        (numbered, "separate", "/stranger"),
+        (leaving, "composed", "/imbic_controller"),
+        pytest.param(unnumbered, "separate", "/stranger", marks=pytest.mark.slow),
+        pytest.param(numbered, "composed", "/stranger", marks=pytest.mark.slow),
+    ],
+)
 def test_one_command_of_somebody_else_is_a_fault_with_who_and_when(
-    tmp_path: Path, act: Act, processes: str
+    tmp_path: Path, act: Act, processes: str, who: str
 ) -> None:
     summary = disturbed(tmp_path / "out", act, processes=processes)
     assert not summary.valid
-    faults = [one for one in summary.problems if one.startswith("arm_sim: rig: ")]
-    assert all(contract.COMMANDS in one and " s; published by " in one for one in faults)
-    assert act is not unnumbered or any("/stranger" in one for one in faults)
+    (fault,) = [one for one in summary.problems if one.startswith("arm_sim: rig: ")]
+    assert contract.COMMANDS in fault
+    when, _, publishers = fault.partition("; published by ")
+    assert when.endswith(" s")
+    assert who in publishers.split(", ")
 
 
 def shortening(node: Node) -> None:
@@ -113,7 +139,7 @@ def shortening(node: Node) -> None:
                 joint_name="shoulder",
                 tick=500,
                 start_ns=500_000_000,
-                ticks=6000,
+                ticks=1500,
                 seed=1,
                 valid=True,
             )
@@ -124,8 +150,8 @@ def shortening(node: Node) -> None:
 def test_a_status_that_ends_a_trial_early_is_refused_and_spoils_the_result(tmp_path: Path) -> None:
     summary = disturbed(tmp_path / "out", shortening)
     assert not summary.valid
-    assert [trial.ticks for trial in summary.trials] == [10_000, 10_000]
-    assert any("ends after 6000 samples, which nobody asked for" in p for p in summary.problems)
+    assert [trial.ticks for trial in summary.trials] == [2000, 2000]
+    assert any("ends after 1500 samples, which nobody asked for" in p for p in summary.problems)
 
 
 def judging(node: Node) -> None:
@@ -138,7 +164,7 @@ def judging(node: Node) -> None:
 
 def test_a_judgement_that_nobody_asked_for_ends_no_trial(tmp_path: Path) -> None:
     summary = disturbed(tmp_path / "out", judging)
-    assert [trial.ticks for trial in summary.trials] == [10_000, 10_000]
+    assert [trial.ticks for trial in summary.trials] == [2000, 2000]
 
 
 def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(

@@ -16,7 +16,6 @@ from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.liveliness import Presence, Watch
 from armimp_common.parameters import as_parameters
-from armimp_common.spin import Spinner
 
 _DOMAIN = "ROS_DOMAIN_ID"
 
@@ -51,7 +50,6 @@ class ExternalNodes:
     """
 
     def __init__(self, supervisor: Node, names: Sequence[str]) -> None:
-        self._supervisor = supervisor
         self._watches = [Watch(supervisor, name, lambda _: None) for name in names]
 
     def dead(self) -> Mapping[str, str]:
@@ -70,7 +68,10 @@ class ExternalNodes:
         """Leave the processes to those who started them."""
 
     def prepare(
-        self, manager: LifecycleManager, spinner: Spinner, parameters: Mapping[str, BaseModel]
+        self,
+        manager: LifecycleManager,
+        nodes: Mapping[str, RemoteParameters],
+        parameters: Mapping[str, BaseModel],
     ) -> Asked:
         """Make sure that the nodes are free, and give them their parameters, which are returned.
 
@@ -89,13 +90,12 @@ class ExternalNodes:
                     " or has to be started anew"
                 )
         given = {name: as_parameters(parameters[name]) for name in manager.names}
-        nodes = {name: RemoteParameters(self._supervisor, spinner, name) for name in manager.names}
         if contract.SIM_NODE in given:
             known = nodes[contract.SIM_NODE].names()
             if not known.issuperset(item.name for item in given[contract.SIM_NODE]):
                 _leave_to_driver(given, known)
-        for name, node in nodes.items():
-            node.set(given[name])
+        for name in manager.names:
+            nodes[name].set(given[name])
         return given
 
     def retire(self, manager: LifecycleManager, name: str) -> None:

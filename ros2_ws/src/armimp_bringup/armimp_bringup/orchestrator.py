@@ -11,7 +11,7 @@ from typing import Any
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
-from armimp_bringup.remote_parameters import Asked, read_back
+from armimp_bringup.remote_parameters import Asked, RemoteParameters, read_back
 from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import contract
@@ -107,8 +107,11 @@ def run_experiment(
                 name: as_parameters(model) for name, model in parameters.by_node().items()
             }
 
+            # Made early: where nodes are processes, discovery goes on while they start.
+            remote = {name: RemoteParameters(supervisor, spinner, name) for name in asked}
+
             def confirm() -> list[str]:
-                return read_back(supervisor, spinner, asked, parameter_file)
+                return read_back(remote, asked, parameter_file)
 
             care = Care(confirm=confirm)
             if external:
@@ -116,7 +119,7 @@ def run_experiment(
 
                 def prepare(manager: LifecycleManager) -> None:
                     nonlocal asked
-                    asked = guests.prepare(manager, spinner, parameters.by_node())
+                    asked = guests.prepare(manager, remote, parameters.by_node())
 
                 care = Care(prepare=prepare, confirm=confirm, retire=guests.retire)
             elif config.processes == "composed":

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
-from rclpy.parameter_client import AsyncParameterClient
-from rclpy.task import Future
 
 from armimp_common.errors import GraphError
+from armimp_common.services import ask
 from armimp_common.spin import Spinner
 
-_PATIENCE, _ATTEMPTS = 10.0, 5
+_PATIENCE = 10.0
 
 Asked = Mapping[str, Sequence[Parameter]]
 """Parameters by the name of the node that is to have them."""
@@ -37,17 +38,18 @@ class RemoteParameters:
 
     def __init__(self, node: Node, spinner: Spinner, name: str) -> None:
         self._name, self._spinner = name, spinner
-        self._client = AsyncParameterClient(node, name)
-        if not self._client.wait_for_services(_PATIENCE):
-            raise GraphError(f"node {name} takes no parameters")
+        # Those of rclpy block for a quarter of a second wherever discovery takes a moment.
+        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._set = node.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically")
 
     def names(self) -> set[str]:
         """Return the names of the parameters that it has."""
-        return set(self._ask(self._client.list_parameters).result.names)
+        return set(self._ask(self._list, ListParameters.Request()).result.names)
 
     def values(self, names: Sequence[str]) -> dict[str, Any]:
         """Return the present values of parameters; None for one that it does not have."""
-        answer = self._ask(lambda: self._client.get_parameters(list(names)))
+        answer = self._ask(self._get, GetParameters.Request(names=list(names)))
         found = map(parameter_value_to_python, answer.values)
         return {
             name: value
@@ -64,25 +66,28 @@ class RemoteParameters:
         GraphError
             If the node refuses them.
         """
-        answer = self._ask(lambda: self._client.set_parameters_atomically(list(parameters)))
+        messages = [parameter.to_parameter_msg() for parameter in parameters]
+        answer = self._ask(self._set, SetParametersAtomically.Request(parameters=messages))
         if not answer.result.successful:
             raise GraphError(f"node {self._name} refused its parameters: {answer.result.reason}")
 
-    def _ask(self, call: Callable[[], Future]) -> Any:
-        # An answer gets lost if the node has not discovered this side yet.
-        for _ in range(_ATTEMPTS):
-            future = call()
-            if self._spinner.spin_until(future, _PATIENCE / _ATTEMPTS):
-                return future.result()
-        raise GraphError(f"node {self._name} does not answer about its parameters")
+    def _ask(self, client: Client, request: Any) -> Any:
+        return ask(
+            client,
+            request,
+            f"node {self._name}",
+            "tell or take its parameters",
+            spin_until=self._spinner.spin_until,
+            timeout=_PATIENCE,
+        )
 
 
-def read_back(node: Node, spinner: Spinner, asked: Asked, record: Path) -> list[str]:
+def read_back(nodes: Mapping[str, RemoteParameters], asked: Asked, record: Path) -> list[str]:
     """Compare the parameters of nodes with those that were asked for, and record what they are.
 
     Parameters
     ----------
-    node, spinner : who asks, and what spins it
+    nodes : those that are asked, by name
     asked : what they should be, of each node
     record : file for the parameters that are active, all of each node; written if they differ
 
@@ -94,9 +99,8 @@ def read_back(node: Node, spinner: Spinner, asked: Asked, record: Path) -> list[
     active: dict[str, dict[str, Any]] = {}
     problems: list[str] = []
     for name, parameters in asked.items():
-        remote = RemoteParameters(node, spinner, name)
         wanted = {item.name: item.value for item in parameters}
-        found = active[name] = remote.values(sorted(remote.names().union(wanted)))
+        found = active[name] = nodes[name].values(sorted(nodes[name].names().union(wanted)))
         for key, given in wanted.items():
             value = list(given) if isinstance(given, tuple) else given
             if found.get(key) != value:

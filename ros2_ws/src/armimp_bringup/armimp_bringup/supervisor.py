@@ -163,9 +163,17 @@ class Supervisor(Node):
                 with suppress(MalformedMessageError):  # the estimator complains
                     self.timing = TimingFigures.from_values(values_of(status))
             if status.level == bytes([Level.ERROR]):
-                problem = f"{status.name}: {status.message}"
-                if problem not in self.problems:
-                    self.problems.append(problem)
+                self._note_problem(f"{status.name}: {status.message}")
+
+    def _note_problem(self, problem: str) -> None:
+        """Keep a problem that is new; one that goes on takes the place of its beginning."""
+        for index, known in enumerate(self.problems):
+            if known.startswith(problem):
+                return
+            if problem.startswith(known):
+                self.problems[index] = problem
+                return
+        self.problems.append(problem)
 
     def _note_answers(self, status: DiagnosticStatus) -> None:
         """Samples that are answered are news, also where a phase without recording is long."""

@@ -20,7 +20,6 @@ from armimp_common.cdr import (
     CommandEncoder,
     JointStateDecoder,
     JointStateEncoder,
-    command_number,
     decode_count,
     encode_clock,
     encode_count,
@@ -225,17 +224,17 @@ class CommandSubscription(RawSubscription):
         on_malformed: OnMalformed | None = None,
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
-        decode = CommandDecoder(n).decode
+        decode = CommandDecoder(n).decode_numbered
 
         def on_message(data: bytes) -> None:
             try:
-                values = decode(data)
+                number, values = decode(data)
             except MalformedMessageError as error:
                 if on_malformed is None:
                     raise
                 on_malformed(error)
             else:
-                on_number(command_number(data))
+                on_number(number)
                 callback(values)
 
         super().__init__(node, topic, Float64MultiArray, on_message, profile=profile)

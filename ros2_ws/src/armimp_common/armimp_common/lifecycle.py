@@ -1,7 +1,6 @@
 """Lifecycle transitions: asking for them from outside, and reporting why one failed."""
 
 import functools
-import math
 import time
 import traceback
 from collections.abc import Callable, Sequence
@@ -15,13 +14,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.services import POLL, SpinUntil, ask
 
-SpinUntil: TypeAlias = Callable[[Future, float], bool]
 TransitionName: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
-
-_POLL: Final = 0.01
-_CHECK_PERIOD: Final = 0.05
-_REPEAT: Final = 2.0
 
 
 class LifecycleManager:
@@ -80,7 +75,7 @@ class LifecycleManager:
             if time.monotonic() >= deadline:
                 raise GraphError(f"node did not appear: {', '.join(missing)}")
             self._check()
-            self._spin_until(Future(), _POLL)
+            self._spin_until(Future(), POLL)
 
     def state(self, name: str) -> str:
         """Return the state of a node: ``unconfigured``, ``inactive``, ``active``...
@@ -159,34 +154,17 @@ class LifecycleManager:
     def _ask(self, name: str, service: str, request: Any, purpose: str) -> Any:
         if (name, service) not in self._clients:
             raise GraphError(f"node {name} is not managed; managed: {', '.join(self.names)}")
-        client = self._clients[name, service]
-        deadline = time.monotonic() + self._timeout
-        while not client.service_is_ready():
-            if time.monotonic() >= deadline:
-                raise GraphError(f"node {name} is not there to {purpose}")
-            self._check()
-            self._spin_until(Future(), _POLL)
-        problem = f"node {name} did not answer to {purpose} in {self._timeout} s"
-        while True:
-            # An answer gets lost if the node has not yet discovered this side. A question may be
-            # repeated; a transition may not, but questions about it go before.
-            patience = math.inf if service == "change_state" else _REPEAT
-            future = client.call_async(request)
-            try:
-                if self._await(future, min(deadline, time.monotonic() + patience)):
-                    return future.result()
-            finally:
-                if not future.done():
-                    client.remove_pending_request(future)
-            if time.monotonic() >= deadline:
-                raise GraphError(problem)
-
-    def _await(self, future: Future, deadline: float) -> bool:
-        while not self._spin_until(future, _CHECK_PERIOD):
-            self._check()
-            if time.monotonic() >= deadline:
-                return False
-        return True
+        return ask(
+            self._clients[name, service],
+            request,
+            f"node {name}",
+            purpose,
+            spin_until=self._spin_until,
+            timeout=self._timeout,
+            # A question may be repeated; a transition may not, but questions about it go before.
+            repeat=service != "change_state",
+            check=self._check,
+        )
 
 
 class ManagedNode(LifecycleNode):

@@ -25,24 +25,34 @@ _SPAN = 5
 class CommandSequence:
     """Tells by their numbers whether commands come from one publisher, each of them once.
 
-    Two publishers can't go unnoticed: whichever number comes next, one of them sends another.
+    Two publishers can't go unnoticed if one of them numbers its commands: whichever number comes
+    next, the other sends another. Of a controller that never numbers them nothing can be told.
+
+    Attributes
+    ----------
+    numbered : whether the commands carry numbers; None before the first one
     """
 
     def __init__(self) -> None:
         self._last = 0
+        self.numbered: bool | None = None
 
     def restart(self) -> None:
-        """Let the next command have any number."""
-        self._last = 0
+        """Let the next command have any number, or none."""
+        self._last, self.numbered = 0, None
 
     def check(self, number: int) -> str:
         """Take the number of a command, 0 if it has none; return what is wrong with it, or ""."""
         last, self._last = self._last, number
-        if not number:
-            return "a command without a number, which no controller sent"
-        if last and number != next_number(last):
-            return f"command {number} came after command {last}"
+        if self.numbered is None:
+            self.numbered = number > 0
+        elif number != (next_number(last) if self.numbered else 0):
+            return f"{_named(number)} came after {_named(last)}"
         return ""
+
+
+def _named(number: int) -> str:
+    return f"command {number}" if number else "a command without a number"
 
 
 class ProtectionLimits(Schema):

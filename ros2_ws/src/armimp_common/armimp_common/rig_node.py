@@ -7,6 +7,7 @@ through the lifecycle are the same for all of them.
 
 from __future__ import annotations
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -34,6 +35,9 @@ from armimp_common.steady import steady_timer
 _STOPPED = "emergency stop"
 _LOOK_PERIOD = 0.02
 """How often it is looked whether something has happened (s)."""
+_LEFT = "perhaps one who has left before it was known"
+_NAMES_PATIENCE, _MOST_NAMES = 0.5, 8
+"""How long the name of a publisher is waited for when all is over (s), and how many are told."""
 
 
 class Gate(Protocol):
@@ -96,8 +100,9 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
         self.gate: GateT | None = None
         self._owned: list[Publisher | Subscription | Timer] = []
         self._sequence = CommandSequence()
-        self._accusation = ""
-        self._names: set[str] = set()
+        self._accused = False
+        self._commanders = 0
+        self._names: list[str] = []
         self._sign = SignOfLife(self, contract.SIM_NODE)
         self.controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
         self.create_service(Trigger, contract.SIM_STOP_SERVICE, self._on_stop)
@@ -183,8 +188,7 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
                 self.accuse(f"{publishers} publishers")
             elif not publishers:
                 self._sequence.restart()
-        if self._accusation and self.gate is not None:
-            self._name_publishers(self.gate)
+        self._name_publishers()
         self.report_news()
 
     def accuse(self, reason: str) -> None:
@@ -193,27 +197,51 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
         if gate is None or gate.fault:
             return
         when = self.stamp_ns() / contract.NS_PER_S
-        accusation = f"{contract.COMMANDS}: {reason} at {when:.3f} s; published by "
+        accusation = f"{contract.COMMANDS}: {reason} at {when:.3f} s"
         self.latch(accusation)
-        if gate.fault == accusation:
-            self._accusation = accusation
-            self._name_publishers(gate)
+        self._names.clear()
+        self._commanders = 0
+        self._accused = gate.fault == accusation
+        self._name_publishers()
         self.report_news()
 
-    def _name_publishers(self, gate: GateT) -> None:
-        """Add who publishes to an accusation; torque has gone, and names may come later."""
+    def _name_publishers(self, *, last: bool = False) -> None:
+        """Go on with an accusation by the names of those who command, as they become known.
+
+        Torque has gone, and the middleware may learn later whose a publisher is.
+        """
+        if not self._accused or self.gate is None:
+            return
         topic = self.commands.subscription.topic_name
-        for one in self.get_publishers_info_by_topic(topic):
-            if "UNKNOWN" not in one.node_name:  # of a participant that is hardly known yet
-                self._names.add(f"{one.node_namespace.rstrip('/')}/{one.node_name}")
+        known = [
+            f"{one.node_namespace.rstrip('/')}/{one.node_name}"
+            for one in self.get_publishers_info_by_topic(topic)
+            if "UNKNOWN" not in one.node_name
+        ]
+        self._commanders = max(self._commanders, len(known))
+        new = known if self._commanders > 1 or not last else [*known, _LEFT]
         with self.alone:
-            if self._accusation and gate.fault.startswith(self._accusation):
-                gate.fault = self._accusation + (
-                    ", ".join(sorted(self._names)) or "nobody any more"
-                )
-            else:
-                self._accusation = ""
-                self._names.clear()
+            for name in new:
+                if name not in self._names and len(self._names) < _MOST_NAMES:
+                    self.gate.fault += ", " if self._names else "; published by "
+                    self.gate.fault += name
+                    self._names.append(name)
+
+    def _conclude_accusation(self) -> None:
+        """Wait a moment for names that are on their way, now that nothing else is waited for."""
+        end = time.monotonic() + _NAMES_PATIENCE
+        while self._accused and self._commanders < 2 and time.monotonic() < end:
+            self._name_publishers()
+            time.sleep(_LOOK_PERIOD)
+        self._name_publishers(last=True)
+        self.report_news()
+
+    def _guard(self) -> dict[str, str]:
+        """Tell, for reports, by what a command of somebody else would be noticed."""
+        if self._sequence.numbered is None:
+            return {}
+        by = "numbers and publishers" if self._sequence.numbered else "publishers alone"
+        return {"commands_told_apart_by": by}
 
     def _on_number(self, number: int) -> None:
         if not self.active:
@@ -240,7 +268,7 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
             return
         with self.alone:
             stamp_ns, fault, figures = self.stamp_ns(), gate.fault, self.timing()
-            values = {**self.values(), "applied": gate.applied}
+            values = {**self.values(), "applied": gate.applied, **self._guard()}
         self.told = fault
         words = fault or ("running" if self.active else "stopped")
         level = Level.ERROR if fault else Level.OK
@@ -275,7 +303,7 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
         except GraphError as error:
             response.success, response.message = False, str(error)
             return response
-        self._stopped = False
+        self._stopped = self._accused = False
         self._sequence.restart()
         self.report()
         response.success, response.message = True, "commands are obeyed"
@@ -287,6 +315,7 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop: no torque acts, and further commands are ignored."""
         self.rest()
+        self._conclude_accusation()
         return super().on_deactivate(state)
 
     @reported
@@ -301,12 +330,14 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
                 self.destroy_subscription(thing)
         self._owned.clear()
         self.gate = None
+        self._accused = False
         return TransitionCallbackReturn.SUCCESS
 
     @reported
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Stop for good."""
         self.rest()
+        self._conclude_accusation()
         return TransitionCallbackReturn.SUCCESS
 
     def destroy_node(self) -> None:

@@ -16,6 +16,7 @@ from armimp_common.cdr.reader import Buffer, CdrReader
 from armimp_common.errors import ConfigurationError, MalformedMessageError
 
 _WHAT: Final = "Float64MultiArray"
+_ENCAPSULATION: Final = b"\0\1\0\0"
 _NUMBERS: Final = tuple(struct.Struct(f"{order}2I").unpack_from for order in "><")
 """Number of dimensions and data offset, by the last bit of the encapsulation."""
 
@@ -36,8 +37,7 @@ class CommandEncoder:
 
     def __init__(self, n: int) -> None:
         _check(n)
-        # No dimensions, no data offset, n; then padding, since doubles start on a multiple of 8.
-        self._pack = struct.Struct(f"<4sIII4x{n}d").pack
+        self._pack = _plain(n).pack
         self._n = n
 
     def encode(self, values: Sequence[float] | NDArray[np.float64], number: int = 0) -> bytes:
@@ -51,7 +51,7 @@ class CommandEncoder:
         if isinstance(values, np.ndarray):
             values = values.tolist()  # numbers of Python's own are packed in a third of the time
         try:
-            return self._pack(b"\0\1\0\0", 0, number, self._n, *values)
+            return self._pack(_ENCAPSULATION, 0, number, self._n, *values)
         except struct.error:
             raise MalformedMessageError(
                 f"{_WHAT} takes {self._n} numbers, not {list(values)}"
@@ -89,6 +89,17 @@ class CommandDecoder:
         _check(n)
         self._n = n
         self._layout = NO_LAYOUT
+        self._plain = _plain(n)
+        self._expected = (_ENCAPSULATION, 0, n)
+
+    def decode_numbered(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
+        """Decode as :meth:`decode` does, and return the number of the command before the values."""
+        if len(data) == self._plain.size:
+            head, dimensions, number, count, *values = self._plain.unpack(data)
+            if (head, dimensions, count) == self._expected:
+                return number, tuple(values)
+        values = self.decode(data)
+        return command_number(data), values
 
     def decode(self, data: Buffer) -> tuple[float, ...]:
         """Decode one message into n torques (N·m), NaN and infinities passed on as they are.
@@ -154,6 +165,11 @@ class CommandDecoder:
             numbers=numbers,
             order=range(count),
         )
+
+
+def _plain(n: int) -> struct.Struct:
+    """No dimensions, data offset, n; then padding, since doubles start on a multiple of 8."""
+    return struct.Struct(f"<4sIII4x{n}d")
 
 
 def _check(n: int) -> None:
