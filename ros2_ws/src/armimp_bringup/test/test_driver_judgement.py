@@ -157,6 +157,7 @@ def sound() -> Record:
         most=0.3,
         stale=silence,
         stop=replace(stop, stop=Call(success=True, seconds=0.01)),
+        second=Ending(push=None, told=0.02, reset=Call(success=True)),
     )
 
 
@@ -334,6 +335,11 @@ def test_when_torque_stays_after_stale_commands_or_a_stop_expect_both_named(
     mute = replace(kept, told=None, stop=Call(success=True, seconds=0.01))
     failed = failures(judge(replace(sound, stale=kept, stop=mute)))
     assert failed == ["stale commands", "emergency stop", "emergency stop: told"]
+
+
+def test_a_driver_that_bears_a_second_publisher_is_named(sound: Record) -> None:
+    borne = Ending(push=None, told=None, reset=Call(success=True))
+    assert failures(judge(replace(sound, second=borne))) == ["second publisher: told"]
 
 
 def test_missing_or_silent_services_are_named(sound: Record) -> None:

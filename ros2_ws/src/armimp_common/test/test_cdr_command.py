@@ -55,6 +55,20 @@ def test_when_big_endian_expect_the_same_values() -> None:
     assert decoder.decode_many([data] * 3).tolist() == [[1.5] * 3, [-2.5] * 3]
 
 
+def test_the_number_comes_with_the_values_whatever_the_layout() -> None:
+    decoder = CommandDecoder(2)
+    big = struct.pack(">4sIII4x2d", b"\0\0\0\0", 0, 9, 2, 1.5, -2.5)
+    for data, number in (
+        (CommandEncoder(2).encode((1.5, -2.5), 2**32 - 1), 2**32 - 1),
+        (CommandEncoder(2).encode((1.5, -2.5)), 0),
+        (big, 9),
+        (serialize_message(labelled([1.5, -2.5], "a")), 0),
+    ):
+        assert decoder.decode_numbered(data) == (number, (1.5, -2.5))
+    with pytest.raises(MalformedMessageError):
+        decoder.decode_numbered(CommandEncoder(3).encode((0.0, 0.0, 0.0), 1))
+
+
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_when_a_value_is_not_finite_expect_it_passed_on(value: float) -> None:
     np.testing.assert_equal(

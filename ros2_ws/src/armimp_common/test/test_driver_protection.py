@@ -115,7 +115,7 @@ def test_first_commands_may_answer_any_of_the_last_samples(protection: Protectio
 
 @given(
     first=st.integers(1, 1000),
-    alone=st.integers(0, 50),
+    alone=st.integers(1, 50),
     strays=st.lists(st.integers(0, 1100), min_size=1, max_size=5),
 )
 def test_whatever_numbers_another_publisher_sends_it_is_found_by_the_next_command(
@@ -125,6 +125,13 @@ def test_whatever_numbers_another_publisher_sends_it_is_found_by_the_next_comman
     own = list(range(first, first + alone + 2))
     assert not any(sequence.check(number) for number in own[:alone])
     assert any(sequence.check(number) for number in [*strays, *own[alone:]])
+
+
+def test_a_controller_that_never_numbers_its_commands_is_obeyed_until_one_has_a_number() -> None:
+    sequence = CommandSequence()
+    assert not any(sequence.check(0) for _ in range(100))
+    assert sequence.numbered is False
+    assert sequence.check(1) == "command 1 came after a command without a number"
 
 
 def test_before_the_first_command_nothing_is_missed(protection: Protection) -> None:

@@ -317,15 +317,20 @@ def _count_commands(
     -------
     StreamCount
     int
-        Those that nobody asked for: that do not follow the one before by their numbers or, where
-        they have none, that are more than perturbations in the whole recording.
+        Those that nobody asked for: whose number is none or not above that before or, where
+        all have none, that are more than perturbations in the whole recording.
     """
     stamps = streams.stamped[contract.PERTURBATION].stamps
     before = int((stamps < perturbation.start_ns).sum())
     received = min(max(streams.commands - before, 0), span)
-    numbers = streams.command_numbers[before : before + span]
+    numbers = streams.command_numbers[: before + span]
     if numbers.any():
-        wrong = int((np.diff(numbers) != 1).sum())
+        # Lost ones leave a step forward; whatever somebody else sends, there is one that is not.
+        back = numbers[1:] <= numbers[:-1]
+        # A controller that began anew before the trial counts from 1 again.
+        anew = (numbers[1:-1] == 1) & (numbers[2:] == 2)
+        back[:-1] &= ~anew | (np.arange(1, back.size) >= before)
+        wrong = max(int(back.sum()), int((numbers == 0).sum()))
     else:
         # A recording may end between the two messages of a tick.
         wrong = max(streams.commands - stamps.size - 1, 0)
@@ -379,6 +384,9 @@ def _commands(streams: TrialStreams, ordinals: NDArray[np.intp]) -> NDArray[np.f
     if values is None or abs(perturbations - values.shape[1]) > 1:
         return None
     if ordinals.max() >= values.shape[1]:
+        return None
+    numbers = streams.command_numbers
+    if numbers.any() and np.any(np.diff(numbers[: ordinals.max() + 1]) != 1):
         return None
     command = np.ascontiguousarray(values[:, ordinals])
     return command if np.isfinite(command).all() else None

@@ -268,6 +268,25 @@ class TestLedger:
         topics[contract.COMMANDS] = [*commands[:7], encode((0.0, 0.0), number), *commands[7:-1]]
         assert "somebody else commanded" in assemble(topics, statuses_of(recording)).fault
 
+    @pytest.mark.parametrize("number", [0, 1, FIRST, 2 * TICKS])
+    def test_a_command_of_somebody_else_before_the_trial_is_found_too(self, number: int) -> None:
+        topics = RECORDING.by_topic()
+        encode = CommandEncoder(len(RECORDING.records[0].joint_names)).encode
+        count = len(topics[contract.COMMANDS])
+        commands = [encode((0.0, 0.0), one) for one in range(1, count + 1)]
+        stray = encode((0.0, 0.0), number)
+        topics[contract.COMMANDS] = [*commands[: FIRST - 1], stray, *commands[FIRST - 1 :]]
+        assert "somebody else commanded" in assemble(topics).fault
+
+    def test_numbered_commands_that_were_lost_are_nobody_elses(self) -> None:
+        recording = synthetic_recording(ticks=TICKS)
+        topics = recording.by_topic()
+        encode = CommandEncoder(len(recording.records[0].joint_names)).encode
+        commands = [encode((0.0, 0.0), one) for one in range(1, TICKS + 1)]
+        topics[contract.COMMANDS] = [*commands[:7], *commands[9:]]
+        trial = assemble(topics, statuses_of(recording))
+        assert (trial.problem, trial.fault) == ("2 commands fewer than samples", "")
+
     def test_malformed_messages_count_as_lost_and_are_named(self) -> None:
         topics = RECORDING.by_topic()
         topics[contract.JOINT_STATES][FIRST + 2] = b"\0\1\0\0rubbish"
