@@ -316,6 +316,7 @@ class RigNode(ManagedNode, ABC, Generic[GateT]):
         """Stop: no torque acts, and further commands are ignored."""
         self.rest()
         self._conclude_accusation()
+        self._sequence.restart()
         return super().on_deactivate(state)
 
     @reported

@@ -250,6 +250,11 @@ def assemble_trial(
     problems = problems.and_commands(
         wrong, counts[contract.COMMANDS], cut=not window.ended or bool(window.fault)
     )
+    if counts[contract.COMMANDS].received and (strays := _displaced(kept[contract.PERTURBATION])):
+        problems = problems.and_also(
+            f"{strays} of {contract.PERTURBATION} out of turn outside the trial, so that commands"
+            " cannot be matched: somebody else published"
+        )
     ledger = SampleLedger(
         streams={topic: counts[topic] for topic in contract.DATA_STREAMS if topic in counts},
         clipped=window.clipped,
@@ -335,6 +340,15 @@ def _count_commands(
         # A recording may end between the two messages of a tick.
         wrong = max(streams.commands - stamps.size - 1, 0)
     return StreamCount(expected=span, received=received, lost=span - received), wrong
+
+
+def _displaced(perturbation: KeptStream) -> int:
+    """How many messages of other times keep commands from being matched by counting."""
+    stamps = perturbation.stream.stamps
+    before = stamps[stamps < perturbation.start_ns]
+    back = int((before[1:] <= np.maximum.accumulate(before)[:-1]).sum()) if before.size else 0
+    first = int(perturbation.order.min()) if perturbation.order.size else before.size
+    return max(back, abs(first - before.size))
 
 
 def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:

@@ -278,6 +278,15 @@ class TestLedger:
         topics[contract.COMMANDS] = [*commands[: FIRST - 1], stray, *commands[FIRST - 1 :]]
         assert "somebody else commanded" in assemble(topics).fault
 
+    @pytest.mark.parametrize("stray", [0, FIRST - 1, -1])
+    def test_a_perturbation_of_another_time_that_displaces_the_commands_is_found(
+        self, stray: int
+    ) -> None:
+        topics = RECORDING.by_topic()
+        perturbations = topics[contract.PERTURBATION]
+        perturbations.insert(FIRST - 1, perturbations[stray])
+        assert "cannot be matched: somebody else published" in assemble(topics).fault
+
     def test_numbered_commands_that_were_lost_are_nobody_elses(self) -> None:
         recording = synthetic_recording(ticks=TICKS)
         topics = recording.by_topic()

@@ -42,6 +42,8 @@ class Backlog:
         """Take what the recorder tells."""
         if received == 0:
             self._base = self._sent
+        elif received < self._received < RECORDER_GONE:
+            return  # of somebody else: a recorder does not forget what it has received
         self._recorder = received != RECORDER_GONE
         self._received = received
 

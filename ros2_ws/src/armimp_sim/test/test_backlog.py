@@ -26,6 +26,14 @@ def test_with_a_recorder_that_falls_behind_the_next_sample_waits() -> None:
     assert not backlog.full
 
 
+def test_a_count_that_goes_back_is_not_of_the_recorder() -> None:
+    backlog = Backlog()
+    backlog.acknowledge(0)
+    sent(backlog, 100).acknowledge(90)
+    backlog.acknowledge(10)
+    assert not backlog.full
+
+
 def test_when_the_recorder_leaves_nothing_waits_any_more() -> None:
     backlog = Backlog()
     backlog.acknowledge(0)

@@ -98,8 +98,8 @@ class CommandDecoder:
             head, dimensions, number, count, *values = self._plain.unpack(data)
             if (head, dimensions, count) == self._expected:
                 return number, tuple(values)
-        values = self.decode(data)
-        return command_number(data), values
+        torques = self.decode(data)
+        return command_number(data), torques
 
     def decode(self, data: Buffer) -> tuple[float, ...]:
         """Decode one message into n torques (N·m), NaN and infinities passed on as they are.
