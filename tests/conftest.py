@@ -133,7 +133,9 @@ def start(driver_domain: int) -> Iterator[Callable[..., None]]:
     processes: list[subprocess.Popen[bytes]] = []
 
     def run(arguments: list[str], *ros: str) -> None:
-        command = [sys.executable, *arguments, *(["--ros-args", *ros] if ros else [])]
+        # Nodes of others have no watchdog over whoever started them: the kernel ends them with it.
+        mortal = ["setpriv", "--pdeathsig", "KILL"]
+        command = [*mortal, sys.executable, *arguments, *(["--ros-args", *ros] if ros else [])]
         processes.append(subprocess.Popen(command, env=variables, start_new_session=True))
 
     yield run

@@ -85,6 +85,8 @@ class TrialCollector:
         self._waiting_statuses: deque[TrialStatus] = deque()
         self._commands: deque[bytes] = deque()
         self._stamps_without_command: deque[int] = deque()
+        self._led_ns = -1
+        self._odd_ns: int | None = None
         self._early = _nothing_early()
         self._forget()
 
@@ -149,12 +151,29 @@ class TrialCollector:
         stamp_ns = stamp_of(message)
         if topic == PERTURBATION:
             self._accept(PERTURBATION, message, stamp_ns)
-            if self._commands:
-                self._accept(COMMANDS, self._commands.popleft(), stamp_ns)
-            else:
-                self._stamps_without_command.append(stamp_ns)
+            for answered_ns in self._answered(stamp_ns):
+                if self._commands:
+                    self._accept(COMMANDS, self._commands.popleft(), answered_ns)
+                else:
+                    self._stamps_without_command.append(answered_ns)
         else:
             self._accept(topic, message, stamp_ns)
+
+    def _answered(self, stamp_ns: int) -> tuple[int, ...]:
+        """Stamps (ns) of perturbations with which commands go, now that this one has come.
+
+        No command goes with one that is no newer than those before, as of somebody else, unless
+        the next one follows it: then time has begun anew.
+        """
+        odd_ns, self._odd_ns = self._odd_ns, None
+        if stamp_ns > self._led_ns:
+            self._led_ns = stamp_ns
+            return (stamp_ns,)
+        if odd_ns is not None and 0 < stamp_ns - odd_ns < 2 * PERIOD_NS:
+            self._led_ns = stamp_ns
+            return (odd_ns, stamp_ns)
+        self._odd_ns = stamp_ns
+        return ()
 
     def add_many(self, messages: Mapping[str, Sequence[bytes]], refuse: Refuse) -> None:
         """Take messages of the four data streams, with the outcome of `add` for each in turn.
@@ -254,7 +273,7 @@ class TrialCollector:
             return 0
         for topic in DATA_STREAMS:
             self._messages[topic] += block.messages[topic]
-        self._up_to_ns = block.stamps[-1]
+        self._up_to_ns = self._led_ns = block.stamps[-1]
         self._latest = dict.fromkeys(DATA_STREAMS, self._up_to_ns)
         self._finished = len(self._messages[PERTURBATION]) >= self._ticks
         self._sink_block(block)

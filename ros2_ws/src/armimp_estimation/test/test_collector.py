@@ -488,3 +488,14 @@ def test_a_stamp_far_in_the_future_holds_nothing_up() -> None:
     first = fed_in_turn({contract.JOINT_STATES: stream})[0].messages[contract.JOINT_STATES]
 
     assert first == RECORDING.by_topic()[contract.JOINT_STATES][SETTLE : SETTLE + TICKS]
+
+
+@pytest.mark.parametrize("stray", [0, SETTLE])
+def test_a_perturbation_of_somebody_else_between_trials_displaces_no_command(stray: int) -> None:
+    stream = list(RECORDING.by_topic()[contract.PERTURBATION])
+    stream.insert(SETTLE + TICKS + 1, stream[stray])
+
+    spoiled, sound = fed_in_turn({contract.PERTURBATION: stream}), fed_in_turn({})
+
+    assert len(sound) > 1
+    assert [one.messages for one in spoiled] == [one.messages for one in sound]
