@@ -18,7 +18,6 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +26,9 @@ from armimp_common.errors import DataError
 # Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
-# Everything else is imported when the thread that gets things ready has made itself nice.
+# Everything else is imported by the thread that gets things ready.
 
 Job = Callable[[], None]
-
-_WARM_UP_NICE = 10
-"""Niceness until there is something to draw, as other things are going on then."""
 
 
 def jobs(request: dict[str, Any]) -> list[Job]:
@@ -133,8 +129,6 @@ def _begin(left: Iterator[Job], running: dict[int, int], cores: int) -> None:
 
 def warm_up() -> None:
     """Draw something, so that the next figures take less time."""
-    with suppress(AttributeError, OSError):  # no Linux
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _WARM_UP_NICE)
     import numpy as np
 
     from armimp_estimation.figures import FORMATS, coherence_figure
