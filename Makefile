@@ -6,14 +6,15 @@ BIN := $(VENV)/bin
 
 # A ROS installation sourced in this shell, or a caller that itself runs from an environment of ROS
 # wheels, would mix its own modules and libraries with those of .venv.
-unexport PYTHONHOME PYTHONPATH RMW_IMPLEMENTATION AMENT_PREFIX_PATH
+# Compiled modules are kept, or every process would compile them anew.
+unexport PYTHONHOME PYTHONPATH PYTHONDONTWRITEBYTECODE RMW_IMPLEMENTATION AMENT_PREFIX_PATH
 ifneq ($(ROS_DISTRO)$(_ROS_WHEELS_BOOTSTRAP_COMPLETE),)
 unexport LD_LIBRARY_PATH
 endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all bench research colcon lint format lock sbom clean
+.PHONY: help setup run test test-all compiled bench research colcon lint format lock sbom clean
 
 help:  ## list what make can do here
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -24,11 +25,16 @@ setup:  ## make or update .venv, with the command .venv/bin/armimp
 run: setup  ## set up, then run the default experiment (or as ARGS say)
 	@$(BIN)/armimp run $(ARGS)
 
-test: lint  ## check style and types, then run the tests that a person waits for, in five minutes
+test: setup  ## check style and types, then run the tests that a person waits for, in five minutes
+	@$(MAKE) --no-print-directory -j2 lint compiled
 	@scripts/test.sh $(ARGS)
 
-test-all: lint  ## run every test: each page, colcon, campaigns, every kill; hours on two cores
+test-all: setup  ## run every test: each page, colcon, campaigns, every kill; hours on two cores
+	@$(MAKE) --no-print-directory -j2 lint compiled
 	@scripts/test.sh --all $(ARGS)
+
+compiled: setup
+	@PYTHONPATH=tests $(BIN)/python -m support.compiled
 
 bench: setup  ## measure what a run costs here, e.g. ARGS="start --out B"
 	@PYTHONPATH=tests $(BIN)/python -m benchmarks $(ARGS)

@@ -18,31 +18,13 @@ from armimp_control.perturbation import perturbation
 from armimp_control.safety import Action, Limit
 from armimp_control.sequence import SequenceConfig, timetable
 from armimp_sim import presets as sim_presets
-from armimp_sim.plant import IntegrationError, Plant, PlantConfig
+from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
+from support.compiled import brief_rig
 from support.safety import torque_only
 
 Array = NDArray[np.float64]
 TICKS = 400
-
-
-def _rig(*, joints: int = 2, friction: int = 2, level: int = 3, seed: int = 1) -> Rig:
-    arm, robot = sim_presets.human_arm(joints), sim_presets.robot(joints)
-    return Rig(
-        plant=PlantConfig(
-            arm=arm,
-            robot=robot,
-            friction=sim_presets.friction(friction, joints),
-            sensors=sim_presets.sensors(level),
-        ),
-        voluntary=VoluntaryConfig(rms=0.2),
-        controller=control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture),
-        # In so short a perturbation, scaled to its peak, joints are faster than in a long one.
-        safety=torque_only(80.0),
-        perturbation=control_presets.perturbation(level, joints),
-        sequence=SequenceConfig(duration=TICKS * 1e-3, settle=0.05, rest=0.06),
-        seed=seed,
-    )
 
 
 def _arrays(trial: OfflineTrial) -> dict[str, Array]:
@@ -60,7 +42,7 @@ def _same(one: OfflineTrial, other: OfflineTrial) -> bool:
 
 @pytest.mark.parametrize("joints", [2, 3])
 def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
-    (trials,) = run_offline([_rig(joints=joints)])
+    (trials,) = run_offline([brief_rig(joints=joints)])
     assert [trial.joint for trial in trials] == list(range(joints))
     assert [trial.first_tick for trial in trials] == [50 + k * 510 for k in range(joints)]
     for trial in trials:
@@ -71,7 +53,8 @@ def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
         others = np.delete(trial.perturbation, trial.joint, axis=0)
         assert np.array_equal(others, np.zeros((joints - 1, TICKS)))
         assert (
-            np.max(np.abs(trial.perturbation)) == _rig(joints=joints).perturbation.peak[trial.joint]
+            np.max(np.abs(trial.perturbation))
+            == brief_rig(joints=joints).perturbation.peak[trial.joint]
         )
         # The perturbed joint moves most, about the posture.
         deflection = trial.position - sim_presets.human_arm(joints).posture[:, None]
@@ -80,7 +63,7 @@ def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
 
 def test_experiment_is_that_of_the_nodes_tick_by_tick() -> None:
     """Sample k, command k, one period of the plant, sample k + 1; nothing else."""
-    rig = _rig(seed=4)
+    rig = brief_rig(seed=4)
     (trials,) = run_offline([rig])
     plant = Plant([rig.plant])
     controller = Controller(rig.controller, safety=rig.safety)
@@ -110,7 +93,7 @@ def test_experiment_is_that_of_the_nodes_tick_by_tick() -> None:
 
 
 def test_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
-    first, again, other = (run_offline([_rig(seed=seed)])[0] for seed in (3, 3, 8))
+    first, again, other = (run_offline([brief_rig(seed=seed)])[0] for seed in (3, 3, 8))
     assert all(_same(one, two) for one, two in zip(first, again, strict=True))
     for one, two in zip(first, other, strict=True):
         for name, values in _arrays(one).items():
@@ -119,7 +102,7 @@ def test_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:
 
 def _another(level: int) -> Rig:
     """A rig in which nothing is as in the one of another level."""
-    rig = _rig(friction=level, level=max(level, 1), seed=10 + level)
+    rig = brief_rig(friction=level, level=max(level, 1), seed=10 + level)
     arm = replace(rig.plant.arm, posture=rig.plant.arm.posture + 0.1 * level)
     law = control_presets.imbic(rig.plant.robot.mass_matrix(arm.posture), arm.posture)
     return replace(
@@ -142,7 +125,7 @@ def test_experiments_side_by_side_give_the_bits_that_each_gives_alone() -> None:
 
 
 def test_voluntary_torque_does_not_change_the_perturbation() -> None:
-    rig = _rig()
+    rig = brief_rig()
     relaxed = replace(rig, voluntary=VoluntaryConfig(rms=0.0))
     (active_trials,), (relaxed_trials,) = run_offline([rig]), run_offline([relaxed])
     for one, two in zip(active_trials, relaxed_trials, strict=True):
@@ -151,7 +134,7 @@ def test_voluntary_torque_does_not_change_the_perturbation() -> None:
 
 
 def test_perturbation_and_voluntary_torque_of_one_seed_have_nothing_in_common() -> None:
-    rig = _rig()
+    rig = brief_rig()
     voluntary = VoluntaryTorque(
         VoluntaryConfig(rms=1.0, cutoff=15.0), joints=2, period=1e-3, seed=rig.seed
     ).take(100_000)
@@ -164,12 +147,12 @@ def test_perturbation_and_voluntary_torque_of_one_seed_have_nothing_in_common() 
 
 
 def test_saturated_commands_stay_within_the_limit_and_are_counted() -> None:
-    rig = replace(_rig(), safety=torque_only(6.0))
+    rig = replace(brief_rig(), safety=torque_only(6.0))
     (trials,) = run_offline([rig])
     for trial in trials:
         assert np.max(np.abs(trial.command)) == 6.0
         assert trial.clipped == np.count_nonzero(np.abs(trial.command) == 6.0) > 0
-    (free,) = run_offline([_rig(friction=0, level=1)])
+    (free,) = run_offline([brief_rig(friction=0, level=1)])
     assert [trial.clipped for trial in free] == [0, 0]
 
 
@@ -184,16 +167,16 @@ def test_saturated_commands_stay_within_the_limit_and_are_counted() -> None:
 def test_when_the_gate_stops_an_experiment_expect_no_result_but_the_reason(
     limits: dict[str, Any], reason: str
 ) -> None:
-    rig = replace(_rig(), safety=replace(_rig().safety, **limits))
+    rig = replace(brief_rig(), safety=replace(brief_rig().safety, **limits))
     with pytest.raises(DataError, match=reason):
-        run_offline([_rig(), rig])
+        run_offline([brief_rig(), rig])
 
 
 @pytest.mark.parametrize("action", list(Action))
 @pytest.mark.parametrize("limit", list(Limit))
 def test_limits_that_are_not_reached_change_no_bit(limit: Limit, action: Action) -> None:
     change: dict[str, Any] = {f"{limit.value}_action": action}
-    rig = _rig(level=1)
+    rig = brief_rig(level=1)
     (usual,), (other,) = (
         run_offline([replace(rig, safety=safety)])
         for safety in (torque_only(80.0), replace(control_presets.safety(2), **change))
@@ -203,7 +186,7 @@ def test_limits_that_are_not_reached_change_no_bit(limit: Limit, action: Action)
 
 
 def test_integration_that_breaks_down_is_reported() -> None:
-    rig = _rig()
+    rig = brief_rig()
     wild = replace(
         rig,
         safety=torque_only(1e5),
@@ -215,26 +198,26 @@ def test_integration_that_breaks_down_is_reported() -> None:
 
 
 def test_experiments_of_unequal_sequence_are_refused() -> None:
-    longer = replace(_rig(), sequence=SequenceConfig(duration=1.0))
+    longer = replace(brief_rig(), sequence=SequenceConfig(duration=1.0))
     with pytest.raises(DataError, match="same trial sequence"):
-        run_offline([_rig(), longer])
+        run_offline([brief_rig(), longer])
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"controller": _rig(joints=3).controller}, "have 2, 3 and 2 joints"),
+        ({"controller": brief_rig(joints=3).controller}, "have 2, 3 and 2 joints"),
         ({"perturbation": control_presets.perturbation(1, 3)}, "have 2, 2 and 3 joints"),
         (
-            {"controller": replace(_rig().controller, period=2e-3)},
+            {"controller": replace(brief_rig().controller, period=2e-3)},
             r"periods of 0\.001, 0\.002 and 0\.001 s",
         ),
         (
-            {"perturbation": replace(_rig().perturbation, period=2e-3)},
+            {"perturbation": replace(brief_rig().perturbation, period=2e-3)},
             r"periods of 0\.001, 0\.001 and 0\.002 s",
         ),
     ],
 )
 def test_rig_of_parts_that_do_not_fit_is_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigurationError, match=message):
-        replace(_rig(), **changes)
+        replace(brief_rig(), **changes)
