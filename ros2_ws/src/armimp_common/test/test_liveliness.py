@@ -21,8 +21,6 @@ from armimp_common.processes import Life
 from armimp_common.spin import Spinner
 from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, set_clock
 
-pytestmark = pytest.mark.alone
-
 OTHER = """
 import ctypes, sys
 from armimp_common.liveliness import SignOfLife
@@ -67,7 +65,9 @@ def changes() -> list[Presence]:
 
 
 @pytest.fixture
-def watch(node: Node, changes: list[Presence]) -> Watch:
+def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) -> Watch:
+    # What is to be heard before the lease runs out takes as long as a busy machine needs.
+    monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
     return Watch(node, "other", lambda watch: changes.append(watch.presence))
 
 
@@ -135,7 +135,7 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard(
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         process.kill()
-        eventually(spinner, lambda: len(changes) == 2, "silence", patience=5.0)
+        eventually(spinner, lambda: len(changes) == 2, "silence")
 
     assert changes[1] is Presence.GONE
     assert watch.sentence == "other is dead"
@@ -154,7 +154,7 @@ def test_when_one_of_two_watched_processes_has_left_expect_the_other_to_be_looke
         eventually(spinner, lambda: second.presence is Presence.LEFT, "its end")
 
         process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence", patience=1.0)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
 
 
 @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
@@ -183,21 +183,22 @@ def test_when_a_stopped_process_is_killed_expect_its_death_to_be_heard(
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence", patience=5.0)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
         process.kill()
-        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death", patience=1.0)
+        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death")
 
     assert watch.presence.lost
 
 
 def test_when_the_process_cannot_be_looked_up_expect_silence(
-    watch: Watch, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
+    node: Node, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
     monkeypatch.setattr("armimp_common.liveliness.life_of", lambda _: Life.UNKNOWN)
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: len(changes) == 2, "silence", patience=15.0)
+        eventually(spinner, lambda: len(changes) == 2, "silence")
 
     assert changes[1] is Presence.SILENT
     assert watch.sentence == "other gave no sign of life for 6 s: it is dead or stopped"
@@ -209,7 +210,7 @@ def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_agai
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence", patience=1.0)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
         process.send_signal(signal.SIGCONT)
         eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
 
@@ -228,9 +229,11 @@ def test_when_a_process_ends_in_order_expect_that_it_left(
     assert watch.sentence == "other has left"
 
 
+@pytest.mark.alone
 def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
-    watch: Watch, spinner: Spinner, changes: list[Presence]
+    node: Node, spinner: Spinner, changes: list[Presence]
 ) -> None:
+    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
     with other_process("busy"):
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         before = list(changes)

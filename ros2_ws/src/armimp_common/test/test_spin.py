@@ -28,8 +28,6 @@ from armimp_common.spin import (
     stop_on_signals,
 )
 
-pytestmark = pytest.mark.alone
-
 KINDS: tuple[ExecutorKind, ...] = ("events", "single")
 PATIENCE = 10.0
 both_kinds = pytest.mark.parametrize("kind", KINDS)

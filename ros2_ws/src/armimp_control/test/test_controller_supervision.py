@@ -21,8 +21,6 @@ from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
 from support.graph import ScriptedDriver, a_moment, eventually, overrides
 
-pytestmark = pytest.mark.alone
-
 NAMES = ("shoulder", "elbow")
 POSTURE = (1.09446, 1.34844)
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])

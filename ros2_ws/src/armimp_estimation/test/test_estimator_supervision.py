@@ -24,8 +24,6 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.results import read_summary
 from support.graph import PATIENCE, a_moment, eventually, overrides
 
-pytestmark = pytest.mark.alone
-
 SUCCESS = TransitionCallbackReturn.SUCCESS
 
 

@@ -25,8 +25,6 @@ from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
 from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, overrides, set_clock
 
-pytestmark = pytest.mark.alone
-
 JOINTS = ("shoulder", "elbow")
 ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 Sample = tuple[int, tuple[float, ...]]

@@ -21,8 +21,6 @@ from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from support.graph import PATIENCE, a_moment, eventually, overrides
 
-pytestmark = pytest.mark.alone
-
 SUCCESS = TransitionCallbackReturn.SUCCESS
 PARAMETERS = SimulatorParameters.preset()
 
