@@ -18,7 +18,7 @@ from armimp_bringup.config import ExperimentConfig, load_config, node_parameters
 from armimp_common import contract
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 
-SHORT = ["run", "--duration", "10", "--seed", "5"]
+SHORT = ["run", "--duration", "2", "--seed", "5"]
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +58,7 @@ def test_a_run_leaves_bags_summary_curves_figure_and_parameters(experiment: Path
         "bags/trial_1_joint_1",
         "bags/trial_2_joint_2",
     ]
-    assert [trial["ticks"] for trial in summary["trials"]] == [10_000, 10_000]
+    assert [trial["ticks"] for trial in summary["trials"]] == [2000, 2000]
     assert [trial["lost"] for trial in summary["trials"]] == [0, 0]
     assert summary["config"]["experiment"]["seed"] == 5
     assert summary["config"]["versions"]["numpy"] == np.__version__
@@ -158,7 +158,7 @@ def test_the_bag_holds_every_sample_of_every_stream(experiment: Path) -> None:
     for bag in bags(experiment):
         topics = [topic for topic, _, _ in iterate_messages(Path(bag))]
         for stream in contract.DATA_STREAMS:
-            assert topics.count(stream) == 10_000
+            assert topics.count(stream) == 2000
 
 
 def without(topic: str, bag: str, directory: Path) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 PATIENCE = 120.0
-RUN = ["run", "--duration", "10"]
+RUN = ["run", "--duration", "2"]
 ESTIMATE = ["estimate"]
 COMMAND = [sys.executable, "-c", "from armimp_bringup.cli import program; program()"]
 
@@ -45,9 +45,12 @@ def bags(request: pytest.FixtureRequest) -> list[str]:
     "variables",
     [
         {"PYTHONIOENCODING": "ascii"},
-        {"PYTHONIOENCODING": "latin-1"},
+        pytest.param({"PYTHONIOENCODING": "latin-1"}, marks=pytest.mark.slow),
         {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-        {"LC_ALL": "xx_YY.none", "TERM": "dumb", "TMPDIR": "/does/not/exist"},
+        pytest.param(
+            {"LC_ALL": "xx_YY.none", "TERM": "dumb", "TMPDIR": "/does/not/exist"},
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["ascii", "latin-1", "C", "unknown"],
 )
@@ -79,7 +82,7 @@ def test_an_output_that_takes_nothing_is_no_traceback(
     assert (tmp_path / "out" / "summary.json").is_file()
 
 
-@pytest.mark.parametrize("home", [None, "/proc/nothing"])
+@pytest.mark.parametrize("home", [None, pytest.param("/proc/nothing", marks=pytest.mark.slow)])
 def test_no_home_is_needed(tmp_path: Path, home: str | None) -> None:
     processes = "composed" if home is None else "separate"
     out = tmp_path / "out"

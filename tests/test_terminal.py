@@ -42,7 +42,9 @@ def screens(command: list[str], columns: int) -> list[list[str]]:
     return seen
 
 
-@pytest.mark.parametrize("columns", [80, 100, 120])
+@pytest.mark.parametrize(
+    "columns", [80, *(pytest.param(wider, marks=pytest.mark.slow) for wider in (100, 120))]
+)
 def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progress(
     columns: int, tmp_path: Path
 ) -> None:

@@ -62,7 +62,11 @@ def _run(n: int, lanes: Sequence[int]) -> tuple[Array, Array, Array]:
     return np.stack(states, 1), np.stack(positions, 1), np.stack(torques, 1)
 
 
-@pytest.mark.parametrize(("n", "lanes"), [(1, 3), (2, 5), (2, 19), (3, 3)])
+@pytest.mark.parametrize(
+    ("n", "lanes"),
+    # A plant of each number of joints is compiled for itself.
+    [(2, 5), (2, 19), *(pytest.param(n, 3, marks=pytest.mark.slow) for n in (1, 3, 7))],
+)
 def test_lane_gives_the_same_bits_alone_and_beside_others(n: int, lanes: int) -> None:
     together = _run(n, range(lanes))
     for lane in range(lanes):

@@ -155,7 +155,7 @@ def _energy(config: PlantConfig, state: Array) -> float:
     )
 
 
-@pytest.mark.parametrize("n", [2, 3, 7])
+@pytest.mark.parametrize("n", [2, 3, pytest.param(7, marks=pytest.mark.slow)])
 def test_without_friction_and_damping_energy_is_conserved(n: int) -> None:
     config = _frictionless_chain(n)
     plant = Plant([config])
