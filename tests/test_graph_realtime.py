@@ -259,6 +259,7 @@ def patient() -> ExperimentConfig:
     )
 
 
+@pytest.mark.slow
 def test_every_run_reports_its_timing_and_a_verdict_that_fits(tmp_path: Path) -> None:
     directory = tmp_path / "out"
     summary = run_experiment(patient(), directory)
@@ -287,6 +288,7 @@ def process_of(directory: Path, node: str) -> int:
     raise AssertionError(f"no process of {node}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("node", "watchdog"),
     [
