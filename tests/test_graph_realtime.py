@@ -37,15 +37,14 @@ from armimp_common.contract import (
     SIM_NODE,
     VALUE_FIELD,
 )
-from armimp_common.errors import ConfigurationError
 from armimp_common.liveliness import Presence
 from armimp_common.pacing import Pacer
-from armimp_common.urgency import require_precedence
 from armimp_estimation.report import load_result, report_page
 from armimp_estimation.results import Summary, read_summary
 from armimp_estimation.timing import TimingRecord
 from armimp_sim.paced import PacedRig
 from armimp_sim.rig import SimulatedRig
+from support.priority import permitted_priority
 from support.runs import FinishedRun
 
 SECONDS = 3.0
@@ -247,13 +246,8 @@ def test_when_commands_fall_six_periods_behind_expect_the_rig_to_end_the_run(
 
 def patient() -> ExperimentConfig:
     """With precedence where that is permitted, and watchdogs that wait for as long as they may."""
-    priority = 30
-    try:
-        require_precedence(priority)
-    except ConfigurationError:
-        priority = 0
     return config(
-        priority=priority,
+        priority=permitted_priority(),
         arm_sim={"watchdog_ticks": PATIENCE},
         imbic_controller={"sequence.duration": SECONDS, "safety.watchdog_ticks": PATIENCE},
     )

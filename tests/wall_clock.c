@@ -1,25 +1,49 @@
 /* Preloaded by test_clock_steps.py: a wall clock that can be set for some processes alone.
 
    The file that WALL_CLOCK names holds by how many seconds it is set (int64), and may change at
-   any time. Monotonic clocks are left as they are. Deadlines on the wall clock are moved back to
-   the kernel's, as those that the C++ library waits with may be. */
+   any time. It counts for processes whose command line contains WALL_CLOCK_OF; each of them leaves
+   its process number in WALL_CLOCK_SEEN when it first sees the clock set. Monotonic clocks are left
+   as they are. Who waits for a time of the wall clock waits as long as the kernel would have him
+   wait: longer, if the clock is set back meanwhile. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <errno.h>
 #include <fcntl.h>
 #include <pthread.h>
 #include <semaphore.h>
 #include <stdint.h>
+#include <stdio.h>
 #include <stdlib.h>
+#include <string.h>
 #include <sys/mman.h>
 #include <sys/syscall.h>
 #include <sys/time.h>
 #include <time.h>
 #include <unistd.h>
 
+static int concerned(void) {
+    static char line[4096];
+    int file = open("/proc/self/cmdline", O_RDONLY);
+    ssize_t length = read(file, line, sizeof line - 1);
+    close(file);
+    for (ssize_t i = 0; i + 1 < length; i++)
+        if (!line[i]) line[i] = ' ';
+    return strstr(line, getenv("WALL_CLOCK_OF")) != 0;
+}
+
 static int64_t step(void) {
     static volatile int64_t *seconds;
-    if (!seconds)
+    static int concerns, seen;
+    if (!seconds) {
+        concerns = concerned();
         seconds = mmap(0, 8, PROT_READ, MAP_SHARED, open(getenv("WALL_CLOCK"), O_RDONLY), 0);
+    }
+    if (!concerns || !*seconds) return 0;
+    if (!__atomic_exchange_n(&seen, 1, __ATOMIC_SEQ_CST)) {
+        int file = open(getenv("WALL_CLOCK_SEEN"), O_WRONLY | O_APPEND | O_CREAT, 0600);
+        dprintf(file, "%d\n", (int)getpid());
+        close(file);
+    }
     return *seconds;
 }
 
@@ -47,29 +71,34 @@ time_t time(time_t *now) {
 }
 
 /* No machine has been up for thirty years: what is later is a deadline on the wall clock. */
-static struct timespec true_deadline(const struct timespec *deadline) {
-    struct timespec moved = *deadline;
-    if (moved.tv_sec > 1000000000) moved.tv_sec -= step();
-    return moved;
-}
+#define WAIT(CALL)                                                          \
+    do {                                                                    \
+        int64_t set = deadline->tv_sec > 1000000000 ? step() : 0, now;      \
+        struct timespec due = *deadline;                                    \
+        due.tv_sec -= set;                                                  \
+        int result = (CALL);                                                \
+        if (deadline->tv_sec <= 1000000000) return result;                  \
+        now = step();                                                       \
+        if (!TIMED_OUT(result) || now >= set) return result;                \
+    } while (1)
 
-int pthread_cond_timedwait(pthread_cond_t *c, pthread_mutex_t *m, const struct timespec *d) {
+int pthread_cond_timedwait(pthread_cond_t *c, pthread_mutex_t *m, const struct timespec *deadline) {
     static int (*wait)(pthread_cond_t *, pthread_mutex_t *, const struct timespec *);
-    struct timespec moved = true_deadline(d);
     if (!wait) wait = dlvsym(RTLD_NEXT, "pthread_cond_timedwait", "GLIBC_2.3.2");
-    return wait(c, m, &moved);
+#define TIMED_OUT(result) ((result) == ETIMEDOUT)
+    WAIT(wait(c, m, &due));
 }
 
-int pthread_mutex_timedlock(pthread_mutex_t *m, const struct timespec *d) {
+int pthread_mutex_timedlock(pthread_mutex_t *m, const struct timespec *deadline) {
     static int (*lock)(pthread_mutex_t *, const struct timespec *);
-    struct timespec moved = true_deadline(d);
     if (!lock) lock = dlsym(RTLD_NEXT, "pthread_mutex_timedlock");
-    return lock(m, &moved);
+    WAIT(lock(m, &due));
 }
+#undef TIMED_OUT
 
-int sem_timedwait(sem_t *s, const struct timespec *d) {
+int sem_timedwait(sem_t *s, const struct timespec *deadline) {
     static int (*wait)(sem_t *, const struct timespec *);
-    struct timespec moved = true_deadline(d);
     if (!wait) wait = dlsym(RTLD_NEXT, "sem_timedwait");
-    return wait(s, &moved);
+#define TIMED_OUT(result) ((result) && errno == ETIMEDOUT)
+    WAIT(wait(s, &due));
 }

@@ -6,12 +6,17 @@ there is always another event; an exception in a coroutine, in a task or in the 
 future ends the process with a segmentation fault; guard conditions are not supported. So it is
 always called with a finite timeout here, which a timer of one of the nodes enforces, and callbacks
 of nodes must be ordinary functions. What those raise arrives at the caller of `Spinner.spin`.
+
+Steady timers alone are not enough either: built against an old C library, as the wheels are, the
+executor waits for each of them until a time of the wall clock, and goes on waiting for as long as
+that is set back. So a thread looks for steps of the wall clock, and has all timers begin anew.
 """
 
 import math
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -29,7 +34,7 @@ from rclpy.utilities import remove_ros_args
 
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.lifeline import follow_lifeline
-from armimp_common.steady import refuse_simulated_time, steady_timer
+from armimp_common.steady import WallClock, refuse_simulated_time, steady_timer
 from armimp_common.transports import avoid_shared_memory
 
 if TYPE_CHECKING:
@@ -72,12 +77,14 @@ class Spinner:
         self._timer: Timer | None = None
         self._gate: Future = Future()
         self._deadline = math.inf
+        self._closed = threading.Event()
         nodes = list(nodes)
         if context is None and nodes:
             context = nodes[0].context
         self.executor = make_executor(context, kind)
         for node in nodes:
             self.add_node(node)
+        threading.Thread(target=self._look_at_clock, name="wall clock", daemon=True).start()
 
     def add_node(self, node: Node) -> None:
         """Execute the callbacks of this node too.
@@ -145,8 +152,22 @@ class Spinner:
         if time.monotonic() >= self._deadline and not self._gate.done():
             self._gate.set_result(None)
 
+    def _look_at_clock(self) -> None:
+        clock = WallClock()
+        while not self._closed.is_set():
+            time.sleep(_RESOLUTION)  # `Event.wait` may itself wait by the wall clock
+            if clock.was_set() and not self._closed.is_set():
+                self.executor.create_task(self._begin_anew)
+
+    def _begin_anew(self) -> None:
+        """Have the executor wait anew for every timer that runs; within the executor."""
+        for timer in [timer for node in self._nodes for timer in node.timers]:
+            if not timer.is_canceled():
+                timer.reset()
+
     def close(self) -> None:
         """Let go of the nodes and of the executor; calling it again does nothing."""
+        self._closed.set()
         for node in list(self._nodes):
             self.remove_node(node)
         self.executor.shutdown()

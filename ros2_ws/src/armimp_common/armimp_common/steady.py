@@ -4,7 +4,9 @@ A node's own clock follows the wall clock, or ``/clock`` where ``use_sim_time`` 
 it stops for as long as that clock was set back, and a watchdog with it.
 """
 
+import time
 from collections.abc import Callable
+from typing import Final
 from weakref import WeakSet
 
 from rcl_interfaces.msg import SetParametersResult
@@ -22,6 +24,32 @@ _REFUSAL = (
     " that somebody can set or stop"
 )
 _refusing: WeakSet[Node] = WeakSet()
+_STEP: Final = 1e-3
+"""Steps of the wall clock that matter (s); slewing makes no such ones between two looks."""
+
+
+class WallClock:
+    """Finds out whether somebody has set the wall clock."""
+
+    def __init__(self) -> None:
+        self._ahead = _ahead()
+
+    def was_set(self) -> bool:
+        """Whether it was since this was asked last."""
+        before, self._ahead = self._ahead, _ahead()
+        return not abs(self._ahead - before) < _STEP
+
+
+def _ahead() -> float:
+    """By how much the wall clock is ahead of the steady one (s)."""
+    # A thread may be held up between the two: the quickest of some looks counts.
+    looks = []
+    for _ in range(3):
+        begin = time.monotonic()
+        wall = time.time()
+        end = time.monotonic()
+        looks.append((end - begin, wall - begin))
+    return min(looks)[1]
 
 
 def steady_timer(

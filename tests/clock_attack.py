@@ -1,0 +1,61 @@
+"""Program for test_clock_steps.py: ``armimp``, while whose trial somebody sets the wall clock.
+
+``python -m clock_attack run …`` is the orchestrator, and its simulator is this program, too, in
+the same process or in one of its own. With sample CLOCK_TICK the simulator sets the clock of those
+for whom that is meant (see wall_clock.c) by CLOCK_STEP (s). If RIG_LOG names a file, it sends its
+last sample so soon afterwards that nobody may have found out, and lives on. Into that file it
+writes, each with the time on the steady clock (s), ``sample`` for that last one; and for each
+command that comes, ``torque``, or ``zero`` if it is.
+"""
+
+import os
+import struct
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from armimp_bringup import cli, graph
+from armimp_common.contract import SIM_NODE
+from armimp_sim import node
+
+SOON = 5
+"""Samples between step and silence."""
+
+
+class AttackingRig(node.ArmSimNode):
+    """A simulator that sets the clock, and may fall silent soon afterwards."""
+
+    def __init__(self, **kwargs: Any) -> None:
+        log = os.environ.get("RIG_LOG")
+        self._log = None if log is None else Path(log).open("w", buffering=1)  # noqa: SIM115
+        self._step_tick = int(os.environ["CLOCK_TICK"])
+        super().__init__(**kwargs)
+
+    def _note(self, what: str) -> None:
+        if self._log is not None:
+            self._log.write(f"{time.monotonic()!r} {what}\n")
+
+    def _send(self) -> None:
+        tick = 0 if self.gate is None else self.gate.tick
+        if tick == self._step_tick:
+            with Path(os.environ["WALL_CLOCK"]).open("r+b") as file:
+                file.write(struct.pack("q", int(os.environ["CLOCK_STEP"])))
+        super()._send()
+        if self._log is not None and tick == self._step_tick + SOON:
+            self._note("sample")
+            assert self._paced is not None
+            self._paced.stop()
+
+    def _on_command(self, command: tuple[float, ...]) -> None:
+        self._note("torque" if any(command) else "zero")
+        super()._on_command(command)
+
+
+if __name__ == "__main__":
+    setattr(node, "ArmSimNode", AttackingRig)  # noqa: B010 (a class is not assigned to, says mypy)
+    if "--ros-args" in sys.argv:
+        sys.exit(node.main())
+    cast("dict[str, Sequence[str]]", graph.MODULES)[SIM_NODE] = ("clock_attack",)
+    sys.exit(cli.program())
