@@ -143,6 +143,55 @@ def wall_clock(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return library
 
 
+TIMER = """
+import os, struct, sys, threading, time
+from pathlib import Path
+import rclpy
+from rclpy.node import Node
+from armimp_common.spin import Spinner
+from armimp_common.steady import steady_timer
+from support.graph import eventually
+
+def set_clock():
+    with Path(os.environ["WALL_CLOCK"]).open("r+b") as file:
+        file.write(struct.pack("q", int(sys.argv[2])))
+    stepped.append(time.monotonic())
+
+rclpy.init()
+node, ticks, stepped = Node("timer"), [], []
+timer = steady_timer(node, 0.005, lambda: ticks.append(time.monotonic()))
+with Spinner([node], kind=sys.argv[1]) as spinner:
+    eventually(spinner, lambda: len(ticks) > 5, "ticks before the step")
+    threading.Timer(0.1, set_clock).start()
+    eventually(spinner, lambda: stepped and ticks[-1] > stepped[0] + 0.1, "ticks after the step")
+assert max(b - a for a, b in zip(ticks, ticks[1:])) < 10.0
+"""
+
+
+@pytest.mark.parametrize("kind", ["events", "single"])
+@stepped
+def test_when_the_wall_clock_is_set_expect_timers_of_executors_to_go_on(
+    wall_clock: Path, domain_id: int, tmp_path: Path, kind: str, step: float
+) -> None:
+    environment = clocked(tmp_path, wall_clock, "")
+    command = [sys.executable, "-c", TIMER, kind, str(round(step))]
+    subprocess.run(command, env=environment, timeout=60.0, check=True)
+    assert (tmp_path / "seen").exists()
+
+
+def clocked(directory: Path, wall_clock: Path, processes: str) -> dict[str, str]:
+    """Environment in which the clock of these processes can be set."""
+    (directory / "clock").write_bytes(bytes(8))
+    return {
+        **os.environ,
+        "LD_PRELOAD": str(wall_clock),
+        "PYTHONPATH": str(Path(__file__).parent),
+        "WALL_CLOCK": str(directory / "clock"),
+        "WALL_CLOCK_OF": processes,
+        "WALL_CLOCK_SEEN": str(directory / "seen"),
+    }
+
+
 def attack(
     directory: Path,
     wall_clock: Path,
@@ -152,17 +201,11 @@ def attack(
     **variables: str,
 ) -> int:
     """Run an experiment while whose trial a clock is set, and return its exit status."""
-    clock, seen, settings = (directory / name for name in ("clock", "seen", "config.yaml"))
-    clock.write_bytes(bytes(8))
+    seen, settings = (directory / name for name in ("seen", "config.yaml"))
     settings.write_text(yaml.safe_dump(dict(config)))
     processes = "composed" if target == "composed" else "separate"
     environment = {
-        **os.environ,
-        "LD_PRELOAD": str(wall_clock),
-        "PYTHONPATH": str(Path(__file__).parent),
-        "WALL_CLOCK": str(clock),
-        "WALL_CLOCK_OF": TARGETS[target],
-        "WALL_CLOCK_SEEN": str(seen),
+        **clocked(directory, wall_clock, TARGETS[target]),
         "CLOCK_STEP": str(round(step)),
         **variables,
     }
