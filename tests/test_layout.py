@@ -33,6 +33,7 @@ WITH_ROS = {
     "armimp_common.polled_subscription",
     "armimp_common.qos",
     "armimp_common.rig_node",
+    "armimp_common.services",
     "armimp_common.spin",
     "armimp_common.stamps",
     "armimp_common.steady",

@@ -22,6 +22,7 @@ from armimp_estimation.torque_reading import TorqueReading
 from armimp_estimation.update_jump import UpdateJump, command_steps
 
 FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 
 BAND = (0.3, 15.0)
 """Part of the spectrum that is looked at, Hz: below, a person's own torque is most of it."""
@@ -60,19 +61,27 @@ def unexplained_torque(
         N·m.
     """
     k, samples = record.perturbed_joint, record.samples
-    f = np.asarray(np.fft.rfftfreq(samples, 1.0 / record.rate), dtype=np.float64)
-    inside = (f >= BAND[0]) & (f <= BAND[1])
-    angle = np.fft.rfft(record.position - record.position.mean(axis=1, keepdims=True))
-    torque = np.fft.rfft(record.torque[k] - record.torque[k].mean())
+    whole = np.asarray(np.fft.rfftfreq(samples, 1.0 / record.rate), dtype=np.float64)
+    inside = (whole >= BAND[0]) & (whole <= BAND[1])
+    f = whole[inside]
+
+    def within(signal: FloatArray) -> ComplexArray:
+        spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
+        return spectrum[..., inside]
+
+    def signal_of(values: ComplexArray) -> FloatArray:
+        spectrum = np.zeros((*values.shape[:-1], whole.size), dtype=np.complex128)
+        spectrum[..., inside] = values
+        signal: FloatArray = np.fft.irfft(spectrum, samples)
+        return signal
+
+    angle, torque = within(record.position), within(record.torque[k])
     if jump is not None:
         lacking = jump.missing(f, record.rate, reading)[k]
-        torque = torque + np.sum(lacking * np.fft.rfft(command_steps(record, samples)), axis=0)
-        torque /= (reading or TorqueReading()).response(f)
-    rest = torque - np.sum(arm.impedance(f)[k] * angle, axis=0)
-    whole: FloatArray = np.fft.irfft(np.where(inside, rest, 0.0), samples)
-    derivatives = (2j * np.pi * f) ** np.arange(4)[:, None]
-    motion: FloatArray = np.fft.irfft(np.where(inside, angle[k], 0.0) * derivatives, samples)
-    return motion, whole
+        torque = torque + np.sum(lacking * within(command_steps(record, samples)), axis=0)
+        torque = torque / (reading or TorqueReading()).response(f)
+    motion = angle[k] * (2j * np.pi * f) ** np.arange(4)[:, None]
+    return signal_of(motion), signal_of(torque - np.sum(arm.impedance(f)[k] * angle, axis=0))
 
 
 def change_of_stiffness(
