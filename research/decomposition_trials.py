@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeVar
 
 import numpy as np
@@ -24,7 +24,6 @@ from armimp_estimation.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.mbk import MBK
 from armimp_estimation.registry import make_estimator
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_sim.kernel import WIDTH
@@ -155,8 +154,10 @@ def estimate(
             found = estimate_mimo(experiment.records, welch, largest_condition=np.inf)
             impedance, coupling = found.impedance, found.coupling
         else:
-            data = [TrialData.from_record(one, welch) for one in experiment.records]
-            impedance = make_estimator(name, IdentifyConfig(welch=welch)).estimate(data)
+            options = replace(experiment.options, welch=welch)
+            reading = options.lpm.reading
+            data = [TrialData.from_record(one, welch, reading) for one in experiment.records]
+            impedance = make_estimator(name, options).estimate(data)
         fit = fit_mbk(impedance)
         runs[name] = Run(
             estimator=name,

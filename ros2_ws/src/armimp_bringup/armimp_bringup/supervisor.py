@@ -73,7 +73,9 @@ class Progress:
             raise MalformedMessageError(f"{error}"[:200]) from None
         counts = (progress.trial, progress.joint, progress.samples, progress.planned)
         if not (
-            1 <= progress.trial <= progress.trials <= _MANY
+            # A number may be above the count: trials of a session may be left out of its replay.
+            min(progress.trial, progress.trials) >= 1
+            and max(progress.trial, progress.trials) <= _MANY
             and 0 <= min(counts) <= max(counts) < _MOST
             and 0.0 <= progress.rate < _MOST
         ):
