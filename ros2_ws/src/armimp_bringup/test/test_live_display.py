@@ -42,10 +42,12 @@ def test_without_a_column_there_is_nothing_to_tell() -> None:
     assert describe_column(replace(SNAPSHOT, column=None, largest_error=None)) == []
 
 
-@pytest.mark.parametrize("error", [0.0, float("nan"), float("inf"), 1e-30, 1e30])
-def test_any_error_can_be_shown(error: float) -> None:
+@pytest.mark.parametrize("error", [0.0, float("nan"), float("inf"), 1e-30, 15.0, 1e30])
+@pytest.mark.parametrize("preliminary", [True, False])
+def test_any_error_can_be_shown(error: float, preliminary: bool) -> None:
     column = (((1.0,), (error,)),) * 3
-    assert len(describe_column(replace(SNAPSHOT, column=column, largest_error=error))) == 4
+    shown = replace(SNAPSHOT, column=column, largest_error=error, preliminary=preliminary)
+    assert len(describe_column(shown)) == 4
 
 
 def test_without_the_columns_of_other_joints_no_standard_error_is_stated() -> None:
