@@ -279,4 +279,6 @@ def _with_digits(value: float, error: float, *, stated: bool) -> str:
     digits = 3
     if 0.0 < error < math.inf:
         digits = min(max(1 - math.floor(math.log10(error)), 0), 9)
-    return f"{value:.{digits}f} ± {error:.{digits}f}" if stated else f"{value:.{max(digits - 1, 0)}f}"
+    return (
+        f"{value:.{digits}f} ± {error:.{digits}f}" if stated else f"{value:.{max(digits - 1, 0)}f}"
+    )
