@@ -97,7 +97,7 @@ def test_other_friction_changes_the_rig_and_not_the_result(example: Example) -> 
 def ran(environment: None, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The experiment of example 05 and what it printed."""
     directory = tmp_path_factory.mktemp("examples") / "out"
-    path, printed = str(BY_NUMBER["06"]), io.StringIO()
+    path, printed = str(BY_NUMBER["05"]), io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
         patch.setattr(sys, "argv", [path, str(directory)])
         runpy.run_path(path, run_name="__main__")
