@@ -14,7 +14,7 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 from benchmarks.command_run import COMMAND, run_command
 
 CASES: tuple[tuple[int, float], ...] = ((2, 10.0), (3, 10.0), (7, 10.0), (2, 25.0), (2, 50.0))

@@ -20,7 +20,7 @@ from armimp_bringup.study.engine import (
     split_evenly,
 )
 from armimp_control.sequence import SequenceConfig
-from armimp_sim.kernel import WIDTH
+from armimp_sim.dynamics import WIDTH
 
 TRIAL = 50.0
 """Length of the trials of the study, s."""

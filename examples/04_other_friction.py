@@ -12,7 +12,7 @@ import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.simulated import simulate
-from armimp_sim.friction import LuGre
+from armimp_sim.model.friction import LuGre
 
 dahl = LuGre(coulomb=1.5, static=1.5, sigma_0=1500.0, sigma_1=0.0, sigma_2=0.0)
 viscous = LuGre(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.0, sigma_2=0.8)

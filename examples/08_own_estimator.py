@@ -16,9 +16,9 @@ import numpy as np
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.simulated import simulate
-from armimp_estimation.estimate import Estimator, ImpedanceEstimate
+from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
+from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.trial import TrialData
-from armimp_estimation.welch import WelchSiso
 
 
 @dataclass(frozen=True, kw_only=True)

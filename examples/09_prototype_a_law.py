@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
-from armimp_control.layout import DAMPING, STIFFNESS
+from armimp_control.laws.layout import DAMPING, STIFFNESS
 from armimp_control.perturbation import perturbation
 from armimp_sim.plant import Plant
 

@@ -39,7 +39,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.local_polynomial import bins_in_band
+from armimp_estimation.estimators.local_polynomial import bins_in_band
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK
 
 FloatArray = NDArray[np.float64]

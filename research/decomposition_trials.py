@@ -20,13 +20,13 @@ from armimp_bringup.study.backends import as_ready
 from armimp_bringup.terminal import progress
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.registry import make_estimator
 from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.mbk import MBK
-from armimp_estimation.registry import make_estimator
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
-from armimp_sim.kernel import WIDTH
+from armimp_sim.dynamics import WIDTH
 from research.mimo import InputCoupling, estimate_mimo
 
 FloatArray = NDArray[np.float64]

@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
-from armimp_estimation.welch import invert, multiply
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -25,7 +25,7 @@ from armimp_bringup.driver_check.judge import judge
 from armimp_bringup.driver_check.probe import CheckOptions, probe
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
-from armimp_common.spin import Spinner
+from armimp_common.executor import Spinner
 from armimp_estimation.conclusion import SUMMARY_FILE
 from armimp_estimation.results import read_summary
 from support.browser import Browser

@@ -15,12 +15,12 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher, JointStatePublisher
 from armimp_common.contract import PERIOD_NS
+from armimp_common.executor import run_node
 from armimp_common.pacing import Pacer
-from armimp_common.spin import run_node
+from armimp_common.pubsub import CommandPublisher, JointStatePublisher
 from armimp_sim.node import ArmSimNode
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 Readings: TypeAlias = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common.contract import PERIOD_NS
+from armimp_common.executor import run_node
 from armimp_common.pacing import Pacer
-from armimp_common.spin import run_node
+from armimp_common.realtime_scheduling import wake_up_exactly
 from armimp_common.stamps import to_time
-from armimp_common.urgency import wake_up_exactly
 from armimp_ros2_control.node import EFFORTS, STATES
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 NAMES = ("exo_elbow", "camera_pan", "exo_shoulder")
 _EPOCH_NS = 1_700_000_000_000_000_000

@@ -16,10 +16,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandSubscription, JointStateSubscription
 from armimp_common.contract import SIM_NODE
 from armimp_common.diagnostics import values_of
-from armimp_common.spin import run_node
+from armimp_common.executor import run_node
+from armimp_common.pubsub import CommandSubscription, JointStateSubscription
 
 JOINTS = ("shoulder", "elbow")
 

@@ -23,7 +23,7 @@ from armimp_common.contract import (
     SIM_NODE,
     SUPERVISOR_NODE,
 )
-from armimp_common.spin import Spinner, run_node
+from armimp_common.executor import Spinner, run_node
 from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_driver_template.node import ExoDriver
@@ -148,7 +148,7 @@ import os, struct, sys, threading, time
 from pathlib import Path
 import rclpy
 from rclpy.node import Node
-from armimp_common.spin import Spinner
+from armimp_common.executor import Spinner
 from armimp_common.steady import steady_timer
 from support.graph import eventually
 

@@ -37,13 +37,13 @@ from armimp_common.contract import (
     SIM_NODE,
     VALUE_FIELD,
 )
-from armimp_common.liveliness import Presence
+from armimp_common.heartbeat import Presence
 from armimp_common.pacing import Pacer
+from armimp_estimation.realtime_timing import TimingRecord
 from armimp_estimation.report import load_result, report_page
 from armimp_estimation.results import Summary, read_summary
-from armimp_estimation.timing import TimingRecord
-from armimp_sim.paced import PacedRig
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.realtime_simulator import RealtimeSimulator
+from armimp_sim.simulator import SimulatedRig
 from support.priority import permitted_priority
 from support.runs import FinishedRun
 
@@ -96,12 +96,12 @@ class OwnClock:
         pacer: Pacer,
         *,
         watchdog_ticks: int,
-    ) -> PacedRig:
-        """Return what takes the place of a `PacedRig`."""
+    ) -> RealtimeSimulator:
+        """Return what takes the place of a `RealtimeSimulator`."""
         return _RigOnOwnClock(self, rig, send, watchdog_ticks)
 
 
-class _RigOnOwnClock(PacedRig):
+class _RigOnOwnClock(RealtimeSimulator):
     def __init__(
         self, clock: OwnClock, rig: SimulatedRig, send: Callable[[], None], watchdog_ticks: int
     ) -> None:

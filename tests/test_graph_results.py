@@ -19,7 +19,7 @@ from armimp_common import qos
 from armimp_common.contract import RESULT, TRIAL
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.domain import DomainClaim
-from armimp_common.spin import Spinner
+from armimp_common.executor import Spinner
 from armimp_common.trial_status import Phase
 from armimp_estimation.messages import CONCLUSION_NAME
 from support.graph import PATIENCE

@@ -20,14 +20,18 @@ from armimp_bringup.config import ExperimentConfig, bag_metadata, node_parameter
 from armimp_common import contract, qos
 from armimp_common.diagnostics import values_of
 from armimp_common.jitter import LATE_NS, TIMING_NAME, TimingFigures
-from armimp_common.judgement import JUDGEMENT_NAME, NOTICE_TICKS, Judgement
 from armimp_common.schema import defaults, flatten, leaves
+from armimp_common.stopping_rule import JUDGEMENT_NAME, NOTICE_TICKS, StoppingDecision
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 from armimp_control.parameters import ControllerParameters
-from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import AssembledTrial
+from armimp_estimation.alignment.stream_statistics import StreamStatistics
+from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.conclusion import READING_KEYS, Conclusion
+from armimp_estimation.estimators.lpm import FittedColumn
+from armimp_estimation.estimators.registry import estimator_names
+from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.lpm import FittedColumn
 from armimp_estimation.messages import (
     CONCLUSION_NAME,
     PROGRESS_NAME,
@@ -36,7 +40,6 @@ from armimp_estimation.messages import (
     progress_message,
 )
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.registry import estimator_names
 from armimp_estimation.results import (
     EstimatorSummary,
     OriginSummary,
@@ -48,14 +51,11 @@ from armimp_estimation.results import (
     summarise,
     write_frf,
 )
-from armimp_estimation.sample_ledger import SampleLedger
-from armimp_estimation.torque_reading import ReadingSummary
+from armimp_estimation.torque_timing import ReadingSummary
 from armimp_estimation.trial import TrialData
-from armimp_estimation.trial_windows import TrialWindow
-from armimp_estimation.welch import WelchSiso
-from armimp_sim.backlog import LIMIT
-from armimp_sim.paced import RAMP_TICKS
+from armimp_sim.flow_control import LIMIT
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
+from armimp_sim.realtime_simulator import RAMP_TICKS
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 Row = dict[str, str]
@@ -264,7 +264,7 @@ def test_the_keys_of_progress_are_those_of_the_code() -> None:
 
 
 def test_the_keys_of_a_judgement_are_those_of_the_code() -> None:
-    judgement = Judgement(trial=1, samples=0, enough=False, due=1, bound=0.02)
+    judgement = StoppingDecision(trial=1, samples=0, enough=False, due=1, bound=0.02)
     assert list(_table("Judgement", "key")) == list(judgement.to_values())
     assert f"`{JUDGEMENT_NAME}`" in PAGE
     assert f"{NOTICE_TICKS} samples" in PAGE
@@ -299,7 +299,7 @@ def test_the_keys_of_a_column_are_those_of_the_code(trials: list[TrialData]) -> 
         window=window,
         record=data.record,
         segments=(data.record,),
-        ledger=SampleLedger(streams={}),
+        ledger=StreamStatistics(streams={}),
         problem="",
     )
     message = column_message(assembled, data.spectra, WelchSiso().column(data.spectra))

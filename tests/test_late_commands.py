@@ -14,7 +14,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.trial_status import TrialStatus
 from armimp_control.experiment import Experiment
 from armimp_estimation.identify import Identification
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 from support.closed_loop import assert_accurate, identified
 
 pytestmark = pytest.mark.slow

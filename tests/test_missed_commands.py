@@ -17,8 +17,8 @@ from armimp_common.pacing import Pacer
 from armimp_common.trial_status import TrialStatus
 from armimp_control.experiment import Experiment
 from armimp_estimation.identify import Identification
-from armimp_sim.paced import PacedRig
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.realtime_simulator import RealtimeSimulator
+from armimp_sim.simulator import SimulatedRig
 from support.closed_loop import assert_accurate, identified
 
 pytestmark = pytest.mark.slow
@@ -36,7 +36,7 @@ def run(missed_share: float) -> tuple[Identification, float]:
     rig = SimulatedRig(parameters.simulator)
     now = [0]
     samples: list[tuple[Vector, Vector]] = []
-    paced = PacedRig(
+    paced = RealtimeSimulator(
         rig,
         lambda: samples.append((rig.position.copy(), rig.torque.copy())),
         Pacer(PERIOD_NS, now=lambda: now[0], sleep=lambda _: None),

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets as control_presets
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import Controller
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import Controller
 from armimp_control.stability import check_stability
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig

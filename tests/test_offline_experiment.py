@@ -13,7 +13,7 @@ from armimp_bringup.offline import OfflineTrial, Rig, run_offline
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.trial_status import Phase
 from armimp_control import presets as control_presets
-from armimp_control.law import Controller
+from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_control.safety import Action, Limit
 from armimp_control.sequence import SequenceConfig, timetable

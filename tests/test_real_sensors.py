@@ -19,15 +19,15 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
 from armimp_estimation.conclusion import reading_of
+from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import EstimatorResult, identify
-from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 Array = NDArray[np.float64]
 TARE = {"tare": {"duration": 0.6, "wait": 0.4}}

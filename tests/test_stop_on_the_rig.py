@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_control import presets as control_presets
-from armimp_control.law import Controller
+from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig

@@ -23,11 +23,11 @@ from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import PARAMETERS_FILE, run_experiment
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher
 from armimp_common.diagnostics import judgement_message, trial_status_message
 from armimp_common.domain import DomainClaim
-from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.pubsub import CommandPublisher
+from armimp_common.stopping_rule import StoppingDecision
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.results import Summary
 from support.graph import PATIENCE
@@ -158,7 +158,7 @@ def judging(node: Node) -> None:
     publisher = node.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
     until_heard(publisher, 1)
     for trial in (1, 2):
-        judgement = Judgement(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
+        judgement = StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
         publisher.publish(judgement_message(judgement))
 
 

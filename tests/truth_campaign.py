@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from armimp_common import contract
 from armimp_common.errors import ArmimpError
-from armimp_estimation.assemble import assemble_trials
+from armimp_estimation.alignment.assemble import assemble_trials
+from armimp_estimation.alignment.trial_streams import Stream, TrialStreams
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
-from armimp_estimation.trial_streams import Stream, TrialStreams
 from independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.simulated import simulate
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK
 from research.decomposition import (
     Cell,

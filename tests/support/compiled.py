@@ -6,7 +6,7 @@ import numpy as np
 
 from armimp_bringup.offline import Rig, run_offline
 from armimp_control import presets as control_presets
-from armimp_control.law import Controller
+from armimp_control.laws.law import Controller
 from armimp_control.sequence import SequenceConfig
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import PlantConfig

@@ -3,8 +3,8 @@
 The sequences hold what no rig should send: NaN, infinities, denormal and enormous numbers, jumps.
 Limits, actions, ramps and the number of joints are random, too. Half of the sequences give the gate
 arbitrary commands, the others go through the law of the study. The judge sees what goes in and what
-comes out, works out velocities anew, and counts how often a promise of :mod:`armimp_control.gate`
-was broken.
+comes out, works out velocities anew, and counts how often a promise of
+:mod:`armimp_control.safety_limiter` was broken.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
-from armimp_control.gate import (
+from armimp_control.laws.law import control_tick
+from armimp_control.laws.layout import COMMAND, MEMORY_ROWS, ROLE_ROWS, SENSED
+from armimp_control.safety_limiter import (
     ASKED,
     BAD_COMMAND,
     CENTRE,
@@ -38,8 +40,6 @@ from armimp_control.gate import (
     examine,
     let_through,
 )
-from armimp_control.law import control_tick
-from armimp_control.layout import COMMAND, MEMORY_ROWS, ROLE_ROWS, SENSED
 
 PROMISES = (
     "the output is finite",

@@ -20,16 +20,16 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
 from armimp_common import contract, qos
-from armimp_common.channels import (
+from armimp_common.diagnostics import values_of
+from armimp_common.domain import DomainClaim
+from armimp_common.executor import Spinner
+from armimp_common.pubsub import (
     CommandSubscription,
     JointStatePublisher,
     JointStateSubscription,
     wait_until_matched,
 )
-from armimp_common.diagnostics import values_of
-from armimp_common.domain import DomainClaim
 from armimp_common.schema import Value, flatten
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase, TrialStatus
 
 PATIENCE = 30.0

@@ -31,7 +31,6 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import contract, qos
 from armimp_common.cdr import CommandEncoder, command_number
-from armimp_common.channels import JointStatePublisher, RawSubscription
 from armimp_common.diagnostics import (
     Level,
     judgement_message,
@@ -40,10 +39,11 @@ from armimp_common.diagnostics import (
     trial_status_message,
 )
 from armimp_common.domain import DomainClaim
+from armimp_common.executor import Spinner
 from armimp_common.jitter import TIMING_NAME
-from armimp_common.judgement import Judgement
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.spin import Spinner
+from armimp_common.pubsub import JointStatePublisher, RawSubscription
+from armimp_common.stopping_rule import StoppingDecision
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.results import Summary
@@ -181,7 +181,7 @@ def status(**changes: Any) -> Callable[[Rng], DiagnosticStatus]:
 
 def judgement(trial: int) -> Callable[[Rng], DiagnosticStatus]:
     """Make a judgement that a trial may end."""
-    made = Judgement(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
+    made = StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
     return lambda _: judgement_message(made)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -227,7 +227,7 @@ def read_bag(*bags: str | Path) -> Recording:
     """
     from armimp_bringup.offline_estimate import read_bags
     from armimp_estimation.conclusion import reading_of
-    from armimp_estimation.timing import latest_metadata
+    from armimp_estimation.realtime_timing import latest_metadata
 
     contents = read_bags([Path(bag) for bag in bags])
     records = []
@@ -258,8 +258,8 @@ def identify(recording: Recording, estimator: str = "lpm_full") -> Result:
     DataError
         If the trials cannot be estimated.
     """
+    from armimp_estimation.estimators.lpm import LpmConfig
     from armimp_estimation.identify import identify as identify_trials
-    from armimp_estimation.lpm import LpmConfig
     from armimp_estimation.settings import IdentifyConfig
     from armimp_estimation.spectra import WelchConfig
     from armimp_estimation.trial import TrialData

@@ -238,7 +238,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         from armimp_bringup.config import load_config
         from armimp_bringup.orchestrator import run_experiment
         from armimp_bringup.presentation import Stopwatch, present
-        from armimp_common.spin import stop_on_signals
+        from armimp_common.executor import stop_on_signals
         from armimp_common.trial_status import Phase
         from armimp_estimation.figure_process import FigureProcess
 
@@ -352,7 +352,7 @@ def replay(
         display.phase("starting")
         from armimp_bringup.presentation import present
         from armimp_bringup.replay import replay_bags
-        from armimp_common.spin import stop_on_signals
+        from armimp_common.executor import stop_on_signals
         from armimp_estimation.bags.storage import find_bags
         from armimp_estimation.figure_process import FigureProcess
 

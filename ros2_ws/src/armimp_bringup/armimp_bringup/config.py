@@ -19,9 +19,9 @@ from armimp_common.schema import build, check_names, explain, flatten
 from armimp_common.versions import git_revision, versions
 from armimp_common.yaml_text import Loader, load_yaml
 from armimp_control.parameters import ControllerParameters
+from armimp_estimation.atomic_write import read_text, require_text
 from armimp_estimation.conclusion import TIMING_KEY
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
-from armimp_estimation.whole_files import read_text, require_text
 from armimp_sim.parameters import SimulatorParameters
 
 Overrides = dict[str, JsonValue]

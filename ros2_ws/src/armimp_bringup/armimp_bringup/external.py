@@ -13,8 +13,8 @@ from rclpy.parameter import Parameter
 from armimp_bringup.remote_parameters import Asked, RemoteParameters
 from armimp_common import contract
 from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.heartbeat import Presence, Watch
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.liveliness import Presence, Watch
 from armimp_common.parameters import as_parameters
 
 _DOMAIN = "ROS_DOMAIN_ID"

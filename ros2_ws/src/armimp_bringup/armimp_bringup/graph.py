@@ -23,9 +23,9 @@ from armimp_bringup.resources import config_file
 from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
-from armimp_common.lifeline import Lifeline
+from armimp_common.executor import NO_LOG_FILES, Spinner
+from armimp_common.parent_watchdog import ParentWatchdog
 from armimp_common.sockets import reachable_from_outside
-from armimp_common.spin import NO_LOG_FILES, Spinner
 
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 MODULES: Mapping[str, Sequence[str]] = {
@@ -231,7 +231,7 @@ class SeparateNodes:
         self._logs = {name: log_directory / f"{name}.log" for name in modules}
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
         self._forced: set[str] = set()
-        self._lifeline: Lifeline | None = Lifeline()
+        self._lifeline: ParentWatchdog | None = ParentWatchdog()
         environment = self._lifeline.environment()
         try:
             log_directory.mkdir(parents=True, exist_ok=True)

@@ -26,8 +26,8 @@ from armimp_bringup.tick_parts import TickParts, tick_parts
 from armimp_common import qos
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import GraphError
-from armimp_common.spin import Spinner
-from armimp_sim.rig import SimulatedRig
+from armimp_common.executor import Spinner
+from armimp_sim.simulator import SimulatedRig
 
 Processes = Literal["separate", "composed"]
 

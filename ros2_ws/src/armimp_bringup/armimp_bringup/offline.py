@@ -17,16 +17,16 @@ from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.trial_status import Phase
 from armimp_control.faults import in_words
-from armimp_control.gate import FAULT, GATE_ROWS, JOURNAL
-from armimp_control.law import LawConfig, LawNumbers, control_tick
-from armimp_control.layout import MEMORY_ROWS, NO_JOINT, TARE
+from armimp_control.laws.law import LawConfig, LawNumbers, control_tick
+from armimp_control.laws.layout import MEMORY_ROWS, NO_JOINT, TARE
 from armimp_control.perturbation import PerturbationConfig, perturbation
 from armimp_control.safety import SafetyConfig
+from armimp_control.safety_limiter import FAULT, GATE_ROWS, JOURNAL
 from armimp_control.sequence import Segment, SequenceConfig, timetable
 from armimp_control.tare import TareConfig
-from armimp_sim.packed import Tag
+from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
-from armimp_sim.sensors import Sampling
+from armimp_sim.simd.lanes import Tag
 from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
 
 
@@ -125,11 +125,11 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
     Parameters
     ----------
-    batch, joints, width : the batch, as in :mod:`armimp_sim.kernel`
+    batch, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
     substeps, step, interval_mean, transmission, resolutions : as for
         :func:`armimp_sim.plant.tick`
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
-    laws : (lanes,) numbers of the laws, from :class:`armimp_control.law.LawNumbers`
+    laws : (lanes,) numbers of the laws, from :class:`armimp_control.laws.law.LawNumbers`
     roles : (lanes, ROLE_ROWS, n) from the configurations of the laws
     targets, models : (lanes, n) θ_rd, rad, and (lanes, n, n) M̄, kg·m²
     scalars : (lanes, 2) Γ, rad/s; L, s

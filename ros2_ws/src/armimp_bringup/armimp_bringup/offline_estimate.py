@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.alignment.gaps import GapConfig
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.storage import require_distinct
@@ -20,12 +21,11 @@ from armimp_estimation.conclusion import (
     conclude,
     understand,
 )
-from armimp_estimation.estimate import Estimator
-from armimp_estimation.gaps import GapConfig
+from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.realtime_timing import latest_metadata
 from armimp_estimation.sampling import HIGHEST, LOWEST
-from armimp_estimation.timing import latest_metadata
-from armimp_estimation.torque_reading import TorqueTiming
+from armimp_estimation.torque_timing import TorqueTiming
 
 _LATEST = 0.1
 _TIMINGS = {

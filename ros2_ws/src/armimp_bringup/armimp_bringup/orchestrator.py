@@ -20,18 +20,18 @@ from armimp_common.errors import (
     DataError,
     GraphError,
 )
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.parameters import as_parameters
+from armimp_common.realtime_scheduling import require_precedence, seldom_collecting
 from armimp_common.schema import to_params_yaml
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
-from armimp_common.urgency import require_precedence, seldom_collecting
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
 from armimp_estimation.results import Summary, read_summary, write_summary
-from armimp_estimation.timing import RECORD_KEY, TimingRecord
 
 PARAMETERS_FILE = "parameters.yaml"
 GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)

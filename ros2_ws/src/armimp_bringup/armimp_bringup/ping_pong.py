@@ -18,7 +18,7 @@ from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import contract, qos
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.spin import run_node
+from armimp_common.executor import run_node
 from armimp_common.steady import steady_timer
 
 PING, PONG, TAP = NAMES = ("ping", "pong", "tap")

@@ -13,8 +13,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
 
 from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner
 from armimp_common.services import ask
-from armimp_common.spin import Spinner
 
 _PATIENCE = 10.0
 

@@ -23,17 +23,17 @@ from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_bringup.terminal import complete
 from armimp_common import contract, qos
 from armimp_common.cdr import stamp_of
-from armimp_common.channels import RawSubscription
 from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner
+from armimp_common.pubsub import RawSubscription
 from armimp_common.schema import to_params_yaml
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.bags import BagContent
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.realtime_timing import latest_metadata
 from armimp_estimation.results import Summary
-from armimp_estimation.timing import latest_metadata
-from armimp_estimation.trial_windows import TrialWindow
 
 _CLASSES: dict[str, type[Any]] = {
     contract.JOINT_STATES: JointState,

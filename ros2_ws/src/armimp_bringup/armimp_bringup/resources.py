@@ -6,7 +6,7 @@ import resource
 from pathlib import Path
 
 from armimp_common.errors import ConfigurationError, GraphError
-from armimp_estimation.whole_files import require_text
+from armimp_estimation.atomic_write import require_text
 
 _OPEN_FILES = 64
 """So many may be open at once in a process; a run of two joints has at most 26."""

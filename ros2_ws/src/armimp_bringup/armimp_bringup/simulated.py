@@ -9,9 +9,9 @@ from armimp_bringup.config import ExperimentConfig, NodeParameters, node_paramet
 from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_estimation.conclusion import reading_of
-from armimp_estimation.estimate import Estimator
+from armimp_estimation.estimators.estimate import Estimator
+from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.settings import IdentifyConfig

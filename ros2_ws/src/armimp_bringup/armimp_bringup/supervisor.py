@@ -14,8 +14,8 @@ from armimp_bringup.graph import GraphContext
 from armimp_common import contract, qos
 from armimp_common.diagnostics import GATE_STATUS, Level, values_of
 from armimp_common.errors import MalformedMessageError
+from armimp_common.heartbeat import Heartbeat
 from armimp_common.jitter import TIMING_NAME, TimingFigures
-from armimp_common.liveliness import SignOfLife
 from armimp_common.trial_status import Phase
 from armimp_estimation.messages import CONCLUSION_NAME
 
@@ -109,7 +109,7 @@ class Supervisor(Node):
         self._done = self._told = False
         self._answered: str | None = None
         self.last_news = time.monotonic()
-        self._sign = SignOfLife(self, contract.SUPERVISOR_NODE)
+        self._sign = Heartbeat(self, contract.SUPERVISOR_NODE)
         self.create_subscription(
             DiagnosticStatus, contract.PROGRESS, self._on_progress_message, qos.PROGRESS
         )

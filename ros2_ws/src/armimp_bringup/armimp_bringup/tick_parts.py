@@ -21,9 +21,9 @@ from armimp_common.contract import (
 from armimp_common.errors import DataError, MalformedMessageError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
-from armimp_estimation.inbox import TOGETHER, HandedInbox
+from armimp_estimation.alignment.synchronizer import TOGETHER, HandedInbox
 from armimp_estimation.recording import Recording
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 
 @dataclass(frozen=True, kw_only=True)

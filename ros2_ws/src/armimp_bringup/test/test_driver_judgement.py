@@ -14,7 +14,7 @@ from armimp_bringup.driver_check.witness import stalls
 from armimp_common import contract
 from armimp_common.contract import COMMANDS, JOINT_STATES, PERIOD_NS, TORQUE_SENSORS
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 JOINTS = ("shoulder", "elbow")
 ZERO = (0.0, 0.0)

@@ -11,7 +11,7 @@ from armimp_bringup.graph_bench import RATIO_LIMIT, Processes, Round, graph_figu
 from armimp_bringup.tick_parts import TickParts, tick_parts
 from armimp_common.errors import GraphError
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 PARTS = TickParts(plant=25e-6, law=3e-6, codecs=4e-6, recording=5e-6)
 

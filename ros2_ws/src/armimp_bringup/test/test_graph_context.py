@@ -15,9 +15,9 @@ from armimp_bringup.graph import ComposedNodes, GraphContext
 from armimp_bringup.resources import config_file
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner
 from armimp_common.schema import to_params_yaml
 from armimp_common.sockets import endpoints
-from armimp_common.spin import Spinner
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",

@@ -11,8 +11,8 @@ from armimp_bringup.config import ExperimentConfig, Overrides, load_config, node
 from armimp_bringup.realtime_bench import time_realtime
 from armimp_common.errors import ConfigurationError
 from armimp_common.jitter import TimingFigures, TimingLimits
+from armimp_estimation.realtime_timing import TimingRecord
 from armimp_estimation.results import Summary
-from armimp_estimation.timing import TimingRecord
 
 
 def test_in_real_time_both_nodes_are_told_and_each_gets_a_process() -> None:

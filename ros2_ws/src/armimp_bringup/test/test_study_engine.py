@@ -25,7 +25,7 @@ from armimp_bringup.study.engine import (
 )
 from armimp_bringup.study.errors import StudyError
 from armimp_common.errors import ConfigurationError
-from armimp_sim.kernel import WIDTH
+from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
 BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))

@@ -20,8 +20,8 @@ from armimp_common.diagnostics import (
     trial_status_message,
 )
 from armimp_common.errors import MalformedMessageError
+from armimp_common.executor import Spinner
 from armimp_common.jitter import TimingFigures
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase, TrialStatus
 from support.graph import PATIENCE
 

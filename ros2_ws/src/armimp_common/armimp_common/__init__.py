@@ -1,6 +1,6 @@
 """What the armimp packages share: message contract, wire format, errors; no physics, no ROS.
 
-The modules that need rclpy (``qos``, ``spin``, ``parameters``, ``channels``, ``lifecycle``)
+The modules that need rclpy (``qos``, ``executor``, ``parameters``, ``pubsub``, ``lifecycle``)
 are imported by name and never from here, so that the mathematics can be used without ROS.
 """
 

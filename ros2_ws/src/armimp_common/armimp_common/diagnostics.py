@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from armimp_common.contract import CONTROLLER_NODE
 from armimp_common.jitter import TIMING_NAME, TimingFigures
-from armimp_common.judgement import JUDGEMENT_NAME, Judgement
+from armimp_common.stopping_rule import JUDGEMENT_NAME, StoppingDecision
 from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def values_of(status: "DiagnosticStatus") -> dict[str, str]:
     return {item.key: item.value for item in status.values}
 
 
-def judgement_message(judgement: Judgement) -> "DiagnosticStatus":
+def judgement_message(judgement: StoppingDecision) -> "DiagnosticStatus":
     """Return the message that carries a judgement."""
     return make_status(JUDGEMENT_NAME, Level.OK, judgement.sentence, judgement.to_values())
 

@@ -9,9 +9,9 @@ from rclpy.subscription import Subscription
 from std_msgs.msg import String
 
 from armimp_common import contract, qos
-from armimp_common.channels import HasPublisher, HasSubscription, wait_until_matched
 from armimp_common.errors import GraphError
-from armimp_common.liveliness import Watch
+from armimp_common.heartbeat import Watch
+from armimp_common.pubsub import HasPublisher, HasSubscription, wait_until_matched
 
 _PATIENCE = 10.0
 _POLL = 0.002

@@ -33,7 +33,7 @@ class LifecycleManager:
         Names of the managed nodes, absolute or relative to the namespace of `node`.
     spin_until
         Spins until a future is done or a time (s) is over, and tells whether it is done;
-        usually `armimp_common.spin.Spinner.spin_until`. If managed nodes are in the same
+        usually `armimp_common.executor.Spinner.spin_until`. If managed nodes are in the same
         process it must spin them too.
     timeout
         For each answer (s); discovery and a slow configuration count.

@@ -14,23 +14,23 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 from armimp_common import contract, qos
-from armimp_common.channels import wait_until_matched
 from armimp_common.discovery import wait_until_known_to
 from armimp_common.errors import GraphError
-from armimp_common.spin import Spinner
+from armimp_common.executor import Spinner
+from armimp_common.pubsub import wait_until_matched
 from support.graph import PATIENCE, eventually
 
 ROUNDS = 20
 OTHER = """
 from armimp_common import qos
-from armimp_common.liveliness import SignOfLife
-from armimp_common.spin import run_node
+from armimp_common.heartbeat import Heartbeat
+from armimp_common.executor import run_node
 from rclpy.node import Node
 from std_msgs.msg import String
 
 def make(*, context):
     node = Node("other", context=context)
-    node.sign = SignOfLife(node, "other")
+    node.sign = Heartbeat(node, "other")
     publisher = node.create_publisher(String, "answer", qos.SAMPLE)
     node.create_subscription(String, "question", publisher.publish, qos.SAMPLE)
     return node

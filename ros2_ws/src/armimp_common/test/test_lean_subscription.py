@@ -11,8 +11,8 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from std_msgs.msg import UInt64
 
+from armimp_common.executor import ExecutorKind, Spinner
 from armimp_common.lean_subscription import LeanSubscription, make_lean
-from armimp_common.spin import ExecutorKind, Spinner
 from support.graph import PATIENCE
 
 PROFILE = QoSProfile(depth=10)

@@ -13,8 +13,8 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 
 from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager, ManagedNode, reported
-from armimp_common.spin import Spinner
 
 PATIENCE = 10.0
 
@@ -188,7 +188,7 @@ def test_names_are_relative_to_the_namespace_of_the_asking_node(context: Context
 def test_node_of_another_process_is_managed_and_its_death_noticed(node: Node) -> None:
     script = """
 from rclpy.lifecycle import LifecycleNode
-from armimp_common.spin import run_node
+from armimp_common.executor import run_node
 
 raise SystemExit(run_node(lambda *, context: LifecycleNode("remote", context=context)))
 """

@@ -10,9 +10,9 @@ from rclpy.serialization import serialize_message
 from std_msgs.msg import UInt64
 
 from armimp_common.cdr import decode_count
-from armimp_common.channels import unmatched, wait_until_matched
+from armimp_common.executor import ExecutorKind, Spinner
 from armimp_common.polled_subscription import PolledSubscription, PollingNode
-from armimp_common.spin import ExecutorKind, Spinner
+from armimp_common.pubsub import unmatched, wait_until_matched
 from support.graph import PATIENCE, eventually
 
 PROFILE = QoSProfile(depth=10)

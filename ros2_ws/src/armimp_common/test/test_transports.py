@@ -9,7 +9,7 @@ import pytest
 NODE = """
 import pathlib, sys
 from rclpy.node import Node
-from armimp_common.spin import run_node
+from armimp_common.executor import run_node
 class Watched(Node):
     def __init__(self, **kwargs):
         super().__init__("watched", **kwargs)

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS, clock_step
-from armimp_common.judgement import NOTICE_TICKS, Judgement
+from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_control.clips import ClipLedger
-from armimp_control.law import Controller
+from armimp_control.laws.law import Controller
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety import Limit
+from armimp_control.saturation import SaturationCounter
 from armimp_control.sequence import Segment, timetable
 from armimp_control.tare import Tare
 
@@ -81,7 +81,7 @@ class Experiment:
         self._reason = self._malformed = ""
         self.command, self.tau_delta = self._law.command, self._law.sample[2]
         self._compute = self._law.compute
-        self._clips = ClipLedger()
+        self._clips = SaturationCounter()
         self.fault = ""
         self.lost = 0
         self.finished = False
@@ -139,7 +139,7 @@ class Experiment:
         """Whether the estimator has announced a judgement that decides on the next sample."""
         return self._due is not None and self._place >= self._due + NOTICE_TICKS
 
-    def judge(self, judgement: Judgement) -> None:
+    def judge(self, judgement: StoppingDecision) -> None:
         """Take what the estimator makes of the present trial; if that is enough, end it early.
 
         The perturbation then ends :data:`NOTICE_TICKS` samples after those that were judged, or as
@@ -249,7 +249,7 @@ class Experiment:
         self._tare = None
         self._start_ns = None
         self._reason = ""
-        self._clips = ClipLedger()
+        self._clips = SaturationCounter()
         self.lost = 0
         self._ticks = self._perturbed_ticks(settle.trial)
         made = self._signals.get(settle.trial)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_control.gate import (
+from armimp_control.safety import Limit
+from armimp_control.safety_limiter import (
     BAD_COMMAND,
     BAD_PERTURBATION,
     BAD_POSITION,
@@ -20,7 +21,6 @@ from armimp_control.gate import (
     TORQUE,
     VELOCITY,
 )
-from armimp_control.safety import Limit
 
 _NOT_FINITE = {
     BAD_POSITION: "position",
@@ -42,8 +42,8 @@ def in_words(journal: NDArray[np.float64], place: int, rules: NDArray[np.float64
 
     Parameters
     ----------
-    journal, rules : of the gate, see :mod:`armimp_control.gate`
-    place : :data:`armimp_control.gate.FAULT` or :data:`armimp_control.gate.PRESENT`
+    journal, rules : of the gate, see :mod:`armimp_control.safety_limiter`
+    place : ``FAULT`` or ``PRESENT`` of :mod:`armimp_control.safety_limiter`
     """
     cause, joint, value = int(journal[place]), int(journal[place + 1]), float(journal[place + 2])
     if cause in {NO_CAUSE, OTHER_CAUSE}:

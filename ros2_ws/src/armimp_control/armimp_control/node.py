@@ -13,12 +13,6 @@ from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import (
-    CommandPublisher,
-    CountSubscription,
-    JointStatePublisher,
-    JointStateSubscription,
-)
 from armimp_common.diagnostics import (
     GATE_STATUS,
     Level,
@@ -29,14 +23,20 @@ from armimp_common.diagnostics import (
 )
 from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
-from armimp_common.judgement import Judgement
+from armimp_common.executor import run_node
+from armimp_common.heartbeat import Heartbeat, Presence, Watch
 from armimp_common.lifecycle import ManagedNode, reported
-from armimp_common.liveliness import Presence, SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load, require_unchanged
-from armimp_common.spin import run_node
+from armimp_common.pubsub import (
+    CommandPublisher,
+    CountSubscription,
+    JointStatePublisher,
+    JointStateSubscription,
+)
+from armimp_common.realtime_scheduling import RealtimeScheduling
 from armimp_common.steady import steady_timer
+from armimp_common.stopping_rule import StoppingDecision
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_common.urgency import Urgency
 from armimp_control.experiment import Experiment
 from armimp_control.pairs import Reading, SamplePairs, first_bad
 from armimp_control.parameters import PERIOD, ControllerParameters
@@ -60,7 +60,7 @@ class ImbicControllerNode(ManagedNode):
         super().__init__(contract.CONTROLLER_NODE, **kwargs)
         self._active = self._lockstep = False
         self._experiment: Experiment | None = None
-        self._sign = SignOfLife(self, contract.CONTROLLER_NODE)
+        self._sign = Heartbeat(self, contract.CONTROLLER_NODE)
         self._watches = [
             Watch(self, contract.SIM_NODE, self._on_presence),
             Watch(self, contract.SUPERVISOR_NODE, self._on_supervisor_presence),
@@ -68,7 +68,7 @@ class ImbicControllerNode(ManagedNode):
         ]
         self._recorded = False
         self._fault = ""
-        self._urgency: Urgency | None = None
+        self._urgency: RealtimeScheduling | None = None
         self._clips_told = 0
         self._stamp_ns = 0
         self._diagnostics: Publisher | None = None
@@ -137,7 +137,7 @@ class ImbicControllerNode(ManagedNode):
             period=PERIOD,
         )
         if self._settings.mode == "realtime":
-            self._urgency = Urgency(self._settings.realtime)
+            self._urgency = RealtimeScheduling(self._settings.realtime)
         self._active = True
         self._lockstep = self._settings.mode == "lockstep"
         self._timer.reset()
@@ -311,7 +311,7 @@ class ImbicControllerNode(ManagedNode):
             self._take_away(f"{contract.JUDGEMENT} has {publishers} publishers")
             return
         try:
-            experiment.judge(Judgement.from_values(values_of(message)))
+            experiment.judge(StoppingDecision.from_values(values_of(message)))
         except MalformedMessageError as error:
             self.get_logger().warning(str(error))
         if self._held is not None and not experiment.awaits_judgement:

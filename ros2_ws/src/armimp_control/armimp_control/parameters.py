@@ -11,12 +11,12 @@ from pydantic import Field
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
+from armimp_common.realtime_scheduling import UrgencyParameters
 from armimp_common.schema import Schema
-from armimp_common.urgency import UrgencyParameters
 from armimp_control import presets
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import LawConfig
-from armimp_control.pd import PdConfig
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import LawConfig
+from armimp_control.laws.pd import PdConfig
 from armimp_control.perturbation import PerturbationConfig
 from armimp_control.rig_dynamics import RigDynamics
 from armimp_control.safety import Action, SafetyConfig

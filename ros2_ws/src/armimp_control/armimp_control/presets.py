@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
-from armimp_control.imbic import ImbicConfig
+from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.perturbation import PerturbationConfig
 from armimp_control.safety import SafetyConfig
 

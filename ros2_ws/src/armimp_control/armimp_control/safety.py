@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_control.gate import CENTRE, RAMP, RATE, RULE_ROWS, STOPS
+from armimp_control.safety_limiter import CENTRE, RAMP, RATE, RULE_ROWS, STOPS
 
 
 class Action(str, Enum):
@@ -21,7 +21,7 @@ class Action(str, Enum):
 
 
 class Limit(str, Enum):
-    """What the gate limits; in the order of the numbers in :mod:`armimp_control.gate`."""
+    """What the gate limits; in the order of the numbers in :mod:`armimp_control.safety_limiter`."""
 
     POSITION = "position"
     VELOCITY = "velocity"
@@ -39,7 +39,7 @@ class SafetyConfig:
     Parameters
     ----------
     position_limit : largest distance from the posture θ_rd, rad
-    velocity_limit : largest speed over :data:`armimp_control.gate.WINDOW` ticks, rad/s
+    velocity_limit : largest speed over :data:`armimp_control.safety_limiter.WINDOW` ticks, rad/s
     torque_limit : largest commanded torque of any joint, N·m
     rate_limit : largest change of the command from tick to tick, N·m/s
     power_limit : largest |τ·θ̇| of a joint, W
@@ -99,7 +99,7 @@ class SafetyConfig:
         return max(math.floor(self.ramp_time / period + 1e-9), 1)
 
     def rules(self, posture: NDArray[np.float64], period: float) -> NDArray[np.float64]:
-        """What compiled code needs, (RULE_ROWS, n); rows as in :mod:`armimp_control.gate`.
+        """What compiled code needs, (RULE_ROWS, n), as :mod:`armimp_control.safety_limiter` has it.
 
         Parameters
         ----------

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import LawConfig
-from armimp_control.layout import DAMPING, INERTIA, SENSED, STIFFNESS
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import LawConfig
+from armimp_control.laws.layout import DAMPING, INERTIA, SENSED, STIFFNESS
 from armimp_control.rig_dynamics import RigDynamics
 
 LIMIT = 2.0

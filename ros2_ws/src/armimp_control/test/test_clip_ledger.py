@@ -7,17 +7,17 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_control.clips import LONGEST_LIST, ClipLedger
+from armimp_control.saturation import LONGEST_LIST, SaturationCounter
 
 
-def ledger_of(ticks: dict[int, int]) -> ClipLedger:
-    ledger = ClipLedger()
+def ledger_of(ticks: dict[int, int]) -> SaturationCounter:
+    ledger = SaturationCounter()
     for tick, clipped in sorted(ticks.items()):
         ledger.add(tick, clipped)
     return ledger
 
 
-def intervals(ledger: ClipLedger) -> list[tuple[int, int]]:
+def intervals(ledger: SaturationCounter) -> list[tuple[int, int]]:
     pairs = [text.split("-") for text in ledger.text.split()]
     return [(int(first), int(last)) for first, last in pairs]
 

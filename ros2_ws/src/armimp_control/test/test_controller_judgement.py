@@ -13,9 +13,9 @@ from rclpy.publisher import Publisher
 
 from armimp_common import contract, qos
 from armimp_common.diagnostics import judgement_message
-from armimp_common.judgement import NOTICE_TICKS, Judgement
+from armimp_common.executor import Spinner
 from armimp_common.schema import Value
-from armimp_common.spin import Spinner
+from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
 from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
@@ -42,9 +42,11 @@ PARAMETERS = ControllerParameters.preset(
 )
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.2, "safety.watchdog_ticks": 5}
 ON_A_RIG: dict[str, Value] = {"mode": "realtime"}
-ANNOUNCED = Judgement(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
-ENOUGH = Judgement(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
-NOT_YET = Judgement(trial=1, samples=JUDGED, enough=False, due=None, bound=0.02, largest=0.03)
+ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
+ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
+NOT_YET = StoppingDecision(
+    trial=1, samples=JUDGED, enough=False, due=None, bound=0.02, largest=0.03
+)
 
 Start = Callable[..., ImbicControllerNode]
 
@@ -111,7 +113,7 @@ def test_in_lockstep_the_sample_on_which_a_judgement_decides_is_answered_after_i
     driver: ScriptedDriver,
     spinner: Spinner,
     judge: Publisher,
-    judgement: Judgement,
+    judgement: StoppingDecision,
     ticks: int,
 ) -> None:
     start()

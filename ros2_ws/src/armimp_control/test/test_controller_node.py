@@ -19,9 +19,9 @@ from armimp_common import contract, qos
 from armimp_common.contract import PERIOD_NS
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.executor import Spinner, run_node
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value, build, flatten
-from armimp_common.spin import Spinner, run_node
 from armimp_common.stamps import to_time
 from armimp_common.trial_status import Phase
 from armimp_control.experiment import Experiment

@@ -12,8 +12,8 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 
 from armimp_common.contract import PERIOD_NS
+from armimp_common.executor import Spinner
 from armimp_common.schema import Value, build, flatten
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
 from armimp_control.experiment import Experiment
 from armimp_control.node import ImbicControllerNode

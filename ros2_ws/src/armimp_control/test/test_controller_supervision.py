@@ -11,11 +11,11 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import UInt64
 
-from armimp_common import contract, liveliness, qos
+from armimp_common import contract, heartbeat, qos
 from armimp_common.contract import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
-from armimp_common.processes import Life
+from armimp_common.executor import Spinner
+from armimp_common.process import Life
 from armimp_common.schema import Value
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
@@ -156,7 +156,7 @@ def test_when_rig_or_recorder_falls_silent_in_real_time_expect_zero_torque(
 def test_when_the_process_of_the_rig_is_stalled_before_the_first_sample_expect_patience(
     around: Surroundings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(liveliness, "life_of", lambda _: Life.RUNNING)
+    monkeypatch.setattr(heartbeat, "life_of", lambda _: Life.RUNNING)
     assert around.controller.trigger_activate() is SUCCESS, around.controller.transition_error
     around.driver.wait_for_controller()
     around.heard(SIM_NODE, alive=1, silent=0)

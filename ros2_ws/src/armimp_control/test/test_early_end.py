@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from armimp_common.contract import PERIOD_NS
-from armimp_common.judgement import NOTICE_TICKS, Judgement
+from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
 from armimp_control.parameters import ControllerParameters, SequenceParameters
@@ -28,8 +28,8 @@ PARAMETERS = ControllerParameters.preset(
         )
     }
 )
-ANNOUNCED = Judgement(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
-ENOUGH = Judgement(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
+ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
+ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
 NOT_YET = replace(ENOUGH, enough=False, due=600, largest=0.03)
 
 
@@ -136,7 +136,7 @@ def test_a_judgement_that_comes_at_the_last_moment_ends_the_trial_there(bench: B
     ids=["another trial", "samples that were not there", "at the end", "at rest", "settling"],
 )
 def test_when_a_judgement_does_not_fit_expect_it_ignored(
-    bench: Bench, ticks: int, judgement: Judgement
+    bench: Bench, ticks: int, judgement: StoppingDecision
 ) -> None:
     bench.run_into_perturbation(ticks)
     bench.experiment.judge(judgement)

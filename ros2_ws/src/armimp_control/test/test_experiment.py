@@ -12,7 +12,7 @@ from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
-from armimp_control.law import Controller
+from armimp_control.laws.law import Controller
 from armimp_control.parameters import (
     ControllerParameters,
     LawParameters,

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
-from armimp_control.gate import RAMP, RATE, RULE_ROWS, STOPS, TORQUE
-from armimp_control.law import Controller
+from armimp_control.laws.law import Controller
 from armimp_control.safety import Action, SafetyConfig
+from armimp_control.safety_limiter import RAMP, RATE, RULE_ROWS, STOPS, TORQUE
 from support import gate_campaign
 from support.fault_figures import Figures
 from support.gate_campaign import PROMISES, campaign

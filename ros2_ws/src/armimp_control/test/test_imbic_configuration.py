@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from armimp_common.errors import ConfigurationError
-from armimp_control.imbic import ImbicConfig
+from armimp_control.laws.imbic import ImbicConfig
 
 
 def _config() -> ImbicConfig:

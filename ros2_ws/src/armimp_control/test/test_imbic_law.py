@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import Controller
-from armimp_control.layout import NO_JOINT
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import Controller
+from armimp_control.laws.layout import NO_JOINT
 from support.safety import torque_only
 
 Array = NDArray[np.float64]

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import Controller
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import Controller
 from support.safety import torque_only
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.special import j0
 
 from armimp_control import presets
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import Controller
-from armimp_control.layout import APPROACH, DITHER, DITHER_ANGLE
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import Controller
+from armimp_control.laws.layout import APPROACH, DITHER, DITHER_ANGLE
 from support.safety import torque_only
 
 Array = NDArray[np.float64]

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
 from armimp_control.experiment import Experiment
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import Controller
-from armimp_control.layout import DAMPING, DITHER, STIFFNESS
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import Controller
+from armimp_control.laws.layout import DAMPING, DITHER, STIFFNESS
+from armimp_control.laws.pd import PdConfig
 from armimp_control.parameters import ControllerParameters
-from armimp_control.pd import PdConfig
 from armimp_control.stability import check_stability, spectral_radius
 from support.safety import torque_only
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.faults import clip_counts, in_words
-from armimp_control.gate import (
+from armimp_control.safety import Action, Limit, SafetyConfig
+from armimp_control.safety_limiter import (
     CLOSED,
     FAULT,
     GATE_ROWS,
@@ -23,7 +24,6 @@ from armimp_control.gate import (
     fall,
     let_through,
 )
-from armimp_control.safety import Action, Limit, SafetyConfig
 from support.safety import torque_only
 
 PERIOD = 1e-3
@@ -32,7 +32,7 @@ Vector = tuple[float, ...]
 BAD = [np.nan, np.inf, -np.inf]
 
 
-class Gate:
+class SafetyLimiter:
     """A gate of its own, fed tick by tick."""
 
     def __init__(self, joints: int = 2, *, config: SafetyConfig = WIDE, **limits: Any) -> None:
@@ -77,7 +77,7 @@ class Gate:
 
 
 def test_command_within_all_limits_passes_unchanged() -> None:
-    gate = Gate(config=SafetyConfig())
+    gate = SafetyLimiter(config=SafetyConfig())
     for command in ((80.0, -80.0), (-0.0, 5e-324), (1.0 / 3.0, -70.0)):
         assert gate.tick(command).tobytes() == np.array(command).tobytes()
         assert gate.clipped == 0
@@ -102,7 +102,7 @@ def test_command_within_all_limits_passes_unchanged() -> None:
 def test_one_bad_number_takes_the_torque_from_all_joints_at_once(
     where: str, said: str, joint: int, bad: float
 ) -> None:
-    gate = Gate(3)
+    gate = SafetyLimiter(3)
     gate.tick((30.0, -40.0, 50.0))
     values = [0.0, 0.0, 0.0]
     values[joint] = bad
@@ -115,7 +115,7 @@ def test_one_bad_number_takes_the_torque_from_all_joints_at_once(
 
 
 def test_bad_number_during_a_ramp_ends_the_ramp() -> None:
-    gate = Gate(ramp_time=0.05)
+    gate = SafetyLimiter(ramp_time=0.05)
     gate.tick((50.0, -50.0))
     close_gate(50, True, gate.memory, gate.journal)
     assert gate.tick((50.0, -50.0)).all()
@@ -128,7 +128,7 @@ def test_bad_number_during_a_ramp_ends_the_ramp() -> None:
 
 @pytest.mark.parametrize(("theta", "joint"), [((0.21, 0.0), 1), ((0.0, -0.61), 2)])
 def test_position_beyond_its_limit_stops(theta: Vector, joint: int) -> None:
-    gate = Gate(position_limit=(0.2, 0.6))
+    gate = SafetyLimiter(position_limit=(0.2, 0.6))
     gate.tick((5.0, 5.0), (0.2, -0.6))
     assert not gate.closed
     gate.tick((5.0, 5.0), theta)
@@ -141,7 +141,7 @@ def test_position_beyond_its_limit_stops(theta: Vector, joint: int) -> None:
 
 
 def test_position_counts_from_the_posture() -> None:
-    gate = Gate(position_limit=(0.2,))
+    gate = SafetyLimiter(position_limit=(0.2,))
     gate.rules = SafetyConfig(position_limit=(0.2,)).rules(np.array([1.0, -1.0]), PERIOD)
     gate.tick((0.0, 0.0), (1.1, -1.1))
     assert not gate.closed
@@ -150,7 +150,7 @@ def test_position_counts_from_the_posture() -> None:
 
 
 def test_beyond_a_position_limit_that_clips_only_inward_torque_passes() -> None:
-    gate = Gate(position_limit=(0.2,), position_action=Action.CLIP)
+    gate = SafetyLimiter(position_limit=(0.2,), position_action=Action.CLIP)
     assert gate.tick((5.0, 5.0), (0.3, -0.3)).tolist() == [0.0, 5.0]
     assert gate.tick((-5.0, -5.0), (0.3, -0.3)).tolist() == [-5.0, 0.0]
     assert gate.tick((5.0, -5.0), (0.2, -0.2)).tolist() == [5.0, -5.0]
@@ -163,11 +163,11 @@ def ramp_up(speed: float, ticks: int) -> list[Vector]:
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_velocity_beyond_its_limit_stops(sign: float) -> None:
-    gate = Gate(velocity_limit=(4.0,))
+    gate = SafetyLimiter(velocity_limit=(4.0,))
     for theta in ramp_up(sign * 3.9, 20):
         gate.tick((1.0, 1.0), theta)
     assert not gate.closed
-    gate = Gate(velocity_limit=(4.0,))
+    gate = SafetyLimiter(velocity_limit=(4.0,))
     for theta in ramp_up(sign * 4.1, 20):
         gate.tick((1.0, 1.0), theta)
     assert gate.closed
@@ -177,11 +177,11 @@ def test_velocity_beyond_its_limit_stops(sign: float) -> None:
 def test_velocity_is_a_difference_over_the_window_so_one_count_does_not_stop() -> None:
     count = 2.0 * np.pi / 51200
     assert count / PERIOD > 0.12
-    gate = Gate(velocity_limit=(0.025,))
+    gate = SafetyLimiter(velocity_limit=(0.025,))
     for k in range(50):
         gate.tick((1.0, 1.0), (count * (k % 2 if k > WINDOW else 0), 0.0))
     assert not gate.closed
-    gate = Gate(velocity_limit=(0.024,))
+    gate = SafetyLimiter(velocity_limit=(0.024,))
     for _ in range(WINDOW):
         gate.tick((1.0, 1.0))
     gate.tick((1.0, 1.0), (count, 0.0))
@@ -189,7 +189,7 @@ def test_velocity_is_a_difference_over_the_window_so_one_count_does_not_stop() -
 
 
 def test_first_sample_has_no_velocity_wherever_it_is() -> None:
-    gate = Gate(velocity_limit=(1e-6,))
+    gate = SafetyLimiter(velocity_limit=(1e-6,))
     gate.tick((1.0, 1.0), (3.0, -3.0))
     assert not gate.closed
     gate.tick((1.0, 1.0), (3.0, -3.0 + 1e-3))
@@ -197,7 +197,7 @@ def test_first_sample_has_no_velocity_wherever_it_is() -> None:
 
 
 def test_beyond_a_velocity_limit_that_clips_only_braking_torque_passes() -> None:
-    gate = Gate(velocity_limit=(1.0,), velocity_action=Action.CLIP)
+    gate = SafetyLimiter(velocity_limit=(1.0,), velocity_action=Action.CLIP)
     *_, last = ((gate.tick((5.0, 5.0), theta)).tolist() for theta in ramp_up(2.0, 4))
     assert last == [0.0, 5.0]
     assert gate.tick((-5.0, 5.0), (8e-3, 0.0)).tolist() == [-5.0, 5.0]
@@ -208,7 +208,7 @@ def test_beyond_a_velocity_limit_that_clips_only_braking_torque_passes() -> None
 
 
 def test_torque_beyond_its_limit_is_clipped_and_counted() -> None:
-    gate = Gate(torque_limit=80.0)
+    gate = SafetyLimiter(torque_limit=80.0)
     assert gate.tick((80.1, -1e300)).tolist() == [80.0, -80.0]
     assert gate.clipped == gate.count(Limit.TORQUE) == 2
     assert gate.tick((80.0, -80.0)).tolist() == [80.0, -80.0]
@@ -217,7 +217,7 @@ def test_torque_beyond_its_limit_is_clipped_and_counted() -> None:
 
 
 def test_torque_beyond_a_limit_that_stops_ramps_down_from_the_last_command() -> None:
-    gate = Gate(torque_limit=80.0, torque_action=Action.STOP, ramp_time=0.004)
+    gate = SafetyLimiter(torque_limit=80.0, torque_action=Action.STOP, ramp_time=0.004)
     gate.tick((40.0, -80.0))
     outputs = [gate.tick((0.0, 80.5)).tolist() for _ in range(6)]
     assert outputs == [[30.0, -60.0], [20.0, -40.0], [10.0, -20.0], [0.0, 0.0], *[[0.0, 0.0]] * 2]
@@ -226,7 +226,7 @@ def test_torque_beyond_a_limit_that_stops_ramps_down_from_the_last_command() -> 
 
 
 def test_torque_that_changes_too_fast_is_clipped_and_counted() -> None:
-    gate = Gate(torque_limit=80.0, rate_limit=2e4)
+    gate = SafetyLimiter(torque_limit=80.0, rate_limit=2e4)
     assert gate.tick((50.0, -19.0)).tolist() == [20.0, -19.0]
     assert gate.tick((50.0, -19.0)).tolist() == [40.0, -19.0]
     assert gate.tick((50.0, 2.0)).tolist() == [50.0, 1.0]
@@ -235,7 +235,7 @@ def test_torque_that_changes_too_fast_is_clipped_and_counted() -> None:
 
 
 def test_rate_beyond_a_limit_that_stops_is_told_in_the_words_of_a_tick() -> None:
-    gate = Gate(torque_limit=80.0, rate_limit=2e4, rate_action=Action.STOP)
+    gate = SafetyLimiter(torque_limit=80.0, rate_limit=2e4, rate_action=Action.STOP)
     gate.tick((15.0, 0.0))
     gate.tick((-10.0, 0.0))
     assert gate.closed
@@ -245,7 +245,7 @@ def test_rate_beyond_a_limit_that_stops_is_told_in_the_words_of_a_tick() -> None
 
 
 def test_power_beyond_its_limit_is_clipped_joint_by_joint() -> None:
-    gate = Gate(power_limit=10.0)
+    gate = SafetyLimiter(power_limit=10.0)
     for theta in ramp_up(2.0, 10):
         output = gate.tick((50.0, 50.0), theta)
     assert output == pytest.approx([5.0, 50.0], rel=1e-12)
@@ -254,7 +254,7 @@ def test_power_beyond_its_limit_is_clipped_joint_by_joint() -> None:
 
 
 def test_power_prevails_over_the_rate_but_only_towards_zero() -> None:
-    gate = Gate(torque_limit=80.0, rate_limit=1e4, power_limit=1.0)
+    gate = SafetyLimiter(torque_limit=80.0, rate_limit=1e4, power_limit=1.0)
     for _ in range(10):
         gate.tick((80.0, 0.0))
     assert gate.command[0] == 80.0
@@ -263,7 +263,7 @@ def test_power_prevails_over_the_rate_but_only_towards_zero() -> None:
 
 
 def test_power_beyond_a_limit_that_stops_is_told() -> None:
-    gate = Gate(power_limit=10.0, power_action=Action.STOP)
+    gate = SafetyLimiter(power_limit=10.0, power_action=Action.STOP)
     for theta in ramp_up(2.0, 10):
         gate.tick((6.0, 50.0), theta)
     assert gate.fault == "power asked of joint 1 is 12 W, beyond the limit of 10 W"
@@ -274,7 +274,7 @@ def test_power_beyond_a_limit_that_stops_is_told() -> None:
 
 @pytest.mark.parametrize(("ramp_time", "ticks"), [(0.05, 50), (0.01, 10), (0.001, 1), (0.0, 1)])
 def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, ticks: int) -> None:
-    gate = Gate(ramp_time=ramp_time)
+    gate = SafetyLimiter(ramp_time=ramp_time)
     gate.tick((50.0, -20.0))
     close_gate(ticks, True, gate.memory, gate.journal)
     outputs = np.array([gate.tick((50.0, -20.0)) for _ in range(ticks + 20)])
@@ -284,7 +284,7 @@ def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, tick
 
 
 def test_power_during_a_ramp_stays_within_its_limit_and_the_torque_does_not_rise_again() -> None:
-    gate = Gate(power_limit=10.0, ramp_time=0.05)
+    gate = SafetyLimiter(power_limit=10.0, ramp_time=0.05)
     gate.tick((50.0, 0.0))
     close_gate(50, True, gate.memory, gate.journal)
     fast = [*ramp_up(10.0, 10), *[(0.09, 0.0)] * 40]
@@ -295,7 +295,7 @@ def test_power_during_a_ramp_stays_within_its_limit_and_the_torque_does_not_rise
 
 
 def test_when_no_samples_come_the_ramp_goes_on_by_the_ticks_that_have_passed() -> None:
-    gate = Gate(ramp_time=0.05)
+    gate = SafetyLimiter(ramp_time=0.05)
     gate.tick((50.0, -50.0))
     close_gate(50, True, gate.memory, gate.journal)
     for ticks, left in ((10, 40.0), (0, 40.0), (39, 1.0), (100, 0.0)):
@@ -305,7 +305,7 @@ def test_when_no_samples_come_the_ramp_goes_on_by_the_ticks_that_have_passed() -
 
 
 def test_second_stop_makes_a_ramp_no_longer() -> None:
-    gate = Gate(ramp_time=0.05)
+    gate = SafetyLimiter(ramp_time=0.05)
     gate.tick((50.0, 0.0))
     for _ in range(25):
         close_gate(50, True, gate.memory, gate.journal)
@@ -314,7 +314,7 @@ def test_second_stop_makes_a_ramp_no_longer() -> None:
 
 
 def test_cut_takes_the_torque_away_at_once() -> None:
-    gate = Gate()
+    gate = SafetyLimiter()
     gate.tick((50.0, 0.0))
     close_gate(0, True, gate.memory, gate.journal)
     assert not gate.tick((50.0, 0.0)).any()

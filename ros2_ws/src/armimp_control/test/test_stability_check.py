@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
-from armimp_control.imbic import ImbicConfig
-from armimp_control.law import Controller
+from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.law import Controller
 from armimp_control.rig_dynamics import RigDynamics
 from armimp_control.stability import check_stability, spectral_radius
 from support.safety import torque_only

@@ -13,7 +13,7 @@ from armimp_driver_template.conversion import BITS, Calibration, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters
 from armimp_sim.parameters import ActuatorParameters, SensorParameters, SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 
 class MockDevice:

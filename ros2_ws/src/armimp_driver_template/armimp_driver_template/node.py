@@ -18,20 +18,20 @@ from std_msgs.msg import UInt64
 from armimp_common import contract, qos
 from armimp_common.contract import PERIOD_NS
 from armimp_common.discovery import wait_for_partners
+from armimp_common.driver_base import DriverBase
 from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.executor import run_node
 from armimp_common.jitter import TimingFigures, TimingLedger
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
-from armimp_common.rig_node import RigNode
-from armimp_common.spin import run_node
+from armimp_common.realtime_scheduling import wake_up_exactly
 from armimp_common.steady import steady_timer
-from armimp_common.urgency import wake_up_exactly
 from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Device, Frame
 from armimp_driver_template.mock import MockDevice
 from armimp_driver_template.parameters import DriverParameters
-from armimp_sim.backlog import Backlog
+from armimp_sim.flow_control import FlowControl
 
 _FRAME_TIMEOUT, _PATIENCE = 0.002, 0.1
 """How long a frame is waited for (s): two periods on a bus, longer where commands set the pace."""
@@ -45,10 +45,10 @@ def make_device(parameters: DriverParameters) -> Device:
     return MockDevice(parameters)
 
 
-class ExoDriver(RigNode[Protection]):
+class ExoDriver(DriverBase[Protection]):
     """Publishes what the device measures, and passes torque on to it."""
 
-    # Step 1: the node. What must work in every state comes from `RigNode`: the sign of life, the
+    # Step 1: the node. What must work in every state comes from `DriverBase`: the sign of life, the
     # watch over the controller, emergency stop and reset, the parameters.
     def __init__(self, **kwargs: Any) -> None:
         self._lock = threading.RLock()
@@ -70,7 +70,7 @@ class ExoDriver(RigNode[Protection]):
         self._drives = parameters.drives()
         protection = Protection(len(names), parameters.limits)
         self.open_gate(protection, names, self._on_command, self._on_malformed)
-        self._backlog = Backlog()
+        self._backlog = FlowControl()
         self.own(
             self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED),
             steady_timer(self, _REPORT_PERIOD, self.report),
@@ -175,7 +175,7 @@ class ExoDriver(RigNode[Protection]):
         if self.active and not self._device.paced:
             self._drive((0.0,) * len(self._settings.joints))
 
-    # Step 7: faults. `RigNode` has one latch for all of them; the drives learn of it here.
+    # Step 7: faults. `DriverBase` has one latch for all of them; the drives learn of it here.
     def torque_was_taken(self) -> None:
         """Tell the drives; in lockstep torque is an answer, and no sample has asked for one."""
         if self._device.paced and self.gate is not None:

@@ -18,7 +18,7 @@ from armimp_driver_template.parameters import (
     SensorParameters,
 )
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 
 
 def make(mode: str = "lockstep", **options: Any) -> MockDevice:

@@ -9,10 +9,10 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher, JointStateSubscription
 from armimp_common.diagnostics import Level
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.spin import Spinner
+from armimp_common.pubsub import CommandPublisher, JointStateSubscription
 from armimp_driver_template import node as template
 from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver

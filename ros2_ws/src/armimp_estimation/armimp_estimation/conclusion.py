@@ -13,13 +13,14 @@ import numpy as np
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
-from armimp_estimation.assemble import AssembledTrial
-from armimp_estimation.estimate import Estimator
-from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
+from armimp_estimation.alignment.assemble import AssembledTrial
+from armimp_estimation.alignment.gaps import GapConfig, judge_gaps, segments_for
+from armimp_estimation.estimators.estimate import Estimator
+from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
 from armimp_estimation.results import (
     FindingSummary,
     Summary,
@@ -32,8 +33,7 @@ from armimp_estimation.results import (
 )
 from armimp_estimation.sampling import TOLERANCE
 from armimp_estimation.settings import IdentifyConfig
-from armimp_estimation.timing import RECORD_KEY, TimingRecord
-from armimp_estimation.torque_reading import ReadingSummary, TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import ReadingSummary, TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 
 SUMMARY_FILE = "summary.json"

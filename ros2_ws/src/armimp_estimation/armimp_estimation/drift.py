@@ -8,8 +8,8 @@ can be told from a ramp: at the lowest bins each output obeys
 
     Y(k) = G(k) U(k) + T(k) + c·D(k) + V(k)
 
-as in :mod:`armimp_estimation.local_polynomial`, with the transform D of a ramp, and the slope c
-follows by least squares, with its standard error.
+as in :mod:`armimp_estimation.estimators.local_polynomial`, with the transform D of a ramp, and the
+slope c follows by least squares, with its standard error.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_estimation.local_polynomial import LocalPolynomialConfig
+from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.record import TrialRecord
 
 FloatArray = NDArray[np.float64]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from armimp_common.errors import DataError
-from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.lean_fonts import lean_fonts
 from armimp_estimation.report.curves import (
     BodeCurve,

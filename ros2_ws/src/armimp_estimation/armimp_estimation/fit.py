@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK
 
 FloatArray = NDArray[np.float64]

@@ -57,7 +57,7 @@ class FrfMatrix:
     R_variance, T_variance : ndarray, shape (n, n, n_freq)
         Variance of each complex value.
     covariance : ndarray, shape (n, 2n, 2n, n_freq)
-        See :class:`armimp_estimation.estimate.ImpedanceEstimate`.
+        See :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`.
     """
 
     f: FloatArray

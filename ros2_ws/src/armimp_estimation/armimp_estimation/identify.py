@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
-from armimp_estimation.estimate import Estimator, ImpedanceEstimate
+from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
+from armimp_estimation.estimators.lpm import LpmFull
+from armimp_estimation.estimators.registry import make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
-from armimp_estimation.lpm import LpmFull
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_stiffness
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Concern, Problem, spoiled
-from armimp_estimation.registry import make_estimator
 from armimp_estimation.robot_balance import RobotBalance, in_order, judge_balance, robot_balance
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.signal_quality import judge_signals
@@ -151,7 +151,7 @@ def identify(
     trials : sequence of TrialData
         One for each joint, in any order.
     estimators : sequence of str or Estimator
-        Names from :func:`armimp_estimation.registry.estimator_names`, or estimators of one's own.
+        Names from :mod:`armimp_estimation.estimators.registry`, or estimators of one's own.
     truth : MBK, optional
         True matrices, for the VAF only; they have no part in the verdict.
     config : IdentifyConfig, optional

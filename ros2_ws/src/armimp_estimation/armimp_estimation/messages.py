@@ -7,12 +7,12 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from armimp_common.contract import ESTIMATOR_NODE
 from armimp_common.diagnostics import Level, make_status
 from armimp_common.trial_status import TrialStatus
-from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion
-from armimp_estimation.estimate import ImpedanceColumn
+from armimp_estimation.estimators.estimate import ImpedanceColumn
+from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.identify import Identification
-from armimp_estimation.lpm import FittedColumn
-from armimp_estimation.precision import largest_error
+from armimp_estimation.stopping import largest_error
 from armimp_estimation.trial import TrialSpectra
 
 CONCLUSION_NAME = f"{ESTIMATOR_NODE}: impedance"

@@ -19,7 +19,6 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common import contract, qos
-from armimp_common.channels import CountPublisher, HasSubscription, RawSubscription
 from armimp_common.diagnostics import judgement_message, values_of
 from armimp_common.discovery import wait_for_partners
 from armimp_common.errors import (
@@ -28,19 +27,22 @@ from armimp_common.errors import (
     DataError,
     MalformedMessageError,
 )
+from armimp_common.executor import run_node
+from armimp_common.heartbeat import Heartbeat, Watch
 from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.lifecycle import ManagedNode, reported
-from armimp_common.liveliness import SignOfLife, Watch
 from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.polled_subscription import PolledSubscription, PollingNode, take_all
-from armimp_common.spin import run_node
+from armimp_common.pubsub import CountPublisher, HasSubscription, RawSubscription
 from armimp_common.steady import steady_timer
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import AssembledTrial
+from armimp_estimation.alignment.gaps import segments_for
+from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
+from armimp_estimation.alignment.trial_windows import AnnouncedTrials, only_missed_samples
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
-from armimp_estimation.gaps import segments_for
-from armimp_estimation.inbox import FETCHED, TOGETHER, Inbox
-from armimp_estimation.lpm import LpmConfig
+from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.messages import (
     column_message,
     conclusion_message,
@@ -48,11 +50,9 @@ from armimp_estimation.messages import (
     progress_message,
 )
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
 from armimp_estimation.recording import Recording
-from armimp_estimation.timing import RECORD_KEY, TimingRecord
 from armimp_estimation.trial import TrialData
-from armimp_estimation.trial_windows import AnnouncedTrials, only_missed_samples
-from armimp_estimation.welch import WelchSiso
 
 _LATE_PERIOD = 0.005
 """How often to look for messages that are late (s); mostly there are none."""
@@ -71,7 +71,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(contract.ESTIMATOR_NODE, **kwargs)
         self._active = False
-        self._sign = SignOfLife(self, contract.ESTIMATOR_NODE)
+        self._sign = Heartbeat(self, contract.ESTIMATOR_NODE)
         self._rig = Watch(self, contract.SIM_NODE, lambda _: None)
         self._controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
         # Not at configuration: a new subscription gets the last experiment's statuses again.
@@ -99,7 +99,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             for topic in FETCHED
         }
         self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
-        self._inbox = Inbox(
+        self._inbox = StreamSynchronizer(
             {topic: stream.take for topic, stream in fetched.items()},
             self._on_samples,
             self._late.reset,

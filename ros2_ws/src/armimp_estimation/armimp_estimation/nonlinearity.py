@@ -15,11 +15,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_estimation.hold_correction import HoldCorrection, command_steps
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.torque_reading import TorqueReading
-from armimp_estimation.update_jump import UpdateJump, command_steps
+from armimp_estimation.torque_timing import TorqueReading
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -37,7 +37,7 @@ _LEAST = 10.0
 def unexplained_torque(
     record: TrialRecord,
     arm: MBK,
-    jump: UpdateJump | None = None,
+    jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
@@ -48,7 +48,7 @@ def unexplained_torque(
         One trial.
     arm : MBK
         What was fitted.
-    jump : UpdateJump, optional
+    jump : HoldCorrection, optional
         How torques jump with the commands, if that is known.
     reading : TorqueReading, optional
         How torques were read.
@@ -87,7 +87,7 @@ def unexplained_torque(
 def change_of_stiffness(
     record: TrialRecord,
     arm: MBK,
-    jump: UpdateJump | None = None,
+    jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
 ) -> dict[str, tuple[float, float]]:
     """Change of the stiffness of the perturbed joint, and its standard error.
@@ -129,7 +129,7 @@ def change_of_stiffness(
 def judge_stiffness(
     record: TrialRecord,
     arm: MBK,
-    jump: UpdateJump | None = None,
+    jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
 ) -> list[Problem]:
     """Find stiffness that isn't constant; parameters are those of :func:`unexplained_torque`."""

@@ -9,11 +9,11 @@ from pydantic import Field
 from armimp_common.errors import ConfigurationError
 from armimp_common.jitter import TimingLimits
 from armimp_common.schema import Schema
+from armimp_estimation.alignment.gaps import GapConfig
 from armimp_estimation.conclusion import READING_KEYS
-from armimp_estimation.gaps import GapConfig
-from armimp_estimation.precision import PrecisionGoal
-from armimp_estimation.registry import estimator_names
-from armimp_estimation.torque_reading import HIGHEST_ORDER
+from armimp_estimation.estimators.registry import estimator_names
+from armimp_estimation.stopping import PrecisionGoal
+from armimp_estimation.torque_timing import HIGHEST_ORDER
 
 
 class RealtimeParameters(Schema):

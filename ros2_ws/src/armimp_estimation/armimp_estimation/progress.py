@@ -17,12 +17,12 @@ from armimp_common.contract import (
     VALUE_FIELD,
 )
 from armimp_common.errors import DataError, MalformedMessageError
-from armimp_estimation.lpm import FittedColumn, LpmFull
+from armimp_estimation.alignment.trial_streams import Stream, TrialStreams, numbers_of
+from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialAccumulator
-from armimp_estimation.trial_streams import Stream, TrialStreams, numbers_of
 
 _STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 

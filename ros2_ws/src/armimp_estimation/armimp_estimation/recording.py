@@ -8,20 +8,20 @@ from pathlib import Path
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS, TRIAL
 from armimp_common.errors import ArmimpError, DataError
-from armimp_common.judgement import Judgement
+from armimp_common.stopping_rule import StoppingDecision
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_estimation.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.alignment.sample_batch import SampleBatch
+from armimp_estimation.alignment.trial_segmenter import CollectedTrial, TrialSegmenter
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.bags.storage import BAGS
-from armimp_estimation.blocks import TickBlock
-from armimp_estimation.collector import CollectedTrial, TrialCollector
 from armimp_estimation.conclusion import FinishedTrial
-from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
-from armimp_estimation.precision import Judge, PrecisionGoal
+from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.progress import RunningTrial
+from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.timing import RECORD_KEY, TimingRecord
+from armimp_estimation.stopping import Judge, PrecisionGoal
 
 LEDGER = "ledger"
 """Metadata of a bag: the account of its samples, as JSON."""
@@ -64,7 +64,7 @@ class Recording:
         self._directory = directory
         self._metadata = metadata
         self._on_finished = on_finished
-        self._collector = TrialCollector(
+        self._collector = TrialSegmenter(
             self._write, self._on_complete, self._open, self._write_block
         )
         self._writer: BagWriter | None = None
@@ -145,7 +145,7 @@ class Recording:
             self._keep_column(running.column(self._collector.messages, samples))
         return self._column
 
-    def judge(self) -> Judgement | None:
+    def judge(self) -> StoppingDecision | None:
         """Judge the present trial if it is time, see `Judge`."""
         status = self._collector.status
         if not self._goal.bound or status is None or status.phase is not Phase.PERTURB:
@@ -250,7 +250,7 @@ class Recording:
             self._began = max(self._told_at, self._opened_at)
             self._write_statuses(self._collector.statuses, time_ns)
 
-    def _write_block(self, block: TickBlock) -> None:
+    def _write_block(self, block: SampleBatch) -> None:
         self._begin_at(block.stamps[0])
         last_ns = block.stamps[-1]
         if self._writer is not None:

@@ -13,15 +13,15 @@ from numpy.typing import NDArray
 from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from armimp_common.errors import DataError
+from armimp_estimation.alignment.stream_statistics import StreamStatistics
+from armimp_estimation.atomic_write import open_regular, read_bytes, write_whole
 from armimp_estimation.curve_checks import UNREADABLE, check_curve
 from armimp_estimation.identify import EstimatorResult, Identification
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, Severity, spoiled
-from armimp_estimation.sample_ledger import SampleLedger
 from armimp_estimation.scores import Coherences
-from armimp_estimation.torque_reading import ReadingSummary
-from armimp_estimation.whole_files import open_regular, read_bytes, write_whole
+from armimp_estimation.torque_timing import ReadingSummary
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -40,7 +40,7 @@ _COUNTS = ("duplicated", "contradictory", "reordered", "late")
 
 
 class StreamSummary(JsonModel):
-    """The messages of one stream within a trial, see `armimp_estimation.sample_ledger`."""
+    """The messages of one stream within a trial, see `alignment.stream_statistics`."""
 
     expected: int
     received: int
@@ -350,7 +350,7 @@ class TrialLedger:
         Times real time at which it ran; NaN if it was not run live.
     saved : float
         Time by which it ended earlier than planned, s.
-    samples : SampleLedger or None
+    samples : StreamStatistics or None
         The account of its messages, if it was made from messages.
     """
 
@@ -359,7 +359,7 @@ class TrialLedger:
     lost: int = 0
     rtf: float = math.nan
     saved: float = 0.0
-    samples: SampleLedger | None = None
+    samples: StreamStatistics | None = None
 
 
 def summarise(
@@ -497,8 +497,8 @@ class ImpedanceCurve:
         Of the errors at neighbouring frequencies.
     systematics : ndarray, shape (errors, n, n, n_freq)
     covariance, disturbance, inverse : ndarray or None
-        As those of :class:`armimp_estimation.estimate.ImpedanceEstimate`; the first two in single
-        precision.
+        As those of :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`; the first two
+        in single precision.
     coherence : Coherences
         Over the frequencies of the spectra.
     """

@@ -22,15 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.local_polynomial import LocalResponse, local_response
+from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import FitConfig, MBKFit, fit_impedance
-from armimp_estimation.local_polynomial import LocalResponse, local_response
-from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
-from armimp_estimation.welch import invert, multiply
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

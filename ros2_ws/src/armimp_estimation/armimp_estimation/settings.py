@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.fit import FitConfig
-from armimp_estimation.lpm import LpmConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.verdict import Limits
 

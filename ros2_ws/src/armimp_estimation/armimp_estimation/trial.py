@@ -10,7 +10,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.drift import drift_of
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
-from armimp_estimation.torque_reading import TorqueReading
+from armimp_estimation.torque_timing import TorqueReading
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

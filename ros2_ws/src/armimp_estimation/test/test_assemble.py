@@ -12,14 +12,14 @@ from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_estimation.assemble import AssembledTrial, assemble_trial, assemble_trials
+from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trial, assemble_trials
+from armimp_estimation.alignment.trial_streams import decode_streams
+from armimp_estimation.alignment.trial_windows import (
+    windows_from_statuses,
+)
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.trial_streams import decode_streams
-from armimp_estimation.trial_windows import (
-    windows_from_statuses,
-)
 from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 NAMES = ("shoulder", "elbow")

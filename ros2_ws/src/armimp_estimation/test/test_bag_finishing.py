@@ -11,10 +11,10 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 from armimp_common import contract
 from armimp_common.contract import CLOCK, DATA_STREAMS, PERIOD_NS
 from armimp_common.errors import BagError
+from armimp_estimation.alignment.sample_batch import block_of
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
-from armimp_estimation.blocks import block_of
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording
 

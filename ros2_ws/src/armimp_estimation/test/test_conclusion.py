@@ -16,7 +16,7 @@ from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
 from armimp_estimation.recording import Recording
 from armimp_estimation.results import Summary, read_frf, read_summary
-from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from support.recordings import recorded_arm
 from support.synthetic_bags import Message
 from support.synthetic_trials import TWO_JOINT_ARM

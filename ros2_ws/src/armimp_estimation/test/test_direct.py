@@ -7,17 +7,17 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.direct import Direct
-from armimp_estimation.estimate import Estimator
+from armimp_estimation.estimators.direct import Direct
+from armimp_estimation.estimators.estimate import Estimator
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.registry import make_estimator
+from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
-from armimp_estimation.lpm import LpmConfig, LpmFull
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.registry import make_estimator
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from armimp_estimation.welch import WelchFull, WelchSiso
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]

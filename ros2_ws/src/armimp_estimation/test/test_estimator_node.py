@@ -20,13 +20,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common import contract, qos
-from armimp_common.channels import CountSubscription, RawSubscription, wait_until_matched
 from armimp_common.contract import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.pubsub import CountSubscription, RawSubscription, wait_until_matched
 from armimp_common.schema import Value
-from armimp_common.spin import Spinner
 from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status

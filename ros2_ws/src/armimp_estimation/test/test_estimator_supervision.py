@@ -14,9 +14,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common import contract, qos
-from armimp_common.channels import wait_until_matched
 from armimp_common.diagnostics import trial_status_message
-from armimp_common.spin import Spinner
+from armimp_common.executor import Spinner
+from armimp_common.pubsub import wait_until_matched
 from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode

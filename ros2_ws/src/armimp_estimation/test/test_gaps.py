@@ -13,17 +13,17 @@ from armimp_common import contract
 from armimp_common.contract import PERIOD_NS, TRIAL
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_estimation.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.alignment.gaps import GapConfig, judge_gaps, segments_for
+from armimp_estimation.alignment.trial_windows import windows_from_statuses
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
-from armimp_estimation.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recording import LEDGER, Recording
 from armimp_estimation.results import Summary
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
 from armimp_estimation.trial import TrialData
-from armimp_estimation.trial_windows import windows_from_statuses
 from support.recordings import recorded_arm
 from support.synthetic_bags import Message, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial

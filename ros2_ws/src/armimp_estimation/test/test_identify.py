@@ -5,6 +5,7 @@ import pytest
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation import scores
+from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.frf import frf_matrix
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
@@ -13,7 +14,6 @@ from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialAccumulator, TrialData
 from armimp_estimation.verdict import Limits, judge_coherence, judge_locking
-from armimp_estimation.welch import WelchSiso
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.local_polynomial import (
+from armimp_estimation.estimators.local_polynomial import (
     LocalPolynomialConfig,
     LocalResponse,
     bins_in_band,

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.estimate import Estimator, ImpedanceEstimate
+from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
+from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk, r_squared
 from armimp_estimation.mbk import MBK
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
-from armimp_estimation.welch import WelchFull, WelchSiso
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 FloatArray = NDArray[np.float64]

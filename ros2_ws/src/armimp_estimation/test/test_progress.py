@@ -11,12 +11,12 @@ from armimp_common import contract
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.contract import COMMANDS, JOINT_STATES, PERIOD_NS, PERTURBATION, TORQUE_SENSORS
 from armimp_estimation import scores
-from armimp_estimation.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.alignment.trial_streams import decode_streams
+from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.progress import RunningTrial
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.torque_reading import TorqueReading, TorqueTiming
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from armimp_estimation.trial_streams import decode_streams
 from support.recordings import recorded_arm
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, synthetic_trial

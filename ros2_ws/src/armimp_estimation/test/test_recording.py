@@ -11,16 +11,16 @@ import pytest
 from armimp_common import contract
 from armimp_common.contract import DATA_STREAMS, PERTURBATION, TRIAL
 from armimp_common.errors import BagError, MalformedMessageError
-from armimp_common.judgement import NOTICE_TICKS, Judgement
+from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
 from armimp_common.trial_status import Phase
+from armimp_estimation.alignment.synchronizer import HandedInbox
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
 from armimp_estimation.conclusion import FinishedTrial
-from armimp_estimation.inbox import HandedInbox
-from armimp_estimation.lpm import LpmFull
-from armimp_estimation.precision import PrecisionGoal, largest_error
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recording import Recording
+from armimp_estimation.stopping import PrecisionGoal, largest_error
 from support.recordings import recorded_arm
 from support.synthetic_bags import Message, synthetic_recording
 
@@ -43,7 +43,7 @@ class Desk:
     goal: PrecisionGoal | None = None
     together: int = 1
     inbox: HandedInbox = field(default_factory=HandedInbox)
-    judgements: list[Judgement] = field(default_factory=list)
+    judgements: list[StoppingDecision] = field(default_factory=list)
     led: int = 0
 
     def __post_init__(self) -> None:

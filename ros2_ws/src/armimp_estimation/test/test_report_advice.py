@@ -14,12 +14,12 @@ import pytest
 from armimp_common import contract
 from armimp_common.errors import BagError, DataError
 from armimp_estimation import verdict
-from armimp_estimation.assemble import assemble_trials
+from armimp_estimation.alignment.assemble import assemble_trials
+from armimp_estimation.alignment.gaps import GapConfig, judge_gaps
 from armimp_estimation.bags import require_free_space
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.writer import why_not_written
 from armimp_estimation.frf import order_trials
-from armimp_estimation.gaps import GapConfig, judge_gaps
 from armimp_estimation.problems import SENTENCES, Problem, ProblemCode
 from armimp_estimation.report.advice import ADVICE, OTHER, advise
 from armimp_estimation.report.formats import difference, number, percent, uncertain

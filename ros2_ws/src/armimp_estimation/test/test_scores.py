@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation import scores
-from armimp_estimation.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord

@@ -13,8 +13,8 @@ from armimp_common.errors import DataError
 from armimp_common.jitter import TimingFigures, TimingLimits, judge_timing
 from armimp_estimation.conclusion import conclude
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord, latest_metadata
 from armimp_estimation.report import load_result, report_page
-from armimp_estimation.timing import RECORD_KEY, TimingRecord, latest_metadata
 from support.results import METADATA, make_result
 
 GOOD = TimingFigures(

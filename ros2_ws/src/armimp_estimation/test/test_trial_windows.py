@@ -8,16 +8,16 @@ from armimp_common import contract
 from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
 from armimp_common.trial_status import Phase, TrialStatus
-from armimp_estimation.assemble import AssembledTrial, assemble_trials
-from armimp_estimation.bags.statuses import decode_trial_statuses
-from armimp_estimation.record import TrialRecord
-from armimp_estimation.trial_windows import (
+from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     TrialWindow,
     infer_windows,
     tick_numbers,
     windows_from_statuses,
 )
+from armimp_estimation.bags.statuses import decode_trial_statuses
+from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 NAMES = ("shoulder", "elbow")

@@ -10,17 +10,17 @@ from typing import Any
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
-from armimp_common.channels import CommandPublisher, RawSubscription
 from armimp_common.discovery import wait_for_partners
+from armimp_common.driver_base import DriverBase
 from armimp_common.errors import ArmimpError, MalformedMessageError
+from armimp_common.executor import run_node
 from armimp_common.jitter import TimingFigures, TimingLedger
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
-from armimp_common.rig_node import RigNode
-from armimp_common.spin import run_node
+from armimp_common.pubsub import CommandPublisher, RawSubscription
+from armimp_common.realtime_scheduling import RealtimeScheduling
 from armimp_common.steady import steady_timer
-from armimp_common.urgency import Urgency
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
 
@@ -35,12 +35,12 @@ _DRIFT_NS = 20
 """How much slower the clock of the stamps may run, in one period (ns)."""
 
 
-class Ros2ControlBridge(RigNode[Protection]):
+class Ros2ControlBridge(DriverBase[Protection]):
     """Splits joint states into angles and torques, and lets commands through its protection."""
 
     def __init__(self, **kwargs: Any) -> None:
         self._listened = 0
-        self._urgency: Urgency | None = None
+        self._urgency: RealtimeScheduling | None = None
         super().__init__(BridgeParameters(), "the drives are on", **kwargs)
 
     @reported
@@ -67,7 +67,7 @@ class Ros2ControlBridge(RigNode[Protection]):
             subscriptions=[self._states, self.commands],
             watches=[self.controller],
         )
-        self._urgency = Urgency(self._settings.realtime)
+        self._urgency = RealtimeScheduling(self._settings.realtime)
         self._stamps, self._ledger = Stamps(), TimingLedger()
         self._heard = self._looked_at = self._sent_ns = 0
         self._begin_ns: int | None = None

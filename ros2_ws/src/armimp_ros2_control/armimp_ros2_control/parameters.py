@@ -8,8 +8,8 @@ from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.protection import ProtectionLimits
+from armimp_common.realtime_scheduling import UrgencyParameters
 from armimp_common.schema import Schema
-from armimp_common.urgency import UrgencyParameters
 
 
 class BridgeParameters(Schema):

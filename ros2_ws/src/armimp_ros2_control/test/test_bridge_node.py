@@ -14,11 +14,11 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.contract import PERIOD_NS
 from armimp_common.diagnostics import Level
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.spin import Spinner
+from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.stamps import to_time
 from armimp_ros2_control import node as node_module
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge

@@ -15,7 +15,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from armimp_sim import presets
-from armimp_sim.robot import PlanarChain
+from armimp_sim.model.robot import PlanarChain
 
 _TUBE = 0.015
 """Radius of the drawn links (m)."""

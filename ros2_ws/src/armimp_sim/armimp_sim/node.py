@@ -1,4 +1,4 @@
-"""The simulator node: ROS around :class:`armimp_sim.rig.SimulatedRig`."""
+"""The simulator node: ROS around :class:`armimp_sim.simulator.SimulatedRig`."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from typing import Any
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from armimp_common import contract
-from armimp_common.channels import ClockPublisher, CountSubscription
 from armimp_common.diagnostics import make_array, timing_status
 from armimp_common.discovery import wait_for_partners
+from armimp_common.driver_base import DriverBase
 from armimp_common.errors import ArmimpError, GraphError
+from armimp_common.executor import run_node
+from armimp_common.heartbeat import Presence, Watch
 from armimp_common.lifecycle import reported
-from armimp_common.liveliness import Presence, Watch
 from armimp_common.pacing import Pacer
 from armimp_common.parameters import load, require_unchanged
-from armimp_common.rig_node import RigNode
-from armimp_common.spin import run_node
+from armimp_common.pubsub import ClockPublisher, CountSubscription
+from armimp_common.realtime_scheduling import RealtimeScheduling
 from armimp_common.steady import steady_timer
-from armimp_common.urgency import Urgency
-from armimp_sim.backlog import Backlog
-from armimp_sim.paced import PacedRig
+from armimp_sim.flow_control import FlowControl
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.realtime_simulator import RealtimeSimulator
+from armimp_sim.simulator import SimulatedRig
 
 _CLOCK_TICKS = 100
 _DIAGNOSTICS_TICKS = 1000
@@ -34,15 +34,15 @@ _TIMING_TICKS = 100
 """Ticks between two reports of the timing in realtime."""
 
 
-class ArmSimNode(RigNode[SimulatedRig]):
+class ArmSimNode(DriverBase[SimulatedRig]):
     """Publishes samples: one for each command (lockstep), or one each millisecond (realtime)."""
 
     def __init__(self, **kwargs: Any) -> None:
-        self._paced: PacedRig | None = None
-        self._urgency: Urgency | None = None
+        self._paced: RealtimeSimulator | None = None
+        self._urgency: RealtimeScheduling | None = None
         self._holding = False
         self._told_tick = self._told_timing = 0
-        self._backlog = Backlog()
+        self._backlog = FlowControl()
         super().__init__(SimulatorParameters.preset(), "the simulation is running", **kwargs)
         self._recorder = Watch(self, contract.ESTIMATOR_NODE, self._on_recorder)
 
@@ -53,7 +53,7 @@ class ArmSimNode(RigNode[SimulatedRig]):
         rig = SimulatedRig(parameters)
         self.open_gate(rig, parameters.joints, self._on_command, self._on_malformed)
         self._clock_publisher = ClockPublisher(self)
-        self._backlog = Backlog()
+        self._backlog = FlowControl()
         self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
         received = CountSubscription(self, contract.RECEIVED, self._on_received)
@@ -86,9 +86,9 @@ class ArmSimNode(RigNode[SimulatedRig]):
         realtime = self._settings.realtime
         pacer = Pacer(contract.PERIOD_NS, spin_ns=round(realtime.spin * contract.NS_PER_S))
         patience = self._settings.watchdog_ticks
-        self._paced = PacedRig(rig, self._send, pacer, watchdog_ticks=patience)
+        self._paced = RealtimeSimulator(rig, self._send, pacer, watchdog_ticks=patience)
         try:
-            self._urgency = Urgency(realtime)
+            self._urgency = RealtimeScheduling(realtime)
         except GraphError:
             self.active, self._paced = False, None
             raise
@@ -221,7 +221,7 @@ class ArmSimNode(RigNode[SimulatedRig]):
         if rig.tick % _CLOCK_TICKS == 0:
             self._clock_publisher.publish(stamp_ns)
 
-    def _report_timing(self, paced: PacedRig) -> None:
+    def _report_timing(self, paced: RealtimeSimulator) -> None:
         rig = self.gate
         assert rig is not None
         with paced.lock:

@@ -10,16 +10,16 @@ from pydantic import Field
 
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
+from armimp_common.realtime_scheduling import UrgencyParameters
 from armimp_common.schema import Schema
-from armimp_common.urgency import UrgencyParameters
 from armimp_sim import presets
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
-from armimp_sim.imperfections import LONGEST_DELAY, Imperfections
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sampling, Sensors
 from armimp_sim.plant import PlantConfig
-from armimp_sim.robot import PlanarChain
-from armimp_sim.sensors import Sampling, Sensors
-from armimp_sim.transmission import ORDERS
+from armimp_sim.sensor_dynamics import ORDERS
+from armimp_sim.sensor_model import LONGEST_DELAY, SensorModel
 from armimp_sim.voluntary import VoluntaryConfig
 
 WATCHDOG_TICKS = 5
@@ -225,7 +225,7 @@ class SimulatorParameters(Schema):
             substeps=self.substeps,
         )
 
-    def imperfections(self) -> Imperfections:
+    def imperfections(self) -> SensorModel:
         """What transducers and drives lack.
 
         Raises
@@ -234,7 +234,7 @@ class SimulatorParameters(Schema):
             If a value makes no sense.
         """
         sensors = self.sensors
-        return Imperfections(
+        return SensorModel(
             offset=sensors.torque_offset,
             drift=sensors.torque_drift,
             gain=sensors.torque_gain,

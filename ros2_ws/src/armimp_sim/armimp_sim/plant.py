@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
-from armimp_sim import kernel, transmission
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
-from armimp_sim.imperfections import Imperfections
-from armimp_sim.packed import Tag
-from armimp_sim.robot import PlanarChain
-from armimp_sim.sensors import Sampling, Sensors, quantise
+from armimp_sim import dynamics
+from armimp_sim import sensor_dynamics as transmission
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sampling, Sensors, quantise
+from armimp_sim.sensor_model import SensorModel
+from armimp_sim.simd.lanes import Tag
 
 RK4_LIMIT = 2.7
 """|h·λ| on the real axis up to which explicit RK4 is stable (2.785, with a margin)."""
@@ -52,7 +53,7 @@ class PlantConfig:
     robot: PlanarChain
     friction: tuple[LuGre, ...]
     sensors: Sensors
-    imperfections: Imperfections = field(default_factory=Imperfections)
+    imperfections: SensorModel = field(default_factory=SensorModel)
     period: float = 1e-3
     substeps: int = 100
 
@@ -127,7 +128,7 @@ class Plant:
     ----------
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
-    transmission : the lanes of :mod:`armimp_sim.transmission`; None without imperfections
+    transmission : the lanes of :mod:`armimp_sim.sensor_dynamics`; None without imperfections
     """
 
     def __init__(self, configs: Sequence[PlantConfig]) -> None:
@@ -144,9 +145,9 @@ class Plant:
                 )
         self.config = first
         n, lanes = first.joints, len(configs)
-        width = kernel.width_for(lanes)
+        width = dynamics.width_for(lanes)
         blocks = -(-lanes // width)
-        self.batch = np.zeros((blocks, kernel.rows(n) * width))
+        self.batch = np.zeros((blocks, dynamics.rows(n) * width))
         self.joint_tag, self.width_tag = (0.0,) * n, (0.0,) * width
         self.resolutions = np.array(
             [(c.sensors.encoder_resolution, c.sensors.torque_resolution) for c in configs]
@@ -222,7 +223,7 @@ class Plant:
 
     def _sample(self) -> None:
         if self.transmission is None:
-            kernel.sample_now(self.batch, self.joint_tag, self.width_tag)
+            dynamics.sample_now(self.batch, self.joint_tag, self.width_tag)
         else:
             transmission.settle(self.batch, self.joint_tag, self.width_tag, self.transmission)
         read(
@@ -276,21 +277,21 @@ def _transmission(configs: Sequence[PlantConfig]) -> NDArray[np.float64] | None:
 def _pack(config: PlantConfig) -> NDArray[np.float64]:
     """All rows of one lane, at rest in the posture."""
     n = config.joints
-    vectors = np.zeros((kernel.VECTORS, n))
+    vectors = np.zeros((dynamics.VECTORS, n))
     arm, friction = config.arm, config.friction
-    vectors[kernel.THETA] = vectors[kernel.POSTURE] = arm.posture
+    vectors[dynamics.THETA] = vectors[dynamics.POSTURE] = arm.posture
     # Without friction g(v) may be anything but zero, which it divides.
-    vectors[kernel.COULOMB] = [law.coulomb if law.coulomb > 0.0 else 1.0 for law in friction]
-    vectors[kernel.STRIBECK] = [law.static - law.coulomb for law in friction]
-    vectors[kernel.INVERSE_STRIBECK_VELOCITY] = [1.0 / law.stribeck_velocity for law in friction]
-    vectors[kernel.SIGMA_0] = [law.sigma_0 for law in friction]
-    vectors[kernel.SIGMA_1] = [law.sigma_1 for law in friction]
-    vectors[kernel.SIGMA_2] = [law.sigma_2 for law in friction]
-    matrices = np.zeros((kernel.MATRICES, n, n))
-    matrices[kernel.INERTIA] = arm.inertia
-    matrices[kernel.DAMPING] = arm.damping
-    matrices[kernel.STIFFNESS] = arm.stiffness
-    matrices[kernel.CHAIN] = config.robot.coefficients()
+    vectors[dynamics.COULOMB] = [law.coulomb if law.coulomb > 0.0 else 1.0 for law in friction]
+    vectors[dynamics.STRIBECK] = [law.static - law.coulomb for law in friction]
+    vectors[dynamics.INVERSE_STRIBECK_VELOCITY] = [1.0 / law.stribeck_velocity for law in friction]
+    vectors[dynamics.SIGMA_0] = [law.sigma_0 for law in friction]
+    vectors[dynamics.SIGMA_1] = [law.sigma_1 for law in friction]
+    vectors[dynamics.SIGMA_2] = [law.sigma_2 for law in friction]
+    matrices = np.zeros((dynamics.MATRICES, n, n))
+    matrices[dynamics.INERTIA] = arm.inertia
+    matrices[dynamics.DAMPING] = arm.damping
+    matrices[dynamics.STIFFNESS] = arm.stiffness
+    matrices[dynamics.CHAIN] = config.robot.coefficients()
     return np.concatenate([vectors.ravel(), matrices.ravel()])
 
 
@@ -307,16 +308,16 @@ def read(
 
     Parameters
     ----------
-    w, joints, width : the batch, as in :mod:`armimp_sim.kernel`
+    w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
     resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
     position, torque : (lanes, n), written, rad and N·m
     """
     n, m = len(joints), len(width)
     for lane in range(position.shape[0]):
         for i in range(n):
-            angle = w[kernel.place(lane, kernel.THETA * n + i, m)]
+            angle = w[dynamics.place(lane, dynamics.THETA * n + i, m)]
             position[lane, i] = quantise(angle, resolutions[lane, 0])
-            load = w[kernel.place(lane, kernel.TORQUE * n + i, m)]
+            load = w[dynamics.place(lane, dynamics.TORQUE * n + i, m)]
             torque[lane, i] = quantise(load, resolutions[lane, 1])
 
 
@@ -339,10 +340,10 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
     Parameters
     ----------
-    w, joints, width : the batch, as in :mod:`armimp_sim.kernel`
+    w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
     substeps, step : number and length (s) of the RK4 steps
     interval_mean : whether torque is the mean over the period
-    lanes : of :mod:`armimp_sim.transmission`, updated; None without imperfections
+    lanes : of :mod:`armimp_sim.sensor_dynamics`, updated; None without imperfections
     resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
     command, voluntary : (lanes, n) N·m
     position, torque : (lanes, n), written, rad and N·m
@@ -355,12 +356,12 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     n, m = len(joints), len(width)
     for lane in range(command.shape[0]):
         for i in range(n):
-            w[kernel.place(lane, kernel.COMMAND * n + i, m)] = command[lane, i]
-            w[kernel.place(lane, kernel.VOLUNTARY * n + i, m)] = voluntary[lane, i]
+            w[dynamics.place(lane, dynamics.COMMAND * n + i, m)] = command[lane, i]
+            w[dynamics.place(lane, dynamics.VOLUNTARY * n + i, m)] = voluntary[lane, i]
     # Of the two only the one that is needed gets compiled, as None is a type.
     if lanes is None:
-        kernel.advance(w, joints, width, substeps, step, interval_mean)
+        dynamics.advance(w, joints, width, substeps, step, interval_mean)
     else:
         transmission.advance(w, joints, width, substeps, step, interval_mean, lanes)
     read(w, joints, width, resolutions, position, torque)
-    return kernel.stiffness_ratio(w, joints, width, step)
+    return dynamics.stiffness_ratio(w, joints, width, step)

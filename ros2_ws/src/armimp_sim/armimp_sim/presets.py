@@ -6,11 +6,11 @@ import numpy as np
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
-from armimp_sim import even_chain
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
-from armimp_sim.robot import PlanarChain
-from armimp_sim.sensors import Sampling, Sensors
+from armimp_sim.model import even_chain
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sampling, Sensors
 
 LEVELS = (0, 1, 2, 3)
 
@@ -39,7 +39,7 @@ def human_arm(joints: int) -> HumanArm:
     """The arm: Table I of the paper for two joints, its elbow alone for one.
 
     Assumptions: for three joints a wrist is added; four to seven are those of
-    :mod:`armimp_sim.even_chain`.
+    :mod:`armimp_sim.model.even_chain`.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def human_arm(joints: int) -> HumanArm:
 def robot(joints: int) -> PlanarChain:
     """The exoskeleton. Assumption, constrained by an endpoint mass of about 1 kg.
 
-    One joint is the second of two; four to seven are those of :mod:`armimp_sim.even_chain`.
+    One joint is the second of two; four to seven are those of :mod:`armimp_sim.model.even_chain`.
 
     Raises
     ------

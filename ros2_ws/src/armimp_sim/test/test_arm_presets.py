@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
-from armimp_sim import even_chain, presets
+from armimp_sim import presets
+from armimp_sim.model import even_chain
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import PlantConfig
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from armimp_sim.elementary import exp_minus, sine_cosine
+from armimp_sim.simd.math import exp_minus, sine_cosine
 
 Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import pytest
 from armimp_common.contract import PERIOD_NS
 from armimp_common.jitter import LATE_NS
 from armimp_common.pacing import Pacer
-from armimp_sim.paced import RAMP_TICKS, UNHEARD_TICKS, PacedRig
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.realtime_simulator import RAMP_TICKS, UNHEARD_TICKS, RealtimeSimulator
+from armimp_sim.simulator import SimulatedRig
 
 PARAMETERS = SimulatorParameters.preset()
 Command = tuple[float, ...]
@@ -30,7 +30,7 @@ class Bench:
         self.rig = SimulatedRig(PARAMETERS)
         self.sent: list[tuple[int, Command, Command]] = []
         pacer = Pacer(PERIOD_NS, now=lambda: self.ns, sleep=lambda _: None)
-        self.paced = PacedRig(self.rig, self.send, pacer, watchdog_ticks=watchdog_ticks)
+        self.paced = RealtimeSimulator(self.rig, self.send, pacer, watchdog_ticks=watchdog_ticks)
         self.start_ns = self.ns
         self.paced.begin()
 
@@ -334,7 +334,7 @@ class TestThread:
     def test_samples_come_by_themselves_in_their_order_until_it_is_stopped(self) -> None:
         rig = SimulatedRig(PARAMETERS)
         stamps: list[int] = []
-        paced = PacedRig(rig, lambda: stamps.append(rig.stamp_ns), Pacer(PERIOD_NS))
+        paced = RealtimeSimulator(rig, lambda: stamps.append(rig.stamp_ns), Pacer(PERIOD_NS))
         began = time.monotonic()
         paced.start()
         while len(stamps) < 50:
@@ -356,7 +356,7 @@ class TestThread:
             if rig.tick == 3:
                 raise problem
 
-        paced = PacedRig(rig, send, Pacer(PERIOD_NS))
+        paced = RealtimeSimulator(rig, send, Pacer(PERIOD_NS))
         paced.start()
         paced._thread.join(30.0)
         assert paced.error is problem

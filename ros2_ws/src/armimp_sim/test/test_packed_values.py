@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
-from armimp_sim.elementary import exp_minus, sine_cosine
-from armimp_sim.kernel import WIDTH, width_for
-from armimp_sim.packed import Tag, fill, load, power_of_two, store, where_less
+from armimp_sim.dynamics import WIDTH, width_for
+from armimp_sim.simd.lanes import Tag, fill, load, power_of_two, store, where_less
+from armimp_sim.simd.math import exp_minus, sine_cosine
 
 Array = NDArray[np.float64]
 ONE: Tag = (0.0,)

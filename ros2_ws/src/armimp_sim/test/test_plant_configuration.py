@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
-from armimp_sim.arm import HumanArm
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.robot import PlanarChain
 from armimp_sim.plant import PlantConfig
-from armimp_sim.robot import PlanarChain
 
 Array = NDArray[np.float64]
 

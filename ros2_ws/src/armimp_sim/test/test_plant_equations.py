@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_sim import kernel, presets
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
+from armimp_sim import dynamics, presets
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sensors
 from armimp_sim.plant import Plant, PlantConfig
-from armimp_sim.robot import PlanarChain
-from armimp_sim.sensors import Sensors
 
 Array = NDArray[np.float64]
 JOINTS = range(1, 8)
@@ -168,7 +168,7 @@ def test_torque_on_the_arm_is_that_of_the_equations_of_motion(n: int) -> None:
             [random.uniform(-np.pi, np.pi, n), velocity, random.uniform(-2e-3, 2e-3, n)]
         )
         command, voluntary = random.uniform(-20.0, 20.0, (2, n))
-        rows[kernel.COMMAND], rows[kernel.VOLUNTARY] = command, voluntary
+        rows[dynamics.COMMAND], rows[dynamics.VOLUNTARY] = command, voluntary
         plant.set_state(state[None])
         arm = config.arm
         expected = (

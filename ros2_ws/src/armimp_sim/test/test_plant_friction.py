@@ -9,11 +9,11 @@ from scipy.integrate import trapezoid
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sensors
 from armimp_sim.plant import Plant, PlantConfig
-from armimp_sim.robot import PlanarChain
-from armimp_sim.sensors import Sensors
 
 Array = NDArray[np.float64]
 LAW = presets.friction(3, 2)[0]

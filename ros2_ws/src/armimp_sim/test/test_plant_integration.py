@@ -12,10 +12,10 @@ from scipy.integrate import solve_ivp
 
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_sim import presets
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
 from armimp_sim.plant import RK4_RADIUS, IntegrationError, Plant, PlantConfig
-from armimp_sim.robot import PlanarChain
 
 Array = NDArray[np.float64]
 START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])

@@ -10,11 +10,11 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sampling, Sensors
 from armimp_sim.plant import Plant, PlantConfig
-from armimp_sim.robot import PlanarChain
-from armimp_sim.sensors import Sampling, Sensors
 
 Array = NDArray[np.float64]
 TICKS = 40

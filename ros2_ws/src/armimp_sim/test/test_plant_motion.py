@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_sim.arm import HumanArm
-from armimp_sim.friction import LuGre
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import Sensors
 from armimp_sim.plant import Plant, PlantConfig
-from armimp_sim.robot import PlanarChain
-from armimp_sim.sensors import Sensors
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from scipy.integrate import trapezoid
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
+from armimp_sim.model.sensors import Sampling, Sensors, quantise
 from armimp_sim.plant import Plant, PlantConfig
-from armimp_sim.sensors import Sampling, Sensors, quantise
 
 Array = NDArray[np.float64]
 

@@ -16,17 +16,17 @@ from rosgraph_msgs.msg import Clock
 
 from armimp_common import contract, qos
 from armimp_common.cdr import CommandEncoder
-from armimp_common.channels import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.contract import PERIOD_NS
 from armimp_common.diagnostics import Level
 from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.schema import Value
-from armimp_common.spin import Spinner
 from armimp_common.stamps import to_ns
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.rig import SimulatedRig
+from armimp_sim.simulator import SimulatedRig
 from support.graph import PATIENCE, a_moment, eventually, overrides
 
 SUCCESS = TransitionCallbackReturn.SUCCESS

@@ -7,9 +7,9 @@ import pytest
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
-from armimp_sim.friction import LuGre
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import PlantConfig
-from armimp_sim.sensors import Sampling
 
 
 def test_arm_is_that_of_table_one() -> None:

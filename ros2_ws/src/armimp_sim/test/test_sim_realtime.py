@@ -14,16 +14,16 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.contract import PERIOD_NS
 from armimp_common.diagnostics import Level, values_of
+from armimp_common.executor import Spinner
 from armimp_common.jitter import TIMING_NAME, TimingFigures
+from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.schema import Value
-from armimp_common.spin import Spinner
 from armimp_sim.node import ArmSimNode
-from armimp_sim.paced import PacedRig
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.plant import IntegrationError
+from armimp_sim.realtime_simulator import RealtimeSimulator
 from support.graph import PATIENCE, eventually, overrides
 
 pytestmark = pytest.mark.alone
@@ -230,10 +230,10 @@ def test_torque_comes_and_goes_with_the_life_of_the_node(
 def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(
     make: MakeRig, around: Surroundings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(paced: PacedRig, tick: int) -> None:
+    def broken(paced: RealtimeSimulator, tick: int) -> None:
         raise IntegrationError("the plant broke down")
 
-    monkeypatch.setattr(PacedRig, "advance", broken)
+    monkeypatch.setattr(RealtimeSimulator, "advance", broken)
     around.bring_up(make())
 
     with pytest.raises(IntegrationError, match="the plant broke down"):

@@ -13,10 +13,10 @@ from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.diagnostics import Level, values_of
-from armimp_common.liveliness import Watch
-from armimp_common.spin import Spinner
+from armimp_common.executor import Spinner
+from armimp_common.heartbeat import Watch
+from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from support.graph import PATIENCE, a_moment, eventually, overrides

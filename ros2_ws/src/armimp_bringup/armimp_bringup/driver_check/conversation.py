@@ -26,11 +26,11 @@ from armimp_bringup.driver_check.guard import MotionGuard
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Call, Endpoint, Message
 from armimp_bringup.graph import GraphContext
 from armimp_common import contract, qos
-from armimp_common.channels import CommandPublisher, RawSubscription
 from armimp_common.diagnostics import Level, values_of
 from armimp_common.errors import MalformedMessageError
+from armimp_common.executor import Spinner
 from armimp_common.jitter import TIMING_NAME, TimingFigures
-from armimp_common.spin import Spinner
+from armimp_common.pubsub import CommandPublisher, RawSubscription
 from armimp_common.stamps import to_ns
 
 _NODE = "armimp_check_driver"

@@ -8,7 +8,7 @@ from typing import Any
 from rclpy.task import Future
 
 from armimp_common.errors import InterruptionError
-from armimp_common.spin import PERIOD, Spinner
+from armimp_common.executor import PERIOD, Spinner
 
 
 class InterruptibleSpinner(Spinner):
@@ -17,7 +17,7 @@ class InterruptibleSpinner(Spinner):
     Parameters
     ----------
     stopped : tells whether a signal has come
-    others : as of :class:`armimp_common.spin.Spinner`
+    others : as of :class:`armimp_common.executor.Spinner`
     """
 
     def __init__(self, *nodes: Any, stopped: Callable[[], bool], **others: Any) -> None:

@@ -18,8 +18,8 @@ from armimp_common import contract
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.contract import JOINT_STATES, TORQUE_SENSORS
 from armimp_common.errors import GraphError, MalformedMessageError
+from armimp_common.executor import Spinner
 from armimp_common.jitter import TimingFigures
-from armimp_common.spin import Spinner
 
 REST, HOLD, AFTER, LONGER = 200, 400, 250, 400
 """Samples at rest, under torque, after it; and under torque beyond that, for comparison."""

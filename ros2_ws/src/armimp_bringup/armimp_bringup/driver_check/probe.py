@@ -20,9 +20,9 @@ from armimp_bringup.graph import GraphContext
 from armimp_common import contract
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner, stop_on_signals
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.processes import waited_ns
-from armimp_common.spin import Spinner, stop_on_signals
+from armimp_common.process import waited_ns
 
 _PATIENCE, _LONG = 10.0, 60.0
 _LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0

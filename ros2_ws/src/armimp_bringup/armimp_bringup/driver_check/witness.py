@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armimp_common.contract import PERIOD_NS
 from armimp_common.jitter import LATE_NS
 from armimp_common.pacing import Pacer
-from armimp_common.urgency import wake_up_exactly
+from armimp_common.realtime_scheduling import wake_up_exactly
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -18,7 +18,7 @@ from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_common.versions import git_revision, versions
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.results import TrialLedger, summarise
-from armimp_sim.kernel import WIDTH
+from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
 
@@ -70,8 +70,8 @@ class ConditionResult:
 def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Condition, ...]]:
     """Batches that keep all workers equally busy.
 
-    A block of :data:`armimp_sim.kernel.WIDTH` lanes takes the same time however many of them are in
-    use. So batches hold that many at most, and their number is a multiple of the workers' unless
+    A block of :data:`armimp_sim.dynamics.WIDTH` lanes takes the same time however many of them are
+    in use. So batches hold that many at most, and their number is a multiple of the workers' unless
     there are too few conditions.
 
     Parameters

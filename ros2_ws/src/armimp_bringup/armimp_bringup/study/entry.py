@@ -10,9 +10,9 @@ from pydantic import TypeAdapter, ValidationError, model_validator
 
 from armimp_bringup.study.conditions import Condition
 from armimp_common.errors import DataError
+from armimp_estimation.atomic_write import read_bytes
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.results import Summary
-from armimp_estimation.whole_files import read_bytes
 
 
 class StudyEntry(Summary):

@@ -19,8 +19,8 @@ from armimp_bringup.study.engine import ConditionResult, Provenance
 from armimp_bringup.study.entry import StudyEntry, differences, read_entry
 from armimp_bringup.study.errors import StudyError
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.atomic_write import is_part, open_lock, read_text, write_whole
 from armimp_estimation.results import ImpedanceCurve, read_frf, write_frf, write_summary
-from armimp_estimation.whole_files import is_part, open_lock, read_text, write_whole
 
 CONFIG_FILE = "config.json"
 RESULTS_DIRECTORY = "conditions"

@@ -65,7 +65,7 @@ def run_study(
     Returns
     -------
     StudyVerdict
-        Judgement of the given conditions.
+        StoppingDecision of the given conditions.
 
     Raises
     ------

@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Header, Metadata, Schema
 
 from armimp_common.errors import BagError
+from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.budget import MESSAGE_COST, RECORD_COST, Budget
 from armimp_estimation.bags.mcap_file import LIBRARY, MAGIC, McapFile
 from armimp_estimation.bags.mcap_reading import DAMAGE, RECORD_HEAD, chunk_messages
@@ -29,7 +30,6 @@ from armimp_estimation.bags.metadata import (
 )
 from armimp_estimation.bags.topics import contract_topic
 from armimp_estimation.bags.writer import why_not_written
-from armimp_estimation.whole_files import open_regular
 
 
 def finish_bag(path: Path, *, trust: bool = False) -> str:

@@ -10,8 +10,8 @@ import yaml
 from armimp_common import contract
 from armimp_common.errors import BagError
 from armimp_common.yaml_text import TextLoader, load_yaml
+from armimp_estimation.atomic_write import read_text, replace_whole
 from armimp_estimation.bags.definitions import message_definition
-from armimp_estimation.whole_files import read_text, replace_whole
 
 FILE_NAME: Final = "metadata.yaml"
 VERSION: Final = 9

@@ -10,7 +10,7 @@ from armimp_common import contract
 from armimp_common.cdr import joint_names_of
 from armimp_common.errors import BagError, ConfigurationError, DataError, MalformedMessageError
 from armimp_common.trial_status import TrialStatus
-from armimp_estimation.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags.raw import RawMessages, one_line
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.bags.storage import read_storage

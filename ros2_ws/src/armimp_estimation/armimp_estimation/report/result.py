@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from armimp_common.errors import ArmimpError, DataError
-from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
 from armimp_estimation.results import ImpedanceCurve, Summary, read_frf, read_summary

@@ -14,7 +14,8 @@ from markupsafe import Markup
 from armimp_common import contract
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.jitter import LATE_NS
-from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import AssembledTrial
+from armimp_estimation.atomic_write import write_whole
 from armimp_estimation.json_model import Matrix
 from armimp_estimation.report.advice import advise
 from armimp_estimation.report.curves import coherence_curves
@@ -51,7 +52,6 @@ from armimp_estimation.report.result import Result, setting
 from armimp_estimation.report.traces import BAND, trace_plot, trace_views
 from armimp_estimation.results import EstimatorSummary, Summary, TrialSummary
 from armimp_estimation.verdict import Limits
-from armimp_estimation.whole_files import write_whole
 
 REPORT_FILE = "report.html"
 _PERIOD = PERIOD_NS / NS_PER_S

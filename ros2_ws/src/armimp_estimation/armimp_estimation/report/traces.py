@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.contract import PERIOD_NS
-from armimp_estimation.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.curves import envelope
 from armimp_estimation.report.look import joint_variable

@@ -1,0 +1,325 @@
+"""Spinning of nodes with the fastest executor there is, and the main function of node processes.
+
+The events executor of rclpy is several times faster than the single-threaded one, with traps:
+its ``spin()`` receives nothing from other processes; a timeout does not end a spin as long as
+there is always another event; an exception in a coroutine, in a task or in the done-callback of a
+future ends the process with a segmentation fault; guard conditions are not supported. So it is
+always called with a finite timeout here, which a timer of one of the nodes enforces, and callbacks
+of nodes must be ordinary functions. What those raise arrives at the caller of `Spinner.spin`.
+
+Steady timers alone are not enough either: built against an old C library, as the wheels are, the
+executor waits for each of them until a time of the wall clock, and goes on waiting for as long as
+that is set back. So a thread looks for steps of the wall clock, and has all timers begin anew.
+"""
+
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias, TypeVar
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+from rclpy.timer import Timer
+from rclpy.utilities import remove_ros_args
+
+from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_common.parent_watchdog import follow_lifeline
+from armimp_common.steady import WallClock, refuse_simulated_time, steady_timer
+from armimp_common.transports import avoid_shared_memory
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
+
+ExecutorKind: TypeAlias = Literal["events", "single"]
+NodeT = TypeVar("NodeT", bound=Node)
+NodeT_co = TypeVar("NodeT_co", bound=Node, covariant=True)
+
+PERIOD: Final = 0.05
+"""How often stop conditions are looked at (s); a node that is told to end does so that soon."""
+
+NO_LOG_FILES: Final = "--disable-external-lib-logs"
+"""ROS argument with which nothing is written to the log directory of ROS, nor is it made."""
+
+_RESOLUTION: Final = 0.02
+
+
+class Spinner:
+    """An executor with nodes, which only ever spins for a finite time.
+
+    Parameters
+    ----------
+    nodes
+        Nodes to execute; more can be added.
+    context
+        Context of the nodes; by default that of the first node.
+    kind
+        ``"events"`` takes the events executor if this rclpy has it, ``"single"`` never.
+    """
+
+    def __init__(
+        self,
+        nodes: Iterable[Node] = (),
+        *,
+        context: Context | None = None,
+        kind: ExecutorKind = "events",
+    ) -> None:
+        self._nodes: list[Node] = []
+        self._timer: Timer | None = None
+        self._gate: Future = Future()
+        self._deadline = math.inf
+        self._closed = threading.Event()
+        nodes = list(nodes)
+        if context is None and nodes:
+            context = nodes[0].context
+        self.executor = make_executor(context, kind)
+        for node in nodes:
+            self.add_node(node)
+        threading.Thread(target=self._look_at_clock, name="wall clock", daemon=True).start()
+
+    def add_node(self, node: Node) -> None:
+        """Execute the callbacks of this node too.
+
+        Raises
+        ------
+        ConfigurationError
+            If it was started with ``use_sim_time``, which is refused from now on, too.
+        """
+        refuse_simulated_time(node)
+        self.executor.add_node(node)
+        self._nodes.append(node)
+        self._keep_time()
+
+    def remove_node(self, node: Node) -> None:
+        """Execute the callbacks of this node no more; to be called before it is destroyed."""
+        if self._timer is not None and node is self._nodes[0]:
+            node.destroy_timer(self._timer)
+            self._timer = None
+        self._nodes.remove(node)
+        self.executor.remove_node(node)
+        self._keep_time()
+
+    def spin(self, should_stop: Callable[[], bool], *, period: float = PERIOD) -> None:
+        """Execute callbacks until `should_stop` or until the context is shut down.
+
+        Parameters
+        ----------
+        should_stop
+            Asked every `period` (s); it need not be cheap.
+
+        Raises
+        ------
+        Exception
+            Whatever a callback raises.
+        """
+        while not should_stop() and self.executor.context.ok():
+            self._spin_for(Future(), period)
+
+    def spin_until(self, future: Future, timeout: float) -> bool:
+        """Execute callbacks until `future` is done, at most for `timeout` (s).
+
+        Returns
+        -------
+        bool
+            True if it is done; it returns at once when that happens.
+        """
+        if not future.done():
+            self._spin_for(future, max(timeout, 0.0))
+        return bool(future.done())
+
+    def _spin_for(self, future: Future, timeout: float) -> None:
+        self._gate = gate = Future()
+        self._deadline = time.monotonic() + timeout
+        future.add_done_callback(lambda _: None if gate.done() else gate.set_result(None))
+        with suppress(ExternalShutdownException):  # `spin` looks at the context itself
+            self.executor.spin_until_future_complete(gate, timeout)
+
+    def _keep_time(self) -> None:
+        """Have the timer that ends a spin at its deadline on the first node there is."""
+        if self._timer is None and self._nodes:
+            self._timer = steady_timer(self._nodes[0], _RESOLUTION, self._on_timer)
+
+    def _on_timer(self) -> None:
+        if time.monotonic() >= self._deadline and not self._gate.done():
+            self._gate.set_result(None)
+
+    def _look_at_clock(self) -> None:
+        clock = WallClock()
+        while not self._closed.is_set():
+            time.sleep(_RESOLUTION)  # `Event.wait` may itself wait by the wall clock
+            if clock.was_set() and not self._closed.is_set():
+                self.executor.create_task(self._begin_anew)
+
+    def _begin_anew(self) -> None:
+        """Have the executor wait anew for every timer that runs; within the executor."""
+        for timer in [timer for node in self._nodes for timer in node.timers]:
+            if not timer.is_canceled():
+                timer.reset()
+
+    def close(self) -> None:
+        """Let go of the nodes and of the executor; calling it again does nothing."""
+        self._closed.set()
+        for node in list(self._nodes):
+            self.remove_node(node)
+        self.executor.shutdown()
+
+    def __enter__(self) -> "Self":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def make_executor(context: Context | None = None, kind: ExecutorKind = "events") -> Executor:
+    """Return an executor of this kind, or the single-threaded one where there is no other."""
+    if kind == "events":
+        try:
+            from rclpy.experimental import EventsExecutor
+        except ImportError:
+            pass
+        else:
+            return EventsExecutor(context=context)
+    return SingleThreadedExecutor(context=context)
+
+
+def spin(
+    nodes: Iterable[Node],
+    should_stop: Callable[[], bool],
+    *,
+    period: float = PERIOD,
+    kind: ExecutorKind = "events",
+) -> None:
+    """Execute the callbacks of nodes until `should_stop`; see `Spinner.spin`."""
+    with Spinner(nodes, kind=kind) as spinner:
+        spinner.spin(should_stop, period=period)
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[Callable[[], bool]]:
+    """Turn SIGINT and SIGTERM into a stop condition; a second SIGINT interrupts at once.
+
+    To be used in the main thread, with rclpy's own handlers off.
+
+    Yields
+    ------
+    callable
+        Tells whether a signal has come.
+    """
+    received: list[int] = []
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if number == signal.SIGINT and number in received:
+            raise KeyboardInterrupt
+        received.append(number)
+
+    before: dict[int, Any] = {
+        number: signal.signal(number, on_signal) for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield lambda: bool(received)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+class NodeFactory(Protocol[NodeT_co]):
+    """What `run_node` takes: usually the node class itself."""
+
+    def __call__(self, *, context: Context) -> NodeT_co:
+        """Return a new node of this context."""
+
+
+def run_node(
+    factory: NodeFactory[NodeT],
+    args: Sequence[str] | None = None,
+    *,
+    until: Callable[[NodeT], bool] | None = None,
+    kind: ExecutorKind = "events",
+) -> int:
+    """Run one node as a process: the whole main function of a node executable.
+
+    Parameters
+    ----------
+    factory
+        Makes the node; called with ``context=``.
+    args
+        Command line with the program name first, ``sys.argv`` by default.
+    until
+        Tells from the node that it has finished; by default only signals end it.
+    kind
+        See `Spinner`.
+
+    Returns
+    -------
+    int
+        Exit status: 0 after SIGINT, SIGTERM or `until`; 2 after a `ConfigurationError`, 1 after
+        another `ArmimpError`, each with one line on standard error.
+    """
+    arguments = list(sys.argv if args is None else args)
+    avoid_shared_memory()
+    try:
+        with stop_on_signals() as stopped, _initialised(arguments) as context:
+            follow_lifeline()
+            _run(factory(context=context), stopped, until, kind)
+    except ConfigurationError as error:
+        print(f"{_program(arguments)}: {error}", file=sys.stderr)
+        return 2
+    except ArmimpError as error:
+        print(f"{_program(arguments)}: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        pass
+    return 0
+
+
+def _run(
+    node: NodeT,
+    stopped: Callable[[], bool],
+    until: Callable[[NodeT], bool] | None,
+    kind: ExecutorKind,
+) -> None:
+    plain: Node = node
+    try:
+        with Spinner([plain], kind=kind) as spinner:
+            spinner.spin(lambda: stopped() or (until is not None and until(node)))
+    finally:
+        plain.destroy_node()
+
+
+@contextmanager
+def _initialised(arguments: list[str]) -> Iterator[Context]:
+    context = Context()
+    logs = "ROS_LOG_DIR" in os.environ or "ROS_HOME" in os.environ
+    if not logs and not os.access(os.environ.get("HOME", ""), os.W_OK):
+        arguments = [*arguments, "--ros-args", NO_LOG_FILES]
+    try:
+        rclpy.init(args=arguments, context=context, signal_handler_options=SignalHandlerOptions.NO)
+        unknown = remove_ros_args(arguments)[1:]
+    except (RuntimeError, ValueError) as error:
+        # rcl appends the places in its own sources, which are of no use to the user.
+        reason = str(error).split(", at /")[0]
+        raise ConfigurationError(f"wrong ROS arguments: {' '.join(reason.split())}") from None
+    try:
+        if unknown:
+            raise ConfigurationError(f"unknown argument: {unknown[0]!r}")
+        yield context
+    finally:
+        context.try_shutdown()
+
+
+def _program(arguments: Sequence[str]) -> str:
+    return arguments[0].rpartition("/")[2] if arguments else "node"

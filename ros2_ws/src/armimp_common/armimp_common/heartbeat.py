@@ -1,0 +1,195 @@
+"""Signs of life: how a process hears that another one died.
+
+Each node offers a latched topic of its own, with the identity of its process. The middleware keeps
+its publisher alive from a thread of its own as long as the process runs, so neither a busy callback
+nor a held interpreter lock looks like a death. Data topics are left as they are, since a reader
+that asks for a lease refuses every publisher which does not offer one, and few drivers do.
+
+A process of the same machine is looked up besides, every 20 ms. So it is soon known that it is dead
+or stopped, even if the middleware of the others is held up; and one that is only silent, on a busy
+machine, does not count as dead. The lease is for processes elsewhere, and long: see
+:data:`armimp_common.qos.OFFERED_LEASE_MS`.
+
+A process does not watch itself: the middleware lets the lease between two nodes of one process run
+out without a cause, and never renews it then.
+"""
+
+from collections.abc import Callable
+from enum import Enum
+from typing import ClassVar
+from weakref import WeakKeyDictionary, WeakSet
+
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from std_msgs.msg import String
+
+from armimp_common import contract, qos
+from armimp_common.process import Life, identity, life_of
+from armimp_common.steady import steady_timer
+
+_LOOK_PERIOD = 0.02
+
+
+class Presence(Enum):
+    """What is known of a watched node; the value completes a sentence that begins with its name."""
+
+    UNKNOWN = "has never been heard of"
+    ALIVE = "is alive"
+    STALLED = "gives no sign of life, but its process is there"
+    SILENT = f"gave no sign of life for {qos.WATCHED_LEASE_MS / 1e3:g} s: it is dead or stopped"
+    GONE = "is dead"
+    LEFT = "has left"
+
+    @property
+    def lost(self) -> bool:
+        """Whether the node was there and, as far as one can know, is not any more."""
+        return self in (Presence.SILENT, Presence.GONE, Presence.LEFT)
+
+    @property
+    def mute(self) -> bool:
+        """Whether the node was there and gives no sign of life now, for whatever reason."""
+        return self.lost or self is Presence.STALLED
+
+    def after(self, alive: int, silent: int, process_lives: bool | None = None) -> "Presence":
+        """Return what follows from the latest news.
+
+        Parameters
+        ----------
+        alive, silent
+            Numbers of publishers that give a sign of life and that do not any more.
+        process_lives
+            Whether the process that told its identity last is there; None if that is not known.
+        """
+        if alive or silent:
+            if process_lives is False:
+                return Presence.GONE
+            if alive:
+                return Presence.ALIVE
+            return Presence.STALLED if process_lives else Presence.SILENT
+        if self in (Presence.UNKNOWN, Presence.GONE, Presence.LEFT):
+            return self
+        # The middleware forgets a silent publisher when the lease of its process is over.
+        return Presence.LEFT if self is Presence.ALIVE else Presence.GONE
+
+
+class Heartbeat:
+    """Offers the sign of life of the process that `node` is in, for as long as the node exists.
+
+    Parameters
+    ----------
+    node
+        Its namespace counts.
+    name
+        Name in the contract, which remapping of the node's own name leaves as it is.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self.publisher = node.create_publisher(String, contract.alive(name), qos.ALIVE)
+        self.publisher.publish(String(data=identity()))
+
+
+class _Lookout:
+    """Has watches of a node look at their processes again and again, with one timer for all."""
+
+    _of_nodes: ClassVar["WeakKeyDictionary[Node, _Lookout]"] = WeakKeyDictionary()
+
+    def __init__(self, node: Node) -> None:
+        # Each is kept by its subscription; here it would keep its node, and that this.
+        self._watches: WeakSet[Watch] = WeakSet()
+        self._timer = steady_timer(node, _LOOK_PERIOD, self._look, autostart=False)
+
+    @classmethod
+    def of(cls, node: Node) -> "_Lookout":
+        """The one of this node."""
+        if node not in cls._of_nodes:
+            cls._of_nodes[node] = cls(node)
+        return cls._of_nodes[node]
+
+    def add(self, watch: "Watch") -> None:
+        """Have it look from now on."""
+        self._watches.add(watch)
+        if self._timer.is_canceled():
+            self._timer.reset()
+
+    def remove(self, watch: "Watch") -> None:
+        """There is nothing to see for it."""
+        self._watches.discard(watch)
+        if not self._watches:
+            self._timer.cancel()
+
+    def _look(self) -> None:
+        for watch in list(self._watches):
+            watch.look()
+
+
+class Watch:
+    """Watches the sign of life of another node, for as long as `node` exists.
+
+    Parameters
+    ----------
+    node
+        Who watches; callbacks run in its executor.
+    name
+        Whom, as for `Heartbeat`.
+    on_change
+        Called with the watch when `presence` has changed.
+
+    Attributes
+    ----------
+    presence : Presence
+        As last heard. It stays unknown for a node that offers no sign of life.
+    """
+
+    def __init__(self, node: Node, name: str, on_change: "Callable[[Watch], None]") -> None:
+        self.name = name
+        self.presence = Presence.UNKNOWN
+        self._on_change = on_change
+        self._alive = self._silent = 0
+        self._process, self._own_process = "", identity()
+        self.subscription = node.create_subscription(
+            String,
+            contract.alive(name),
+            self._on_identity,
+            qos.ALIVE_WATCHED,
+            event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_event),
+        )
+        self._lookout = _Lookout.of(node)
+
+    @property
+    def sentence(self) -> str:
+        """What is known of the node, in words."""
+        return f"{self.name} {self.presence.value}"
+
+    @property
+    def ghost(self) -> bool:
+        """Whether the node is lost but still listed, so that its topics seem to be there."""
+        return self.presence.lost and self._alive + self._silent > 0
+
+    def _on_identity(self, message: String) -> None:
+        self._process = message.data
+        self.look()
+
+    def _on_event(self, event: QoSLivelinessChangedInfo) -> None:
+        # Within one process the middleware counts below zero.
+        self._alive, self._silent = max(event.alive_count, 0), event.not_alive_count
+        self.look()
+
+    def look(self) -> None:
+        """See what has become of the process, and tell if that is news."""
+        alive, silent = self._alive, self._silent
+        process_lives = None
+        if self._process and self._process == self._own_process:
+            alive, silent = alive + silent, 0
+        elif alive or silent:
+            life = life_of(self._process)
+            process_lives = life.there
+            if life is Life.STOPPED:
+                alive, silent = 0, alive + silent
+        presence = self.presence.after(alive, silent, process_lives)
+        if process_lives:
+            self._lookout.add(self)
+        else:
+            self._lookout.remove(self)
+        if presence is not self.presence:
+            self.presence = presence
+            self._on_change(self)

@@ -1,0 +1,384 @@
+"""Spinning: stop conditions, errors in callbacks, signals, other processes."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import rclpy.experimental
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import Empty
+
+from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_common.executor import (
+    ExecutorKind,
+    Spinner,
+    make_executor,
+    run_node,
+    spin,
+    stop_on_signals,
+)
+
+KINDS: tuple[ExecutorKind, ...] = ("events", "single")
+PATIENCE = 10.0
+both_kinds = pytest.mark.parametrize("kind", KINDS)
+
+
+def deadline(seconds: float = PATIENCE) -> Callable[[], bool]:
+    end = time.monotonic() + seconds
+    return lambda: time.monotonic() > end
+
+
+class CallbackError(RuntimeError):
+    pass
+
+
+def boom(*arguments: object) -> None:
+    raise CallbackError("in a callback")
+
+
+def break_in_timer(node: Node) -> None:
+    node.create_timer(0.01, boom)
+
+
+def break_in_subscription(node: Node) -> None:
+    node.create_subscription(Clock, "topic", boom, 10)
+    publisher = node.create_publisher(Clock, "topic", 10)
+    node.create_timer(0.01, lambda: publisher.publish(Clock()))
+
+
+def break_in_service(node: Node) -> None:
+    node.create_service(Empty, "service", boom)
+    client = node.create_client(Empty, "service")
+    assert client.wait_for_service(PATIENCE)
+    client.call_async(Empty.Request())
+
+
+@both_kinds
+def test_spin_ends_when_told_to(node: Node, kind: ExecutorKind) -> None:
+    ticks: list[int] = []
+    node.create_timer(0.005, lambda: ticks.append(1))
+    late = deadline()
+
+    spin([node], lambda: len(ticks) >= 3 or late(), period=0.01, kind=kind)
+
+    assert len(ticks) >= 3
+    assert not late()
+
+
+@both_kinds
+def test_spin_ends_when_the_context_is_shut_down(
+    node: Node, context: Context, kind: ExecutorKind
+) -> None:
+    late = deadline()
+    timer = threading.Timer(0.1, context.try_shutdown)
+    timer.start()
+
+    spin([node], late, period=0.05, kind=kind)
+    timer.join()
+
+    assert not late()
+
+
+@both_kinds
+@pytest.mark.parametrize(
+    "arrange", [break_in_timer, break_in_subscription, break_in_service], ids=lambda f: f.__name__
+)
+def test_when_a_callback_raises_expect_it_at_the_caller(
+    node: Node, kind: ExecutorKind, arrange: Callable[[Node], None]
+) -> None:
+    arrange(node)
+
+    with pytest.raises(CallbackError, match="in a callback"):
+        spin([node], deadline(), period=0.01, kind=kind)
+
+
+@both_kinds
+def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node, kind: ExecutorKind) -> None:
+    done: Future = Future()
+    never: Future = Future()
+    node.create_timer(0.02, lambda: None if done.done() else done.set_result(1))
+
+    with Spinner([node], kind=kind) as spinner:
+        start = time.monotonic()
+        assert not spinner.spin_until(never, 0.1)
+        assert 0.09 < time.monotonic() - start < PATIENCE
+        assert done.done()
+        start = time.monotonic()
+        assert spinner.spin_until(done, PATIENCE)
+        fresh: Future = Future()
+        node.create_timer(0.02, lambda: None if fresh.done() else fresh.set_result(1))
+        assert spinner.spin_until(fresh, PATIENCE)
+        assert time.monotonic() - start < PATIENCE / 2
+
+
+@both_kinds
+def test_nodes_can_be_added_and_removed(node: Node, context: Context, kind: ExecutorKind) -> None:
+    ticks: dict[str, int] = {"first": 0, "second": 0}
+    second = Node("second", context=context)
+
+    def count(name: str) -> None:
+        ticks[name] += 1
+
+    node.create_timer(0.005, lambda: count("first"))
+    second.create_timer(0.005, lambda: count("second"))
+    with Spinner([node], kind=kind) as spinner:
+        spinner.add_node(second)
+        spinner.spin(lambda: min(ticks.values()) >= 2, period=0.01)
+        spinner.remove_node(second)
+        second.destroy_node()
+        seen = dict(ticks)
+        spinner.spin(lambda: ticks["first"] >= seen["first"] + 3, period=0.01)
+        spinner.close()
+
+    assert ticks["second"] == seen["second"]
+
+
+@both_kinds
+def test_idle_spinning_costs_next_to_nothing(node: Node, kind: ExecutorKind) -> None:
+    # rclpy's own events executor takes a whole core when spun without a timeout.
+    with Spinner([node], kind=kind) as spinner:
+        before = time.process_time()
+        spinner.spin(deadline(1.0))
+
+    assert time.process_time() - before < 0.3
+
+
+@both_kinds
+def test_messages_from_another_process_arrive(node: Node, kind: ExecutorKind) -> None:
+    script = """
+import rclpy, time
+from rosgraph_msgs.msg import Clock
+rclpy.init()
+node = rclpy.create_node("other")
+publisher = node.create_publisher(Clock, "topic", 10)
+while True:
+    publisher.publish(Clock())
+    time.sleep(0.02)
+"""
+    received: list[object] = []
+    node.create_subscription(Clock, "topic", received.append, 10)
+    late = deadline(20.0)
+    other = subprocess.Popen([sys.executable, "-c", script])
+    try:
+        spin([node], lambda: len(received) >= 3 or late(), period=0.05, kind=kind)
+    finally:
+        other.kill()
+        other.wait()
+
+    assert len(received) >= 3
+
+
+def test_executor_kind_can_be_chosen(context: Context) -> None:
+    single = make_executor(context, "single")
+    events = make_executor(context, "events")
+
+    assert isinstance(single, SingleThreadedExecutor)
+    assert not isinstance(events, SingleThreadedExecutor)
+    single.shutdown()
+    events.shutdown()
+
+
+def test_when_rclpy_has_no_events_executor_expect_the_single_threaded_one(
+    context: Context, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(rclpy.experimental, "EventsExecutor")
+
+    executor = make_executor(context, "events")
+
+    assert isinstance(executor, SingleThreadedExecutor)
+    executor.shutdown()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_become_a_stop_condition_and_handlers_are_restored(
+    number: signal.Signals,
+) -> None:
+    before = (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM))
+
+    with stop_on_signals() as stopped:
+        assert not stopped()
+        os.kill(os.getpid(), number)
+        assert stopped()
+
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
+
+
+def test_second_interrupt_interrupts_at_once() -> None:
+    with stop_on_signals() as stopped:
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stopped()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+class Counting(Node):
+    def __init__(self, *, context: Context) -> None:
+        super().__init__("counting", context=context)
+        self.ticks = 0
+        self.create_timer(0.005, self._count)
+
+    def _count(self) -> None:
+        self.ticks += 1
+
+
+@pytest.mark.usefixtures("domain_id")
+def test_run_node_ends_with_success_when_the_node_has_finished() -> None:
+    nodes: list[Counting] = []
+
+    def factory(*, context: Context) -> Counting:
+        nodes.append(Counting(context=context))
+        return nodes[0]
+
+    assert run_node(factory, ["counting"], until=lambda node: node.ticks >= 3) == 0
+    assert nodes[0].ticks >= 3
+    assert not nodes[0].context.ok()
+
+
+@pytest.mark.usefixtures("domain_id")
+@pytest.mark.parametrize(("error", "status"), [(ConfigurationError, 2), (GraphError, 1)])
+def test_when_the_node_cannot_be_made_expect_one_line_and_its_status(
+    error: type[ArmimpError], status: int, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def factory(*, context: Context) -> Node:
+        raise error(f"bad value 3 {context.ok()}")
+
+    assert run_node(factory, ["/some/where/program"]) == status
+    assert capfd.readouterr().err == "program: bad value 3 True\n"
+
+
+@pytest.mark.usefixtures("domain_id")
+def test_when_a_callback_raises_an_armimp_error_expect_its_status(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def fail() -> None:
+        raise GraphError("peer is gone")
+
+    def factory(*, context: Context) -> Node:
+        node = Node("failing", context=context)
+        node.create_timer(0.01, fail)
+        return node
+
+    assert run_node(factory, ["program"]) == 1
+    assert capfd.readouterr().err.endswith("program: peer is gone\n")
+
+
+@pytest.mark.usefixtures("domain_id")
+def test_when_a_callback_has_a_bug_expect_its_traceback() -> None:
+    def factory(*, context: Context) -> Node:
+        node = Node("failing", context=context)
+        break_in_timer(node)
+        return node
+
+    with pytest.raises(CallbackError):
+        run_node(factory, ["program"])
+
+
+@pytest.mark.usefixtures("domain_id")
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--bogus"], "unknown argument: '--bogus'"),
+        (["--ros-args", "--bogus"], "--bogus"),
+        (["--ros-args", "-p", "novalue"], "Couldn't parse parameter override rule: '-p novalue'"),
+        (["--ros-args", "--params-file", "FILE"], "Sequence should be of same type"),
+        (["--ros-args", "--params-file", "/does/not/exist.yaml"], "Error opening YAML file"),
+    ],
+)
+def test_when_arguments_are_wrong_expect_status_2_and_one_line(
+    arguments: list[str], reason: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mixed.yaml"
+    path.write_text("counting:\n  ros__parameters:\n    array: [1, 2.5]\n")
+    arguments = [str(path) if item == "FILE" else item for item in arguments]
+
+    assert run_node(Counting, ["program", *arguments]) == 2
+
+    own = [line for line in capfd.readouterr().err.splitlines() if line.startswith("program: ")]
+    assert len(own) == 1
+    assert reason in own[0]
+    assert "/project/src" not in own[0]
+
+
+@pytest.mark.usefixtures("domain_id")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_when_a_node_process_gets_a_signal_expect_a_clean_end(number: signal.Signals) -> None:
+    script = """
+import sys
+from rclpy.node import Node
+from armimp_common.executor import run_node
+
+def factory(*, context):
+    node = Node("waiting", context=context)
+    timer = node.create_timer(0.01, lambda: (print("ready", flush=True), timer.cancel()))
+    return node
+
+sys.exit(run_node(factory, ["program"]))
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        _, error = process.communicate(timeout=PATIENCE)
+    finally:
+        process.kill()
+        process.wait()
+
+    assert (process.returncode, error) == (0, "")
+
+
+def keep_busy(node: Node) -> None:
+    """Have a message answered by the next one without end."""
+    publisher = node.create_publisher(Clock, "echo", 10)
+    node.create_subscription(Clock, "echo", lambda _: publisher.publish(Clock()), 10)
+
+    def begin() -> None:
+        publisher.publish(Clock())
+        timer.cancel()
+
+    timer = node.create_timer(0.01, begin)
+
+
+@both_kinds
+def test_when_there_is_always_another_event_expect_stop_conditions_to_be_looked_at(
+    node: Node, kind: ExecutorKind
+) -> None:
+    keep_busy(node)
+    asked: list[float] = []
+    late = deadline()
+
+    def should_stop() -> bool:
+        asked.append(time.monotonic())
+        return len(asked) > 3 or late()
+
+    spin([node], should_stop, period=0.05, kind=kind)
+
+    assert not late()
+
+
+@both_kinds
+def test_when_there_is_always_another_event_expect_spin_until_to_keep_its_timeout(
+    node: Node, kind: ExecutorKind
+) -> None:
+    keep_busy(node)
+    late = deadline()
+    with Spinner([node], kind=kind) as spinner:
+        done = spinner.spin_until(Future(), 0.2)
+
+    assert not done
+    assert not late()

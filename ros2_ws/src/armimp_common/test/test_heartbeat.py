@@ -1,0 +1,267 @@
+"""Signs of life: what is known of a watched node, and how soon the death of a process is heard."""
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from std_msgs.msg import String
+
+from armimp_common import contract, qos
+from armimp_common.executor import Spinner
+from armimp_common.heartbeat import Heartbeat, Presence, Watch
+from armimp_common.process import Life
+from armimp_common.pubsub import wait_until_matched
+from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, set_clock
+
+OTHER = """
+import ctypes, sys
+from armimp_common.heartbeat import Heartbeat
+from armimp_common.executor import run_node
+from rclpy.node import Node
+
+def make(*, context):
+    name = "another" if "another" in sys.argv else "other"
+    node = Node(name, context=context)
+    node.sign = Heartbeat(node, name)
+    if "busy" in sys.argv:
+        # PyDLL keeps the interpreter lock, unlike CDLL: no Python code of this process runs.
+        node.create_timer(0.1, lambda: ctypes.PyDLL(None).usleep(900_000))
+    return node
+
+raise SystemExit(run_node(make, ["other"]))
+"""
+
+
+@contextmanager
+def other_process(*arguments: str) -> "Iterator[subprocess.Popen[bytes]]":
+    process = subprocess.Popen([sys.executable, "-c", OTHER, *arguments])
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+def introduced(watch: Watch, changes: list[Presence]) -> bool:
+    """Whether the other node is known to live, and its process by name."""
+    known = watch.presence is Presence.ALIVE and watch._process != ""
+    if known:
+        # A busy machine may hold up the first messages for longer than the lease.
+        changes[:] = [Presence.ALIVE]
+    return known
+
+
+@pytest.fixture
+def changes() -> list[Presence]:
+    return []
+
+
+@pytest.fixture
+def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) -> Watch:
+    # What is to be heard before the lease runs out takes as long as a busy machine needs.
+    monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
+    return Watch(node, "other", lambda watch: changes.append(watch.presence))
+
+
+@pytest.fixture
+def spinner(node: Node) -> Iterator[Spinner]:
+    with Spinner([node]) as spinner:
+        yield spinner
+
+
+@pytest.mark.parametrize(
+    ("before", "alive", "silent", "after"),
+    [
+        (Presence.UNKNOWN, 0, 0, Presence.UNKNOWN),
+        (Presence.UNKNOWN, 1, 0, Presence.ALIVE),
+        (Presence.ALIVE, 0, 1, Presence.SILENT),
+        (Presence.ALIVE, 0, 0, Presence.LEFT),
+        (Presence.ALIVE, 1, 1, Presence.ALIVE),
+        (Presence.SILENT, 1, 0, Presence.ALIVE),
+        (Presence.SILENT, 0, 0, Presence.GONE),
+        (Presence.GONE, 0, 0, Presence.GONE),
+        (Presence.GONE, 1, 0, Presence.ALIVE),
+        (Presence.LEFT, 1, 0, Presence.ALIVE),
+        (Presence.LEFT, 0, 0, Presence.LEFT),
+    ],
+)
+def test_what_is_known_follows_from_the_numbers_of_publishers(
+    before: Presence, alive: int, silent: int, after: Presence
+) -> None:
+    assert before.after(alive, silent) is after
+
+
+@pytest.mark.parametrize(
+    ("lives", "after"),
+    [(True, Presence.STALLED), (False, Presence.GONE), (None, Presence.SILENT)],
+)
+def test_a_silent_process_counts_as_what_a_look_at_it_tells(
+    lives: bool | None, after: Presence
+) -> None:
+    assert Presence.ALIVE.after(0, 1, lives) is after
+    assert Presence.STALLED.after(0, 1, lives) is after
+    assert Presence.LEFT.after(0, 0, lives) is Presence.LEFT
+
+
+@pytest.mark.parametrize(
+    ("lives", "after"),
+    [(True, Presence.ALIVE), (False, Presence.GONE), (None, Presence.ALIVE)],
+)
+def test_a_process_that_is_looked_up_in_vain_is_dead_though_its_lease_has_not_run_out(
+    lives: bool | None, after: Presence
+) -> None:
+    assert Presence.ALIVE.after(1, 0, lives) is after
+    assert Presence.ALIVE.after(1, 1, lives) is after
+
+
+def test_only_a_node_that_was_there_can_be_lost() -> None:
+    lost = {presence for presence in Presence if presence.lost}
+
+    assert lost == {Presence.SILENT, Presence.GONE, Presence.LEFT}
+
+
+def test_when_a_process_is_killed_expect_its_death_to_be_heard(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    assert watch.sentence == "other has never been heard of"
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.kill()
+        eventually(spinner, lambda: len(changes) == 2, "silence")
+
+    assert changes[1] is Presence.GONE
+    assert watch.sentence == "other is dead"
+    assert watch.ghost
+
+
+def test_when_one_of_two_watched_processes_has_left_expect_the_other_to_be_looked_at_still(
+    node: Node, watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    gone: list[Presence] = []
+    second = Watch(node, "another", lambda watch: gone.append(watch.presence))
+    with other_process() as process, other_process("another") as leaving:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        eventually(spinner, lambda: introduced(second, gone), "a sign of life of the other one")
+        leaving.send_signal(signal.SIGINT)
+        eventually(spinner, lambda: second.presence is Presence.LEFT, "its end")
+
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
+
+
+@pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
+def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_runs_out(
+    node: Node,
+    spinner: Spinner,
+    changes: list[Presence],
+    monkeypatch: pytest.MonkeyPatch,
+    clock_step: float | None,
+) -> None:
+    monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
+    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        if clock_step is not None:
+            set_clock(node, clock_step)
+        process.kill()
+        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death")
+
+    assert watch.ghost
+
+
+def test_when_a_stopped_process_is_killed_expect_its_death_to_be_heard(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
+        process.kill()
+        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death")
+
+    assert watch.presence.lost
+
+
+def test_when_the_process_cannot_be_looked_up_expect_silence(
+    node: Node, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
+    monkeypatch.setattr("armimp_common.heartbeat.life_of", lambda _: Life.UNKNOWN)
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: len(changes) == 2, "silence")
+
+    assert changes[1] is Presence.SILENT
+    assert watch.sentence == "other gave no sign of life for 6 s: it is dead or stopped"
+
+
+def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGSTOP)
+        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
+        process.send_signal(signal.SIGCONT)
+        eventually(spinner, lambda: changes[-1] is Presence.ALIVE, "a sign of life")
+
+    assert watch.presence is Presence.ALIVE
+
+
+def test_when_a_process_ends_in_order_expect_that_it_left(
+    watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    with other_process() as process:
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        process.send_signal(signal.SIGINT)
+        eventually(spinner, lambda: len(changes) == 2, "the end")
+
+    assert changes[1] is Presence.LEFT
+    assert watch.sentence == "other has left"
+
+
+@pytest.mark.alone
+def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
+    node: Node, spinner: Spinner, changes: list[Presence]
+) -> None:
+    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
+    with other_process("busy"):
+        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+        before = list(changes)
+        a_moment(spinner, 2.0)
+        assert changes == before
+
+
+def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay_alive(
+    node: Node, watch: Watch, spinner: Spinner, changes: list[Presence]
+) -> None:
+    sign = Heartbeat(node, "other")
+    eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
+    # The binding of the event cannot be made by hand, but has the same attributes.
+    run_out: Any = SimpleNamespace(alive_count=0, not_alive_count=1)
+    watch._on_event(run_out)
+    assert watch.presence is Presence.ALIVE
+
+    node.destroy_publisher(sign.publisher)
+    eventually(spinner, lambda: watch.presence is Presence.LEFT, "the end")
+
+
+def test_ordinary_subscriptions_hear_a_sign_of_life_too(context: Context, node: Node) -> None:
+    # Like `ros2 topic info` or a recorder of all topics, which ask for no lease.
+    sign = Heartbeat(node, "other")
+    plain = node.create_subscription(
+        String, contract.alive("other"), lambda _: None, QoSProfile(depth=1)
+    )
+
+    assert not wait_until_matched(
+        node, publishers=[sign.publisher], subscriptions=[plain], timeout_s=PATIENCE
+    )

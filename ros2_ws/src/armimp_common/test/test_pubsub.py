@@ -1,0 +1,345 @@
+"""Channels over real DDS: what is sent arrives, malformed bytes are reported, peers are found."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+from rclpy.context import Context
+from rclpy.lifecycle import LifecycleNode
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, UInt64
+
+from armimp_common import contract, qos
+from armimp_common.cdr import encode_count
+from armimp_common.errors import MalformedMessageError
+from armimp_common.executor import Spinner
+from armimp_common.pubsub import (
+    CommandPublisher,
+    CommandSubscription,
+    CountPublisher,
+    CountSubscription,
+    JointStatePublisher,
+    JointStateSubscription,
+    RawSubscription,
+    unmatched,
+    wait_until_matched,
+)
+
+NAMES = ["shoulder", "elbow"]
+PATIENCE = 10.0
+
+
+class Spin:
+    """Spins until a condition holds, or fails."""
+
+    def __init__(self, spinner: Spinner) -> None:
+        self.spinner = spinner
+
+    def until(self, condition: Callable[[], bool]) -> None:
+        end = time.monotonic() + PATIENCE
+        self.spinner.spin(lambda: condition() or time.monotonic() > end, period=0.002)
+        assert condition(), "nothing came"
+
+
+@pytest.fixture
+def spin(node: Node) -> Iterator[Spin]:
+    with Spinner([node]) as spinner:
+        yield Spin(spinner)
+
+
+@pytest.fixture
+def lifecycle_node(context: Context) -> Iterator[LifecycleNode]:
+    node = LifecycleNode("managed", context=context)
+    yield node
+    node.destroy_node()
+
+
+def test_joint_states_arrive_in_the_order_asked_for(node: Node, spin: Spin) -> None:
+    received: list[tuple[int, tuple[float, ...]]] = []
+    publisher = JointStatePublisher(node, "topic", NAMES, "effort")
+    subscription = JointStateSubscription(
+        node, "topic", NAMES[::-1], "effort", lambda *sample: received.append(sample)
+    )
+    assert not wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
+    )
+
+    for k in range(100):
+        publisher.publish(k, (1.0 + k, 2.0))
+    spin.until(lambda: len(received) == 100)
+
+    assert received == [(k, (2.0, 1.0 + k)) for k in range(100)]
+
+
+def test_commands_arrive(node: Node, spin: Spin) -> None:
+    received: list[tuple[float, ...]] = []
+    publisher = CommandPublisher(node, "topic", 3)
+    subscription = CommandSubscription(node, "topic", 3, received.append)
+    assert not wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
+    )
+
+    for k in range(100):
+        publisher.publish((1.0, 2.0, k))
+    spin.until(lambda: len(received) == 100)
+
+    assert received == [(1.0, 2.0, float(k)) for k in range(100)]
+
+
+def test_counts_arrive_raw_and_typed_also_where_somebody_joins_late(node: Node, spin: Spin) -> None:
+    publisher = CountPublisher(node, "topic")
+    for count in (0, 10, 2**64 - 1):
+        publisher.publish(count)
+    received: list[int] = []
+    typed: list[UInt64] = []
+    CountSubscription(node, "topic", received.append)
+    node.create_subscription(UInt64, "topic", typed.append, qos.LATCHED)
+
+    spin.until(lambda: len(received) == len(typed) == 3)
+
+    assert received == [message.data for message in typed] == [0, 10, 2**64 - 1]
+
+
+def test_when_the_publisher_was_destroyed_expect_an_error_and_no_crash(node: Node) -> None:
+    publisher = CommandPublisher(node, "topic", 2)
+    node.destroy_publisher(publisher.publisher)
+
+    with pytest.raises(RuntimeError):
+        publisher.publish([1.0, 2.0])
+
+
+def test_sent_bytes_equal_those_of_a_typed_publisher(node: Node, spin: Spin) -> None:
+    received: list[bytes] = []
+    typed = node.create_publisher(JointState, "topic", qos.SAMPLE)
+    raw = JointStatePublisher(node, "topic", ["abc", "abcdefg"], "position")
+    subscription = RawSubscription(node, "topic", JointState, received.append)
+    assert not wait_until_matched(
+        node, publishers=[typed, raw], subscriptions=[subscription], timeout_s=PATIENCE
+    )
+
+    # Names whose lengths leave no padding but that after the empty frame_id.
+    message = JointState(name=["abc", "abcdefg"], position=[1.0, 2.0])
+    message.header.stamp.sec = 5
+    typed.publish(message)
+    spin.until(lambda: len(received) == 1)
+    sent = raw.publish(5_000_000_000, [1.0, 2.0])
+    spin.until(lambda: len(received) == 2)
+
+    assert received[1] == sent
+    typed_bytes = bytearray(received[0])
+    typed_bytes[17:20] = bytes(3)
+    assert bytes(typed_bytes) == sent
+
+
+def test_typed_subscription_understands_raw_messages(node: Node, spin: Spin) -> None:
+    states: list[JointState] = []
+    commands: list[Float64MultiArray] = []
+    node.create_subscription(JointState, "states", states.append, qos.SAMPLE)
+    node.create_subscription(Float64MultiArray, "commands", commands.append, qos.SAMPLE)
+    state_publisher = JointStatePublisher(node, "states", NAMES, "position")
+    command_publisher = CommandPublisher(node, "commands", 2)
+    assert not wait_until_matched(
+        node, publishers=[state_publisher, command_publisher], timeout_s=PATIENCE
+    )
+
+    state_publisher.publish(1_000_000_002, [1.0, 2.0])
+    command_publisher.publish([3.0, 4.0])
+    spin.until(lambda: bool(states and commands))
+
+    assert list(states[0].name) == NAMES
+    assert list(states[0].position) == [1.0, 2.0]
+    assert (states[0].header.stamp.sec, states[0].header.stamp.nanosec) == (1, 2)
+    assert list(commands[0].data) == [3.0, 4.0]
+
+
+def test_a_count_that_cannot_be_read_is_dropped(node: Node, spin: Spin) -> None:
+    good: list[int] = []
+    publisher = CountPublisher(node, "topic", profile=qos.SAMPLE)
+    subscription = CountSubscription(node, "topic", good.append, profile=qos.SAMPLE)
+    assert not wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
+    )
+    for size in (0, 3, 4, 11):
+        publisher.publisher.publish(encode_count(7)[:size])
+    publisher.publish(8)
+    spin.until(lambda: bool(good))
+    assert good == [8]
+
+
+@pytest.mark.parametrize("kind", ["joint state", "command"])
+def test_when_bytes_are_malformed_expect_the_handler_called_instead(
+    node: Node, spin: Spin, kind: str
+) -> None:
+    good: list[object] = []
+    errors: list[MalformedMessageError] = []
+    publisher: JointStatePublisher | CommandPublisher
+    subscription: RawSubscription
+    if kind == "command":
+        publisher = CommandPublisher(node, "topic", 2)
+        data = publisher.publish([1.0, 2.0])
+        subscription = CommandSubscription(
+            node, "topic", 2, good.append, on_malformed=errors.append
+        )
+    else:
+        publisher = JointStatePublisher(node, "topic", NAMES, "position")
+        data = publisher.publish(0, [1.0, 2.0])
+        subscription = JointStateSubscription(
+            node,
+            "topic",
+            NAMES,
+            "position",
+            lambda *sample: good.append(sample),
+            on_malformed=errors.append,
+        )
+    assert not wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
+    )
+
+    for size in (0, 3, 4, len(data) // 2, len(data) - 1):
+        publisher.publisher.publish(data[:size])
+    publisher.publisher.publish(data)
+    spin.until(lambda: len(good) + len(errors) == 6)
+
+    assert len(good) == 1
+    assert len(errors) == 5
+
+
+def test_when_bytes_are_malformed_without_handler_expect_the_error_raised(
+    node: Node, spin: Spin
+) -> None:
+    publisher = JointStatePublisher(node, "topic", ["other"], "position")
+    subscription = JointStateSubscription(node, "topic", NAMES, "position", lambda *sample: None)
+    assert not wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
+    )
+
+    publisher.publish(0, [1.0])
+
+    with pytest.raises(MalformedMessageError, match="lacks joint 'shoulder'"):
+        spin.until(lambda: False)
+
+
+def test_plain_channels_of_a_lifecycle_node_work_in_every_state(
+    node: Node, lifecycle_node: LifecycleNode, spin: Spin
+) -> None:
+    # The watchdog and the fault reports of a node must not depend on its lifecycle state.
+    received: list[tuple[float, ...]] = []
+    echoed: list[tuple[float, ...]] = []
+    answer = CommandPublisher(lifecycle_node, "answer", 1)
+    question = CommandPublisher(node, "question", 1)
+
+    def on_question(values: tuple[float, ...]) -> None:
+        received.append(values)
+        answer.publish(values)
+
+    ask = CommandSubscription(lifecycle_node, "question", 1, on_question)
+    hear = CommandSubscription(node, "answer", 1, echoed.append)
+    assert not wait_until_matched(
+        node, publishers=[answer, question], subscriptions=[ask, hear], timeout_s=PATIENCE
+    )
+    spin.spinner.add_node(lifecycle_node)
+
+    changes: list[Callable[[], object]] = [
+        lambda: None,
+        lifecycle_node.trigger_configure,
+        lifecycle_node.trigger_activate,
+        lifecycle_node.trigger_deactivate,
+        lifecycle_node.trigger_cleanup,
+    ]
+    for k, change in enumerate(changes):
+        change()
+        question.publish([float(k)])
+        spin.until(lambda: len(echoed) == k + 1)  # noqa: B023 (called at once)
+
+    assert echoed == received == [(float(k),) for k in range(5)]
+    spin.spinner.remove_node(lifecycle_node)
+
+
+def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:
+    publisher = CommandPublisher(node, "spoken", 1)
+    subscription = CommandSubscription(node, "heard", 1, lambda values: None)
+    start = time.monotonic()
+
+    lonely = wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.1
+    )
+
+    assert lonely == ("/spoken", "/heard")
+    assert time.monotonic() - start >= 0.1
+    CommandSubscription(node, "spoken", 1, lambda values: None)
+    assert wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.5
+    ) == ("/heard",)
+
+
+def test_when_the_peer_is_in_another_process_expect_it_found_and_lost(node: Node) -> None:
+    script = """
+import rclpy, sys
+from armimp_common.pubsub import CommandPublisher, JointStateSubscription
+rclpy.init()
+node = rclpy.create_node("other")
+CommandPublisher(node, "heard", 1)
+JointStateSubscription(node, "spoken", ["a"], "position", print)
+sys.stdin.readline()
+node.destroy_node()
+rclpy.shutdown()
+"""
+    publisher = JointStatePublisher(node, "spoken", ["a"], "position")
+    subscription = CommandSubscription(node, "heard", 1, lambda values: None)
+    other = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE)
+    try:
+        assert not wait_until_matched(
+            node, publishers=[publisher], subscriptions=[subscription], timeout_s=20.0
+        )
+        other.communicate(b"\n", timeout=PATIENCE)
+        end = time.monotonic() + PATIENCE
+        while len(unmatched(node, [publisher], [subscription])) < 2:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+    finally:
+        other.kill()
+        other.wait()
+
+
+def test_burst_of_two_thousand_samples_is_kept(node: Node, spin: Spin) -> None:
+    received: list[int] = []
+    publisher = JointStatePublisher(node, "topic", NAMES, "position")
+    subscription = JointStateSubscription(
+        node, "topic", NAMES, "position", lambda stamp, values: received.append(stamp)
+    )
+    assert not wait_until_matched(
+        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
+    )
+
+    for k in range(2000):
+        publisher.publish(k, [1.0, 2.0])
+    spin.until(lambda: len(received) == 2000)
+
+    assert received == list(range(2000))
+
+
+def test_every_topic_of_the_contract_has_a_profile() -> None:
+    assert set(qos.PROFILES) == set(contract.MESSAGE_TYPES)
+    for topic in contract.DATA_STREAMS:
+        profile = qos.PROFILES[topic]
+        assert profile.reliability is ReliabilityPolicy.RELIABLE
+        assert profile.history is HistoryPolicy.KEEP_LAST
+        assert profile.depth == 2000
+        assert profile.durability is DurabilityPolicy.VOLATILE
+    for topic in (contract.TRIAL, contract.RESULT):
+        assert qos.PROFILES[topic].durability is DurabilityPolicy.TRANSIENT_LOCAL
+
+
+def test_when_a_listener_is_late_expect_the_latched_message(node: Node, spin: Spin) -> None:
+    received: list[Float64MultiArray] = []
+    publisher = node.create_publisher(Float64MultiArray, "topic", qos.LATCHED)
+    publisher.publish(Float64MultiArray(data=[7.0]))
+
+    node.create_subscription(Float64MultiArray, "topic", received.append, qos.LATCHED)
+    spin.until(lambda: len(received) == 1)
+
+    assert list(received[0].data) == [7.0]

@@ -1,0 +1,1 @@
+"""Control laws, compiled, behind one interface."""

@@ -1,0 +1,140 @@
+"""Plain PD locking: the negative control, which shows what the law of the study is needed for.
+
+With encoders alone, once per tick of length L::
+
+    locked joints      τ = K_p (θ_rd − θ) − K_d θ̇
+    perturbed joint    τ = τ_Δ + K_rd (θ_rd − θ) − B_rd θ̇
+
+where θ̇ = (θ_k − θ_{k−1})/L. Nothing compensates friction, inertia, coupling, or the torque of the
+arm. So locked joints give way in proportion to their load, and the perturbed joint shows the
+inertia and the friction of the robot on top of its target impedance.
+
+The gains are those of a joint that carries the inertia M of the robot, given a natural frequency ω
+and a damping ratio ζ: K_p = ω² M, K_d = 2ζω M. Assumption: ω = 25 rad/s, ζ = 1. What limits ω on a
+rig is chatter, since one count δ of an encoder commands K_d δ/L: here 2.2 N·m at the shoulder at
+resolution level 3, as much as its Coulomb friction at level 3. (Sampling alone would allow
+450 rad/s.) The stiffness is then 221 and 113 N·m/rad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.compiled import compiled
+from armimp_common.errors import ConfigurationError
+from armimp_control.laws.layout import (
+    DAMPING,
+    INERTIA,
+    ROLE_ROWS,
+    SENSED,
+    STIFFNESS,
+    THETA_1,
+    TICKS,
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PdConfig:
+    """Gains of plain PD locking.
+
+    Parameters
+    ----------
+    target_posture : (n,) θ_rd, rad
+    target_damping : (n,) B_rd of a joint while it is perturbed, N·m·s/rad
+    target_stiffness : (n,) K_rd of a joint while it is perturbed, N·m/rad
+    inertia : (n,) M that the gains of locked joints are made for, kg·m²
+    frequency : natural frequency ω of a locked joint, rad/s
+    damping_ratio : its ζ
+    period : L, s
+
+    Raises
+    ------
+    ConfigurationError
+        If shapes disagree or a value is out of range.
+    """
+
+    target_posture: NDArray[np.float64]
+    target_damping: NDArray[np.float64]
+    target_stiffness: NDArray[np.float64]
+    inertia: NDArray[np.float64]
+    frequency: float = 25.0
+    damping_ratio: float = 1.0
+    period: float = 1e-3
+
+    def __post_init__(self) -> None:
+        n = self.target_posture.size
+        for name in ("target_posture", "target_damping", "target_stiffness", "inertia"):
+            values = getattr(self, name)
+            if values.shape != (n,) or not np.all(np.isfinite(values)):
+                raise ConfigurationError(
+                    f"controller: {name} needs {n} finite values: {values.tolist()}"
+                )
+        for i, value in enumerate(self.inertia):
+            if not value > 0.0:
+                raise ConfigurationError(
+                    f"controller: inertia of joint {i + 1} must be positive, got {value}"
+                )
+        for name in ("frequency", "damping_ratio", "period"):
+            if not 0.0 < getattr(self, name) < np.inf:
+                raise ConfigurationError(
+                    f"controller: PD {name} must be positive, got {getattr(self, name)}"
+                )
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return self.target_posture.size
+
+    def role(self, perturbed: int | None) -> NDArray[np.float64]:
+        """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
+
+        With None all joints yield, with NO_JOINT all lock. Rows as of
+        :meth:`armimp_control.laws.imbic.ImbicConfig.role`; no joint senses τ_h.
+        """
+        every = np.arange(self.joints)
+        locked = every != (every if perturbed is None else perturbed)
+        rows = np.zeros((ROLE_ROWS, self.joints))
+        rows[SENSED] = 0.0
+        rows[INERTIA] = self.inertia
+        rows[DAMPING] = np.where(
+            locked, 2.0 * self.damping_ratio * self.frequency * self.inertia, self.target_damping
+        )
+        rows[STIFFNESS] = np.where(locked, self.frequency**2 * self.inertia, self.target_stiffness)
+        return rows
+
+
+@compiled
+def pd(
+    theta: NDArray[np.float64],
+    tau_delta: NDArray[np.float64],
+    role: NDArray[np.float64],
+    target: NDArray[np.float64],
+    period: float,
+    memory: NDArray[np.float64],
+    command: NDArray[np.float64],
+) -> None:
+    """One tick of the law, before the safety gate.
+
+    Parameters
+    ----------
+    theta, tau_delta : (n,) rad, N·m: encoders, perturbation
+    role : (8, n) from :meth:`PdConfig.role`
+    target : (n,) θ_rd, rad
+    period : s
+    memory : (MEMORY_ROWS, n), updated; zeros before the first tick
+    command : (n,) N·m, written
+    """
+    n = theta.size
+    if memory[TICKS, 0] == 0.0:
+        for i in range(n):
+            memory[THETA_1, i] = theta[i]
+        memory[TICKS, 0] = 1.0
+    for i in range(n):
+        velocity = (theta[i] - memory[THETA_1, i]) / period
+        memory[THETA_1, i] = theta[i]
+        command[i] = (
+            tau_delta[i] - role[DAMPING, i] * velocity - role[STIFFNESS, i] * (theta[i] - target[i])
+        )

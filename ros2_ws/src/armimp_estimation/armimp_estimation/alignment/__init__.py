@@ -1,0 +1,1 @@
+"""From streams of messages to trials whose samples belong together."""

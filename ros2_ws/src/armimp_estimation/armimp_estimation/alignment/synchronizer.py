@@ -1,0 +1,170 @@
+"""Messages that have come and wait to be recorded, as many ticks at once are cheaper than one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+from armimp_common.cdr import stamp_of
+from armimp_common.contract import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
+from armimp_common.errors import MalformedMessageError
+
+TOGETHER = 50
+"""Samples that are recorded at a time; those that wait for it are lost if the process is killed."""
+_PATIENCE = 20
+"""Samples for which a perturbation waits for other messages of the same sample."""
+_KEPT = 2000
+"""Samples for which other messages wait for the perturbation, which may be late: they are fetched,
+and it is handed in when its turn comes."""
+
+FETCHED = tuple(topic for topic in DATA_STREAMS if topic != PERTURBATION)
+"""Streams that are fetched; the perturbation, mostly the last message of its sample, leads."""
+
+
+class StreamSynchronizer:
+    """The messages of the four streams, each in the order in which they came.
+
+    Those of the perturbation are handed in one by one; the others are fetched with every tenth of
+    them, and before anything is taken out.
+
+    Parameters
+    ----------
+    sources : mapping of str to callable
+        For each of :data:`FETCHED`: gives the messages that have come since it was called last.
+    on_samples : callable, optional
+        Called with the number of samples of which all messages have come, whenever it has passed
+        another multiple of :data:`armimp_common.contract.RECEIVED_EVERY`; with that multiple.
+    on_behind : callable, optional
+        Called when others than the perturbation are still to come, for which one must :meth:`look`.
+    """
+
+    def __init__(
+        self,
+        sources: Mapping[str, Callable[[], Sequence[bytes]]],
+        on_samples: Callable[[int], None] = lambda _: None,
+        on_behind: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._on_samples, self._on_behind = on_samples, on_behind
+        self._waiting: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
+        self._fetched = [(self._waiting[topic], sources[topic]) for topic in FETCHED]
+        self._led = self._waiting[PERTURBATION]
+        self.open()
+
+    def open(self) -> None:
+        """Begin anew, as if nothing had come."""
+        self._fetch()
+        for waiting in self._waiting.values():
+            waiting.clear()
+        self._taken = dict.fromkeys(DATA_STREAMS, 0)
+        self._leading = self._told = 0
+        self._open, self._behind = True, False
+
+    def close(self) -> None:
+        """Take no more messages than have come; what waits can still be taken out."""
+        if self._open:
+            self._fetch()
+        self._open = False
+
+    def receive(self, message: bytes) -> None:
+        """Take a message of the perturbation."""
+        if self._open:
+            self._led.append(message)
+            self._leading += 1
+            if self._behind or self._leading % RECEIVED_EVERY == 0:
+                self.look()
+
+    def look(self) -> bool:
+        """Fetch what has come, and tell how many samples are whole.
+
+        Returns
+        -------
+        bool
+            Whether there is more to come, so that one should look again.
+        """
+        if not self._open:
+            return False
+        self._fetch()
+        samples = self.samples // RECEIVED_EVERY * RECEIVED_EVERY
+        was_behind = self._behind
+        self._behind = samples < self._leading // RECEIVED_EVERY * RECEIVED_EVERY
+        if self._behind and not was_behind:
+            self._on_behind()
+        if samples > self._told:
+            self._told = samples
+            self._on_samples(samples)
+        return self._behind
+
+    def _fetch(self) -> None:
+        for waiting, fetch in self._fetched:
+            waiting.extend(fetch())
+
+    @property
+    def samples(self) -> int:
+        """Number of samples so far of which all messages have come, of those that were fetched."""
+        return min(self._counts())
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Stamp of the last perturbation that waits (ns); None without one, or if it has none."""
+        try:
+            return stamp_of(self._led[-1]) if self._led else None
+        except MalformedMessageError:
+            return None
+
+    def take(self, *, incomplete: bool = False) -> dict[str, list[bytes]]:
+        """Take out what waits, by topic.
+
+        Parameters
+        ----------
+        incomplete : bool
+            Whether to take messages, too, that others of the same sample may still follow.
+        """
+        if self._open:
+            self._fetch()
+        counts = self._counts()
+        upto = max(min(counts), self._leading - _PATIENCE, max(counts) - _KEPT)
+        if incomplete:
+            upto = max(counts)
+        taken: dict[str, list[bytes]] = {}
+        for topic, waiting in self._waiting.items():
+            count = max(upto - self._taken[topic], 0)
+            taken[topic] = waiting[:count]
+            del waiting[:count]
+            self._taken[topic] += len(taken[topic])
+        return taken
+
+    def _counts(self) -> list[int]:
+        """Number of messages so far, of each stream."""
+        return [self._taken[topic] + len(waiting) for topic, waiting in self._waiting.items()]
+
+
+class HandedInbox(StreamSynchronizer):
+    """An inbox into which the messages of all streams are handed: no middleware keeps them.
+
+    Parameters
+    ----------
+    on_samples, on_behind : callable, optional
+        As of :class:`StreamSynchronizer`.
+    """
+
+    def __init__(
+        self,
+        on_samples: Callable[[int], None] = lambda _: None,
+        on_behind: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._piles: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
+        super().__init__(
+            {topic: partial(_emptied, pile) for topic, pile in self._piles.items()},
+            on_samples,
+            on_behind,
+        )
+
+    def receiver(self, topic: str) -> Callable[[bytes], None]:
+        """What takes the messages of a topic of the contract."""
+        return self.receive if topic == PERTURBATION else self._piles[topic].append
+
+
+def _emptied(pile: list[bytes]) -> list[bytes]:
+    taken = pile.copy()
+    pile.clear()
+    return taken

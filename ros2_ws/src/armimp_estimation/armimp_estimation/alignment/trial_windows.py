@@ -1,0 +1,307 @@
+"""When each trial of a recording took place, and which joint was perturbed in it."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.contract import PERIOD_NS
+from armimp_common.errors import DataError
+from armimp_common.stopping_rule import StoppingDecision
+from armimp_common.trial_status import Phase, TrialStatus
+
+PAUSE_NS: Final = 250_000_000
+"""Zero perturbation for this long (ns) separates two trials where no status tells them apart."""
+
+
+MOST_TICKS: Final = 10_000_000
+"""Samples of the longest trial that is believed: almost three hours."""
+
+_LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
+
+_MOST_TRIALS: Final = 1000
+
+_ABORTED: Final = "aborted: "
+_NOT_VALID: Final = "not valid: "
+# What the controller says of a trial in which it only missed samples, which the ledger shows too.
+_MISSED: Final = re.compile(r"[0-9]+ samples? did not arrive")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrialWindow:
+    """The part of a recording that is one trial.
+
+    Parameters
+    ----------
+    trial : int
+        Number of the trial, 1-based.
+    joint : int
+        Perturbed joint, 0-based, in the order of the controller.
+    joint_name : str
+        Its name, which prevails over the number; may be empty.
+    start_ns : int
+        Stamp of the first perturbed sample (ns).
+    ticks : int
+        Planned number of samples.
+    seed : int or None
+        Seed of the experiment, if known.
+    ended : bool
+        Whether the recording goes on after the trial, so that all of its samples should be
+        there; else it may end within the trial.
+    fault : str
+        What spoiled the trial, according to the controller; empty if nothing did.
+    missed : bool
+        Whether the fault is no more than samples that did not reach the controller.
+    aborted : bool
+        Whether the controller aborted it: what was recorded before that is as good as ever.
+    clipped : int
+        Joint commands that the controller had to limit.
+    clipped_intervals : tuple of (int, int)
+        First and last tick of the trial, from 0, of each run of such commands.
+    saved : int
+        Samples that were planned beyond `ticks`, before the controller ended the trial earlier.
+    tare : tuple of float
+        What the controller took from the torques of each joint, N·m, in its order of joints; not
+        taken from the samples. Empty without a tare.
+
+    Raises
+    ------
+    DataError
+        If start or number of samples are beyond reason.
+    """
+
+    trial: int
+    joint: int
+    joint_name: str
+    start_ns: int
+    ticks: int
+    seed: int | None
+    ended: bool
+    fault: str = ""
+    missed: bool = False
+    aborted: bool = False
+    clipped: int = 0
+    clipped_intervals: tuple[tuple[int, int], ...] = ()
+    saved: int = 0
+    tare: tuple[float, ...] = ()
+
+    @property
+    def told_again(self) -> str:
+        """The fault as the reason of a status of phase `REST`, from which the same window comes."""
+        return self.fault.removeprefix(_NOT_VALID)
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.ticks <= MOST_TICKS:
+            raise DataError(f"trial {self.trial} cannot have {self.ticks} samples")
+        if abs(self.start_ns) > _LATEST_NS:
+            raise DataError(f"trial {self.trial} cannot start at {self.start_ns} ns")
+
+
+class AnnouncedTrials:
+    """Lengths of the trials that were announced, to tell statuses that the controller can't send.
+
+    Parameters
+    ----------
+    strict : bool
+        Whether a trial may end early only if a judgement was :meth:`note`-d that it is long enough.
+    """
+
+    def __init__(self, *, strict: bool) -> None:
+        self._strict = strict
+        self._planned: dict[int, int] = {}
+        self._enough: set[int] = set()
+
+    def note(self, judgement: StoppingDecision) -> None:
+        """Take what was found of a trial."""
+        if judgement.enough:
+            self._enough.add(judgement.trial)
+
+    def contradiction(self, status: TrialStatus) -> str:
+        """Return what a status says that cannot be; empty if it is as it should be."""
+        trial, ticks = status.trial, status.ticks
+        planned = self._planned.setdefault(trial, ticks)
+        if ticks > planned:
+            return f"trial {trial} has {ticks} samples, not {planned} any more"
+        if ticks < planned and self._strict and trial not in self._enough:
+            return (
+                f"trial {trial} ends after {ticks} samples, which nobody asked for, not {planned}"
+            )
+        self._planned[trial] = ticks
+        return ""
+
+
+def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow, ...]:
+    """Find the trials that the controller announced.
+
+    Parameters
+    ----------
+    statuses : sequence of TrialStatus
+        In the order in which they were published.
+
+    Returns
+    -------
+    tuple of TrialWindow
+        One for every trial whose perturbation began, in their order.
+    """
+    windows: list[TrialWindow] = []
+    known: set[tuple[int, int]] = set()
+    current: TrialWindow | None = None
+    for status in statuses:
+        if status.phase is Phase.SETTLE:
+            _close(current, windows)
+            current = None
+            continue
+        if status.start_ns is not None and (
+            current is None or (current.trial, current.start_ns) != (status.trial, status.start_ns)
+        ):
+            _close(current, windows)
+            current = None
+            if (status.trial, status.start_ns) in known:
+                continue  # the last status again, as a latched topic may repeat it
+            known.add((status.trial, status.start_ns))
+            current = TrialWindow(
+                trial=status.trial,
+                joint=status.joint,
+                joint_name=status.joint_name,
+                start_ns=status.start_ns,
+                ticks=status.ticks,
+                seed=status.seed,
+                ended=False,
+            )
+        if current is None:
+            continue
+        if status.phase is Phase.ABORTED:
+            fault = f"{_ABORTED}{status.reason or 'no reason given'}"
+            current = replace(current, fault=fault, missed=False, aborted=True)
+        elif not status.valid and status.reason.startswith(_ABORTED):
+            current = replace(current, fault=status.reason, aborted=True)
+        elif not status.valid and (current.missed or not current.fault):
+            fault = f"{_NOT_VALID}{status.reason or 'no reason given'}"
+            current = replace(current, fault=fault, missed=only_missed_samples(status))
+        if status.ticks < current.ticks:
+            saved = current.saved + current.ticks - status.ticks
+            current = replace(current, ticks=status.ticks, saved=saved)
+        current = _with_clipping(current, status)
+        if status.tare:
+            current = replace(current, tare=status.tare)
+        if status.phase is not Phase.PERTURB:
+            current = replace(current, ended=True)
+    if current is not None:
+        windows.append(current)
+    return tuple(windows)
+
+
+def only_missed_samples(status: TrialStatus) -> bool:
+    """Tell whether a trial is not valid only because samples did not reach the controller."""
+    return (
+        status.phase is not Phase.ABORTED
+        and not status.valid
+        and _MISSED.fullmatch(status.reason) is not None
+    )
+
+
+def _with_clipping(window: TrialWindow, status: TrialStatus) -> TrialWindow:
+    """Take over how many commands were clipped, and when."""
+    if not status.clipped and not status.clipped_intervals:
+        return window
+    limits = [part.split("-") for part in status.clipped_intervals.split()]
+    intervals = tuple((int(first), int(last)) for first, last in limits)
+    return replace(window, clipped=status.clipped, clipped_intervals=intervals)
+
+
+def infer_windows(
+    stamps: NDArray[np.int64],
+    perturbation: NDArray[np.float64],
+    period: float = PERIOD_NS,
+) -> tuple[TrialWindow, ...]:
+    """Find the trials of a recording without statuses from its perturbation alone.
+
+    A trial lasts from the first to the last sample with a torque that is not zero. Another one
+    begins when another joint is perturbed, or after `PAUSE_NS` without any torque.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Stamps of the perturbation messages (ns).
+    perturbation : ndarray, shape (n, N)
+        Perturbation torques, N·m.
+    period : float
+        Sampling period, ns.
+
+    Raises
+    ------
+    DataError
+        If no joint is perturbed, or several are at once.
+    """
+    stamps, first = np.unique(stamps, return_index=True)
+    active = perturbation[:, first] != 0.0
+    together = np.flatnonzero(active.sum(axis=0) > 1)
+    if together.size:
+        joints = ", ".join(str(k + 1) for k in np.flatnonzero(active[:, together[0]]))
+        raise DataError(
+            f"joints {joints} are perturbed at once and there is no trial status: "
+            "the perturbed joint cannot be inferred"
+        )
+    samples = np.flatnonzero(active.any(axis=0))
+    if not samples.size:
+        raise DataError("no joint is perturbed and there is no trial status")
+    joint = active.argmax(axis=0)[samples]
+    apart = np.flatnonzero((np.diff(stamps[samples]) > PAUSE_NS) | (np.diff(joint) != 0))
+    require_few_trials(apart.size + 1)
+    runs = np.split(np.arange(samples.size), apart + 1)
+    return tuple(
+        TrialWindow(
+            trial=number,
+            joint=int(joint[run[0]]),
+            joint_name="",
+            start_ns=int(stamps[samples[run[0]]]),
+            ticks=int(tick_numbers(stamps[samples[run[0]] : samples[run[-1]] + 1], period)[-1]) + 1,
+            seed=None,
+            ended=bool(samples[run[-1]] < stamps.size - 1),
+        )
+        for number, run in enumerate(runs, 1)
+    )
+
+
+def tick_numbers(stamps: NDArray[np.int64], period: float = PERIOD_NS) -> NDArray[np.int64]:
+    """Number the control periods of ascending stamps, the first one 0.
+
+    Every step is rounded by itself to whole periods, so neither jitter nor a clock that runs a
+    little fast or slow adds up.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Ascending, ns.
+    period : float
+        Sampling period, ns.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        Not descending; equal numbers where stamps are less than half a period apart.
+    """
+    numbers = np.zeros(stamps.size, np.int64)
+    steps = np.floor(np.diff(stamps) / period + 0.5).astype(np.int64)
+    np.cumsum(steps, out=numbers[1:])
+    return numbers
+
+
+def require_few_trials(trials: int) -> None:
+    """Refuse a recording with more trials than anyone makes without a pause.
+
+    Raises
+    ------
+    DataError
+        If there are so many.
+    """
+    if trials > _MOST_TRIALS:
+        raise DataError(f"{trials} trials are more than the {_MOST_TRIALS} of one recording")
+
+
+def _close(current: TrialWindow | None, windows: list[TrialWindow]) -> None:
+    if current is not None:
+        windows.append(replace(current, ended=True))

@@ -1,0 +1,348 @@
+"""Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.drift import drift_of
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.local_polynomial import (
+    LocalPolynomialConfig,
+    LocalResponse,
+    bins_in_band,
+    local_response,
+)
+from armimp_estimation.estimators.welch import invert, multiply
+from armimp_estimation.fit import FitConfig, fit_column, fit_mbk
+from armimp_estimation.frf import order_trials
+from armimp_estimation.hold_correction import HoldCorrection, command_steps, update_jump
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+# Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
+_SPARE_BINS = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class LpmConfig:
+    """Options of the estimator ``lpm_full``.
+
+    Parameters
+    ----------
+    local : LocalPolynomialConfig
+        Local polynomials.
+    span : float
+        Hz on either side of a bin that they may span: in shorter records, where bins are wider,
+        fewer take part. The responses of an arm have a resonance around 1 Hz, and over 0.25 Hz
+        polynomials of degree 2 miss up to 0.5 % of them; the error grows with its fourth power.
+    reading : TorqueReading
+        How the readings of torque come about, and so what is corrected: see
+        :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
+        :mod:`armimp_estimation.hold_correction`. Without commands in the records it has to be
+        everything.
+    skew_uncertainty : float
+        Relative standard error of the correction of what jumps, which no residual shows. With
+        encoders of finite resolution the command chatters, and friction answers within the
+        control period in a way that depends on the direction of motion: in simulation up to 2 %
+        of the correction are left (friction 3, resolution 3, perturbation 1).
+    timing_uncertainty : float
+        Standard error with which the instant of torque readings is known where it was told, s.
+        Where it was not, or the records refute that torques jump as it says, it is half a period.
+    weight_floor : float
+        Relative error that is allowed for in the weights of the M-B-K fit, beside the variance;
+        see :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials.
+    """
+
+    local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
+    span: float = 0.25
+    reading: TorqueReading = field(default_factory=TorqueReading)
+    skew_uncertainty: float = 0.02
+    timing_uncertainty: float = 20e-6
+    weight_floor: float = 0.005
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.span < np.inf:
+            raise ConfigurationError(f"span must be positive, got {self.span!r} Hz")
+        for name in ("skew_uncertainty", "timing_uncertainty", "weight_floor"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ConfigurationError(f"{name} must not be negative, got {value!r}")
+
+    def local_for(self, duration: float) -> LocalPolynomialConfig:
+        """Local polynomials for a record of so many seconds."""
+        fewest = self.local.order + _SPARE_BINS
+        within = int(self.span * duration * (1.0 + 1e-12))
+        return replace(self.local, half_width=min(self.local.half_width, max(fewest, within)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FittedColumn:
+    """Column k of the fitted matrices, from the trial of joint k alone.
+
+    Attributes
+    ----------
+    joint : int
+        Joint k, 0-based.
+    values : ndarray, shape (3, n)
+        M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque.
+    errors : ndarray, shape (3, n)
+        Their standard errors, in the same units, which know of random errors alone.
+    preliminary : bool
+        Whether the motion of a locked joint is not accounted for, as it had no trial yet. The
+        values may then be off by many standard errors.
+    """
+
+    joint: int
+    values: FloatArray
+    errors: FloatArray
+    preliminary: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class LpmFull:
+    """``Z = T R⁻¹`` from local polynomials, at every bin of the record.
+
+    Parameters
+    ----------
+    config : LpmConfig
+        Options.
+    band : tuple of float
+        Lowest and highest frequency, Hz; bins on its ends belong to it.
+    name : str
+        Name of the estimator.
+    """
+
+    config: LpmConfig = field(default_factory=LpmConfig)
+    band: tuple[float, float] = (WelchConfig.f_low, WelchConfig.f_high)
+    name: str = "lpm_full"
+
+    def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
+        """Whole matrix from n trials in any order, one for each joint.
+
+        With ``T + S C`` and ``R`` estimated from one trial, where C is the response of the steps of
+        the command and S what skew makes of them, errors of all of them are correlated, since
+        the noise moves the joints and the torques. So the variance of ``Z = (T + S C) R⁻¹`` is that
+        of ``(δT + S δC - Z δR) R⁻¹``, from the joint covariance of all channels of each trial.
+
+        Trials may differ in length: all are estimated at the frequencies of the shortest.
+
+        Raises
+        ------
+        DataError
+            If a joint has no trial, a record is too short, or R cannot be inverted.
+        """
+        return self._estimate([trial.record for trial in order_trials(trials)])
+
+    def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
+        """As :meth:`estimate`, from one record for each joint, in their order."""
+        options = self.config
+        jump = self.jump(records)
+        columns = self._columns(records, with_steps=jump is not None)
+        f, n = columns[0].f, len(records)
+        stacked = np.stack([column.response for column in columns], axis=1)
+        R = stacked[:n]
+        inverse = invert(R, f)
+
+        skew = self._skew(jump, f, records[0].rate, n)
+        torque = multiply(skew, stacked[n:])
+        impedance = multiply(torque, inverse)
+        uncorrected = self._without_skew(stacked[n : 2 * n], f, records[0].rate)
+        systematic = options.skew_uncertainty * multiply(torque - uncorrected, inverse)
+
+        coefficients = np.concatenate((-impedance, skew), axis=1)
+        variance = np.abs(systematic) ** 2
+        for k, column in enumerate(columns):
+            for i in range(n):
+                disturbance = column.combined_variance(coefficients[i])
+                variance[i] += disturbance * np.abs(inverse[k]) ** 2
+        return ImpedanceEstimate(
+            name=self.name,
+            f=f,
+            Z=impedance,
+            variance=variance,
+            bin_correlation=_mean([column.bin_correlation() for column in columns]),
+            averages=min(column.freedom for column in columns) + 1.0,
+            T=torque,
+            R=R,
+            systematics=(systematic,),
+            weight_floor=options.weight_floor,
+            delay_uncertainty=self._delay_uncertainty(jump, records[0].rate),
+            delay_unknown=0.5 / records[0].rate,
+            unbiased=True,
+            covariance=_covariance(columns, _angles_and(skew, n)),
+            disturbance=_covariance(columns, coefficients),
+            inverse=inverse,
+        )
+
+    def column(
+        self,
+        record: TrialRecord,
+        others: Sequence[TrialRecord] = (),
+        fit: FitConfig | None = None,
+    ) -> FittedColumn:
+        """Column k of M, B and K from the trial of joint k so far, and trials that are over.
+
+        With a trial of every other joint, it is that of :meth:`estimate`. Else it is preliminary:
+        with ``R`` diagonal, ``Z_ik = (T + S C)_ik / R_kk``, what locked joints move nonetheless is
+        in the values. The standard errors are those of the whole estimate as far as the joints are
+        locked.
+
+        Parameters
+        ----------
+        record : TrialRecord
+            The trial so far.
+        others : sequence of TrialRecord
+            Trials of other joints; of two trials of one joint, the later counts.
+        fit : FitConfig, optional
+            Options of the fit.
+
+        Raises
+        ------
+        DataError
+            If a record is too short, joint k does not move, or R cannot be inverted.
+        """
+        by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
+        n, k = record.joints, record.perturbed_joint
+        options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
+        if len(by_joint) == n:
+            found = self._estimate([by_joint[joint] for joint in range(n)])
+            fitted = fit_mbk(found, options)
+            values = np.stack(
+                [matrix[:, k] for matrix in (fitted.mbk.M, fitted.mbk.B, fitted.mbk.K)]
+            )
+            errors = np.stack([matrix[:, k] for matrix in (fitted.M_se, fitted.B_se, fitted.K_se)])
+            return FittedColumn(joint=k, values=values, errors=errors, preliminary=False)
+        record = by_joint[k]
+        jump = self.jump([record])
+        (response,) = self._columns([record], with_steps=jump is not None)
+        f, stacked = response.f, response.response
+        if not (np.abs(stacked[k]) > 0.0).all():
+            raise DataError(f"trial {record.trial}: joint {k + 1} does not move")
+        skew = self._skew(jump, f, record.rate, n)
+        torque = multiply(skew, stacked[n:, None])[:, 0]
+        impedance = torque / stacked[k]
+        uncorrected = self._without_skew(stacked[n : 2 * n], f, record.rate)
+        systematic = self.config.skew_uncertainty * (torque - uncorrected) / stacked[k]
+        variance = np.abs(systematic) ** 2
+        for i in range(n):
+            coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
+            coefficients[k] = -impedance[i]
+            coefficients[n:] = skew[i]
+            variance[i] += response.combined_variance(coefficients) / np.abs(stacked[k]) ** 2
+        correlation = response.bin_correlation()
+        values, errors = fit_column(
+            f,
+            impedance,
+            variance,
+            systematic,
+            correlation,
+            options,
+            delay_uncertainty=self._delay_uncertainty(jump, record.rate),
+            delay_unknown=0.5 / record.rate,
+        )
+        return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
+
+    def _skew(
+        self, jump: HoldCorrection | None, f: FloatArray, rate: float, joints: int
+    ) -> ComplexArray:
+        """Coefficients of torques, and of steps if they count, in the torque without skew."""
+        reading = self.config.reading.at_rate(rate)
+        steps = 0 if jump is None else joints
+        skew = np.zeros((joints, joints + steps, f.size), dtype=np.complex128)
+        diagonal = np.arange(joints)
+        skew[diagonal, diagonal] = 1.0
+        if jump is None:
+            if reading.timing is TorqueTiming.INTERVAL_MEAN:
+                skew *= np.exp(2j * np.pi * f * reading.skew(rate) / rate)
+        else:
+            skew[:, joints:] = jump.missing(f, rate, reading)
+        if not reading.prompt:
+            skew /= reading.response(f)
+        return skew
+
+    def jump(self, records: Sequence[TrialRecord]) -> HoldCorrection | None:
+        """Jump of torques with the commands, if that is what is late and can be known."""
+        reading = self.config.reading.at_rate(records[0].rate)
+        if reading.timing is TorqueTiming.UNKNOWN:
+            reading = replace(reading, timing=TorqueTiming.BEFORE_UPDATE)
+        late = reading.timing is TorqueTiming.BEFORE_UPDATE
+        if late and all(record.command is not None for record in records):
+            return update_jump(records, reading)
+        return None
+
+    def _delay_uncertainty(self, jump: HoldCorrection | None, rate: float) -> float:
+        """Standard error with which torques and angles are of one instant, s."""
+        timing = self.config.reading.timing
+        told = timing in {TorqueTiming.INTERVAL_MEAN, TorqueTiming.SIMULTANEOUS}
+        if told or (jump is not None and timing is not TorqueTiming.UNKNOWN):
+            return self.config.timing_uncertainty
+        return 0.5 / rate
+
+    def _without_skew(self, torque: ComplexArray, f: FloatArray, rate: float) -> ComplexArray:
+        """Responses of torques (..., n_freq) with all corrected but what jumps with commands."""
+        reading = self.config.reading.at_rate(rate)
+        return torque if reading.prompt else torque / reading.response(f)
+
+    def _columns(self, records: Sequence[TrialRecord], *, with_steps: bool) -> list[LocalResponse]:
+        """Responses of angles, torques and, if wanted, steps of the commands, by trial."""
+        shortest = min(record.samples for record in records)
+        rate = records[0].rate
+        bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
+        f = bins * float(rate / shortest)
+        columns = []
+        for record in records:
+            outputs = [record.position, record.torque]
+            if with_steps:
+                outputs.append(command_steps(record, record.samples))
+            columns.append(
+                local_response(
+                    record.perturbation[record.perturbed_joint],
+                    np.concatenate(outputs),
+                    rate,
+                    self.band,
+                    self.config.local_for(record.duration),
+                    None if record.samples == shortest else f,
+                )
+            )
+        return columns
+
+
+def _without_drift(record: TrialRecord) -> TrialRecord:
+    drift = drift_of(record)
+    return drift.removed_from(record) if drift is not None and drift.significant else record
+
+
+def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
+    """Coefficients of all channels in angles and corrected torques, shape (2n, C, n_freq)."""
+    chosen = np.zeros((2 * joints, joints + skew.shape[1], skew.shape[2]), dtype=np.complex128)
+    chosen[np.arange(joints), np.arange(joints)] = 1.0
+    chosen[joints:, joints:] = skew
+    return chosen
+
+
+def _covariance(columns: Sequence[LocalResponse], combined: ComplexArray) -> ComplexArray:
+    """Covariance of combinations (m, C, n_freq) of the responses of each trial, (n, m, m, ...)."""
+    return np.stack(
+        [
+            one.gain
+            * np.einsum("acf,cdf,bdf->abf", combined, one.noise, np.conj(combined), optimize=True)
+            for one in columns
+        ]
+    )
+
+
+def _mean(correlations: Sequence[FloatArray]) -> FloatArray:
+    """Mean of correlations, those that end earlier being 0 from there on."""
+    longest = max(one.size for one in correlations)
+    padded = [np.pad(one, (0, longest - one.size)) for one in correlations]
+    mean: FloatArray = np.mean(padded, axis=0)
+    return mean

@@ -1,0 +1,268 @@
+"""Impedance by averaged spectra: one column at a time, or all columns together.
+
+Both take the frequency responses of :mod:`armimp_estimation.frf`. In the trial that perturbs joint
+k the torque obeys ``τ_i = Σ_j Z_ij θ_j + v_i`` with a disturbance v that the perturbation does not
+cause, so ``T = Z R + V`` where ``V_ik = G_{x v_i}/G_xx`` has the variance ``G_vv/(n_d G_xx)``. The
+disturbance also moves the joints through the loop, but that only has an effect of second order.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+from armimp_estimation.estimators.estimate import ImpedanceColumn, ImpedanceEstimate
+from armimp_estimation.frf import (
+    FrfMatrix,
+    frf_column,
+    frf_matrix,
+    noise_gain,
+    order_trials,
+    residual_power,
+)
+from armimp_estimation.trial import TrialData, TrialSpectra
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True, kw_only=True)
+class WelchSiso:
+    """The estimator of Kang & Zhang, eq. 17-18: ``Z_ik = T_ik / R_kk``.
+
+    It takes locked joints as still. What they move nonetheless shows in two ways: motion that
+    follows the perturbation biases the estimate, by ``Σ_{j≠k} Z_ij R_jk / R_kk``; other motion
+    acts as noise and is part of the variance.
+    """
+
+    name: str = "welch_siso"
+
+    def column(self, trial: TrialSpectra) -> ImpedanceColumn:
+        """Column k from the trial of joint k alone, as soon as it has two segments.
+
+        The variance is ``G_ee / ((n_d - 1) G_xx |R_kk|²)`` where ``e = τ_i - Z_ik θ_k``; see
+        :func:`armimp_estimation.frf.noise_gain` for the ``n_d - 1``.
+
+        Raises
+        ------
+        DataError
+            If there are fewer than two segments, no perturbation or no motion of joint k.
+        """
+        k = trial.perturbed_joint
+        frf = frf_column(trial)
+        motion = np.abs(frf.R[k])
+        if not (motion > 0.0).all():
+            still = trial.f[~(motion > 0.0)][0]
+            raise DataError(f"joint {k + 1} does not follow its perturbation at {still:.4g} Hz")
+        impedance = frf.T / frf.R[k]
+        gain = noise_gain(trial) / motion**2
+        variance = np.empty(impedance.shape)
+        for i in range(trial.joints):
+            coefficients = np.zeros((2 * trial.joints + 1, trial.f.size), dtype=np.complex128)
+            coefficients[trial.position_channel(k)] = -impedance[i]
+            coefficients[trial.torque_channel(i)] = 1.0
+            variance[i] = gain * residual_power(trial, coefficients)
+        return ImpedanceColumn(joint=k, f=trial.f, Z=impedance, variance=variance)
+
+    def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
+        """Whole matrix from n trials in any order, one for each joint.
+
+        Raises
+        ------
+        DataError
+            If a joint has no trial, or as :meth:`column`.
+        """
+        estimate = estimate_by_columns(self.name, trials, self.column)
+        n = estimate.joints
+        locked = estimate.R * (1.0 - np.eye(n))[:, :, None]
+        # Each column takes its own angle alone.
+        still = estimate.R * np.eye(n)[:, :, None]
+        inverse = invert(still, estimate.f)
+        estimate = with_disturbance(
+            estimate, np.einsum("ikf,kl->klif", -estimate.Z, np.eye(n)), inverse
+        )
+        biases = known_biases(estimate, still, inverse, trials[0].record.rate)
+        return with_biases(estimate, (*biases, multiply(multiply(estimate.Z, locked), inverse)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class WelchFull:
+    """All columns together: ``Z = T R⁻¹``, exact also when locked joints move with joint k."""
+
+    name: str = "welch_full"
+
+    def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
+        """Whole matrix from n trials in any order, one for each joint.
+
+        The error is ``V R⁻¹`` and the columns of V are independent, being from different trials:
+        ``var(Z_ij) = Σ_k var(V_ik) |R⁻¹_kj|²``, with ``var(V_ik)`` from the residual
+        ``e = τ_i - Σ_j Z_ij θ_j`` in trial k.
+
+        Raises
+        ------
+        DataError
+            If a joint has no trial, there are too few segments, or R cannot be inverted.
+        """
+        spectra = [trial.spectra for trial in order_trials(trials)]
+        frf = frf_matrix(spectra)
+        n = len(spectra)
+        inverse = invert(frf.R, frf.f)
+        impedance = multiply(frf.T, inverse)
+        variance = np.zeros(impedance.shape)
+        for k, trial in enumerate(spectra):
+            gain = noise_gain(trial)
+            for i in range(n):
+                coefficients = np.zeros((2 * n + 1, frf.f.size), dtype=np.complex128)
+                coefficients[1 : 1 + n] = -impedance[i]
+                coefficients[trial.torque_channel(i)] = 1.0
+                disturbance = gain * residual_power(trial, coefficients)
+                variance[i] += disturbance * np.abs(inverse[k]) ** 2
+        estimate = matrix_estimate(self.name, spectra, frf, impedance, variance)
+        taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
+        estimate = with_disturbance(estimate, taken, inverse)
+        return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record.rate))
+
+
+def known_biases(
+    estimate: ImpedanceEstimate, R: ComplexArray, inverse: ComplexArray, rate: float
+) -> tuple[ComplexArray, ...]:
+    """Biases that averaged spectra are known to have, as standard errors of the impedance.
+
+    Leakage: a Hann window takes the mean of a response over its neighbours with weights 1/6, 2/3,
+    1/6, which adds a sixth of the second difference: ``(ΔΔT - Z ΔΔR) R⁻¹ / 6``. Skew: torques that
+    are read before the update of the command are late by half a sample, ``jωL/2 Z``.
+
+    Parameters
+    ----------
+    estimate : ImpedanceEstimate
+        Impedance and its T.
+    R, inverse : ndarray, shape (n, n, n_freq)
+        Responses of the angles that it takes into account, and their inverse.
+    rate : float
+        Samples per second, Hz.
+    """
+    if estimate.f.size < 3:
+        return ()
+    change = _second_difference(estimate.T) - multiply(estimate.Z, _second_difference(R))
+    leakage = multiply(change, inverse) / 6.0
+    return leakage, 1j * np.pi * estimate.f / rate * estimate.Z
+
+
+def with_biases(estimate: ImpedanceEstimate, biases: tuple[ComplexArray, ...]) -> ImpedanceEstimate:
+    """Add standard errors of known biases to an estimate."""
+    variance = estimate.variance + sum(np.abs(bias) ** 2 for bias in biases)
+    return replace(estimate, variance=variance, systematics=(*estimate.systematics, *biases))
+
+
+def _second_difference(values: ComplexArray) -> ComplexArray:
+    inner = values[..., 2:] - 2.0 * values[..., 1:-1] + values[..., :-2]
+    return np.concatenate([inner[..., :1], inner, inner[..., -1:]], axis=-1)
+
+
+def with_disturbance(
+    estimate: ImpedanceEstimate, taken: ComplexArray, inverse: ComplexArray
+) -> ImpedanceEstimate:
+    """Add the covariance of the disturbance, which follows from that of R and T.
+
+    Parameters
+    ----------
+    estimate : ImpedanceEstimate
+        With the covariance of R and T.
+    taken : ndarray, shape (n, n, n, n_freq)
+        Share of the error of ``R_lk`` in ``V_ik``, by k, l, i.
+    inverse : ndarray, shape (n, n, n_freq)
+        See :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`.
+    """
+    assert estimate.covariance is not None  # made from averaged spectra
+    n = estimate.joints
+    torques = np.broadcast_to(np.eye(n)[None, :, :, None], taken.shape)
+    shares = np.concatenate((taken, torques), axis=1)
+    disturbance = np.einsum(
+        "kaif,kabf,kbmf->kimf", shares, estimate.covariance, np.conj(shares), optimize=True
+    )
+    return replace(estimate, disturbance=disturbance, inverse=inverse)
+
+
+def estimate_by_columns(
+    name: str,
+    trials: Sequence[TrialData],
+    column: Callable[[TrialSpectra], ImpedanceColumn],
+) -> ImpedanceEstimate:
+    """Whole matrix of an estimator that takes each column from the trial of its joint alone.
+
+    Raises
+    ------
+    DataError
+        If a joint has no trial, or as ``column``.
+    """
+    spectra = [trial.spectra for trial in order_trials(trials)]
+    columns = [column(trial) for trial in spectra]
+    return matrix_estimate(
+        name,
+        spectra,
+        frf_matrix(spectra),
+        np.stack([one.Z for one in columns], axis=1),
+        np.stack([one.variance for one in columns], axis=1),
+    )
+
+
+def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
+    """Inverse at each frequency of a matrix of shape (n, n, n_freq).
+
+    Raises
+    ------
+    DataError
+        If the matrix is singular at a frequency, which the message names.
+    """
+    # A fresh array, so that the place of the matrix in memory cannot matter.
+    stack = np.ascontiguousarray(np.moveaxis(matrix, 2, 0))
+    try:
+        inverse = np.linalg.inv(stack)
+    except np.linalg.LinAlgError as error:
+        singular = next(k for k, one in enumerate(stack) if not _is_regular(one))
+        raise DataError(
+            f"motion of the joints is linearly dependent at {f[singular]:.4g} Hz: "
+            "the impedance matrix is not determined"
+        ) from error
+    return np.ascontiguousarray(np.moveaxis(inverse, 0, 2))
+
+
+def _is_regular(matrix: ComplexArray) -> bool:
+    try:
+        np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+def multiply(left: ComplexArray, right: ComplexArray) -> ComplexArray:
+    """Matrix product at each frequency; shapes (n, m, n_freq) and (m, p, n_freq)."""
+    product = np.zeros((left.shape[0], right.shape[1], left.shape[2]), dtype=np.complex128)
+    for middle in range(left.shape[1]):
+        product += left[:, middle, None, :] * right[None, middle, :, :]
+    return product
+
+
+def matrix_estimate(
+    name: str,
+    trials: Sequence[TrialSpectra],
+    frf: FrfMatrix,
+    impedance: ComplexArray,
+    variance: FloatArray,
+) -> ImpedanceEstimate:
+    """Put together what an estimator on averaged spectra has found from trials in order of k."""
+    # Trials may differ in length: the shortest has the least certain variance.
+    shortest = min(trials, key=lambda trial: trial.spectra.effective_averages).spectra
+    return ImpedanceEstimate(
+        name=name,
+        f=frf.f,
+        Z=impedance,
+        variance=variance,
+        bin_correlation=shortest.bin_correlation,
+        averages=shortest.effective_averages,
+        T=frf.T,
+        R=frf.R,
+        covariance=frf.covariance,
+    )

@@ -1,0 +1,250 @@
+"""What updates of the command do to the torques on the arm, from the records themselves.
+
+Between two updates the joints accelerate with ``θ̈ = (M_r + M_h)⁻¹ (u - ...)``, where the command u
+is held and all the rest, friction included, changes steadily. So with each update by Δu the torque
+on the arm jumps by ``D Δu`` with ``D = M_h (M_r + M_h)⁻¹``; its slope jumps as well, by ``S Δu/L``,
+since damping and the friction of the robot act on the velocity that the jump builds up. A reading
+just before the update is late by just that. What the torque is between the updates follows from
+readings and jumps by the Euler-Maclaurin formula (coefficients 1/2 and 1/12):
+
+    τ(ω) = τ_before(ω) + [D (1/2 - jωL/12) + S/12] Δu(ω)
+
+up to fourth order in ωL. Readings that pass a filter or are late lack other multiples of D and S,
+see :mod:`armimp_estimation.torque_timing`. A delay of half a sample, ``T exp(jωL/2)``, puts the
+inertial torque right as well, but overcorrects what does not jump: it adds ``K L/2`` to B and
+``B L/2`` to M, and does not know of the part of u that overcomes friction. D need not be precise:
+an error of 10 % leaves 10 % of the skew.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import DataError
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_timing import TorqueReading
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+# Periods after a jump by which the torque is followed, from when it has passed the filter on.
+_PERIODS = 3
+# Value and slope at the jump of the parabola through the sums of the changes 1, 2, 3 periods later.
+_PARABOLA = np.array([[1.0, -2.0, 1.0], [0.0, 2.5, -1.5]])
+# How much of a step a reading may lack that has all of it.
+_PASSED = 0.01
+_DIFFERENCES = 4
+_CHATTER_EXPLAINS = 0.9
+_MOTION_EXPLAINS = 0.99
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HoldCorrection:
+    """How the torques on the arm answer a step of the commands at once.
+
+    Attributes
+    ----------
+    torque : ndarray, shape (n, n)
+        D: torques jump by ``D Δu``, N·m per N·m.
+    slope : ndarray, shape (n, n)
+        S: their slopes jump by ``S Δu / L``, N·m per N·m.
+    """
+
+    torque: FloatArray
+    slope: FloatArray
+
+    def missing(
+        self, f: FloatArray, rate: float, reading: TorqueReading | None = None
+    ) -> ComplexArray:
+        """What readings lack, per step of the commands.
+
+        Parameters
+        ----------
+        f : ndarray, shape (n_freq,)
+            Frequencies, Hz.
+        rate : float
+            Updates per second, Hz.
+        reading : TorqueReading, optional
+            How readings come about; by default just before the updates.
+
+        Returns
+        -------
+        ndarray, shape (n, n, n_freq)
+            ``D (1/2 - jωL/12) + S/12`` by default, N·m per N·m.
+        """
+        if reading is None or reading.prompt:
+            radians = 2.0 * np.pi * f / rate
+            jump = self.torque[:, :, None] * (0.5 - 1j * radians / 12.0)
+            lacking = np.asarray(jump + self.slope[:, :, None] / 12.0, dtype=np.complex128)
+        else:
+            edge, bend = reading.folded(f, rate)
+            lacking = self.torque[:, :, None] * edge + self.slope[:, :, None] * bend
+        return lacking
+
+
+def command_steps(record: TrialRecord, samples: int) -> FloatArray:
+    """Difference of each command from the one before, ``u_k - u_{k-1}``, shape (n, samples), N·m.
+
+    The first is 0, as the command before it is not known. A difference that is wrong at one sample
+    has a flat spectrum, which looks like leakage.
+    """
+    if record.command is None:
+        raise ValueError(f"trial {record.trial} has no commands")
+    command = record.command[:, :samples]
+    steps: FloatArray = np.diff(command, axis=1, prepend=command[:, :1])
+    return steps
+
+
+def update_jump(
+    records: Sequence[TrialRecord], reading: TorqueReading | None = None
+) -> HoldCorrection | None:
+    """Jumps of the torques and their slopes with steps Δu of the commands.
+
+    On a rig with encoders of finite resolution the command chatters, and fourth differences of the
+    torque consist of little but what this causes. Their regression on fourth differences of the
+    steps of the last three updates tells by how much the torque has changed 1, 2 and 3 periods
+    after a step, and a parabola through these goes back to the moment after the step itself.
+    (The friction of a robot can take 3 % off the jump within the first period.)
+
+    Without chatter, angles are so fine that the motion itself tells:
+
+        τ_before = -½ D Δu + M (θ_{k+1} - 2θ_k + θ_{k-1})/L² + B (θ_{k+1} - θ_{k-1})/2L + K θ
+
+    is fitted by least squares, and the slope, which hardly matters then, is taken as 0. Errors of
+    the angles would bias that; so would a voluntary torque, and whichever way is taken has to
+    explain nearly all of what it is fitted to.
+
+    Readings that are late or have passed a low-pass show a step later, and more slowly. The poles
+    of the low-pass are taken from them, and as the answers to a step, a ramp and a parabola of the
+    torque are known, the regression tells these. Only chatter is used then.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        Trials of one arm, with commands.
+    reading : TorqueReading, optional
+        How their torques were read; by default just before the updates.
+
+    Returns
+    -------
+    HoldCorrection or None
+        None if neither way explains the torques, or if the eigenvalues of D do not lie between 0
+        and 1, as they do for any two inertias: torques then do not follow the commands like that.
+    """
+    known = reading or TorqueReading()
+    jump, explained = _from_chatter(records, known)
+    if (explained > _CHATTER_EXPLAINS).all() and _is_share_of_inertia(jump.torque):
+        return jump
+    if known.prompt:
+        jump, explained = _from_motion(records)
+        if (explained > _MOTION_EXPLAINS).all() and _is_share_of_inertia(jump.torque):
+            return jump
+    return None
+
+
+def _is_share_of_inertia(transmission: FloatArray) -> bool:
+    eigenvalues = np.linalg.eigvals(transmission)
+    return bool((eigenvalues.real > 0.0).all() and (np.abs(eigenvalues) < 1.0).all())
+
+
+def _from_chatter(
+    records: Sequence[TrialRecord], reading: TorqueReading
+) -> tuple[HoldCorrection, FloatArray]:
+    weights, to_parabola, edge = _lags(reading, records[0].rate)
+    lags, before = to_parabola.shape[1], reading.first_lag(records[0].rate) - 1
+    inputs, outputs = [], []
+    for record in records:
+        torque, steps = record.torque, command_steps(record, record.samples)
+        if weights.size > 1:
+            last = record.samples
+            cut = [torque[:, weights.size - 1 - age : last - age] for age in range(weights.size)]
+            torque = sum(weight * one for weight, one in zip(weights, cut, strict=True))
+            steps = steps[:, weights.size - 1 :]
+        changes = np.diff(torque, axis=1)
+        # The step after reading k is seen for the first time in the change to a later reading,
+        # mostly that to reading k + 1.
+        last = changes.shape[1] - before
+        lagged = [steps[:, lags - 1 - lag : last - lag] for lag in range(lags)]
+        inputs.append(np.diff(np.concatenate(lagged), n=_DIFFERENCES, axis=1))
+        outputs.append(np.diff(changes[:, before + lags - 1 :], n=_DIFFERENCES, axis=1))
+    coefficients, _ = _regress(inputs, outputs)
+    n = records[0].joints
+    # Nearly all has to come from the last steps; else commands are not those of these samples.
+    _, explained = _regress([rows[: n * edge] for rows in inputs], outputs)
+    torque, slope = (
+        sum(weight * coefficients[:, n * lag : n * (lag + 1)] for lag, weight in enumerate(row))
+        for row in to_parabola
+    )
+    return HoldCorrection(torque=torque, slope=slope), explained
+
+
+def _lags(reading: TorqueReading, rate: float) -> tuple[FloatArray, FloatArray, int]:
+    """How changes of readings tell value and slope of the torque after a step.
+
+    Returns
+    -------
+    weights : ndarray
+        Of readings, newest first, for one without the poles of the low-pass.
+    to_parabola : ndarray, shape (2, lags)
+        Of the changes of those, from the first that shows a step on, for value and slope.
+    edge : int
+        How many changes it takes until the step is there.
+    """
+    if reading.prompt:
+        return np.ones(1), _PARABOLA, 1
+    weights = reading.whitening(rate)
+    count = weights.size + 1 + _PERIODS
+    answers = reading.answers(rate, count)
+    answers = np.array([np.convolve(one, weights)[:count] for one in answers])
+    edge = 1 + int(np.max(np.flatnonzero(np.abs(answers[0] - 1.0) > _PASSED), initial=-1)) + 1
+    lags = edge + _PERIODS - 1
+    changes = np.diff(answers[:, :lags], axis=1, prepend=0.0)
+    return weights, np.linalg.pinv(changes.T)[:2], edge
+
+
+def _from_motion(records: Sequence[TrialRecord]) -> tuple[HoldCorrection, FloatArray]:
+    inputs, outputs = [], []
+    for record in records:
+        angle = record.position - record.position.mean(axis=1, keepdims=True)
+        torque = record.torque - record.torque.mean(axis=1, keepdims=True)
+        before, now, after = angle[:, :-2], angle[:, 1:-1], angle[:, 2:]
+        acceleration = (after - 2.0 * now + before) * record.rate**2
+        velocity = 0.5 * (after - before) * record.rate
+        steps = command_steps(record, record.samples)[:, 1:-1]
+        inputs.append(np.concatenate((-0.5 * steps, acceleration, velocity, now)))
+        outputs.append(torque[:, 1:-1])
+    coefficients, explained = _regress(inputs, outputs)
+    transmission = coefficients[:, : records[0].joints]
+    return HoldCorrection(torque=transmission, slope=np.zeros_like(transmission)), explained
+
+
+def _regress(
+    inputs: Sequence[FloatArray], outputs: Sequence[FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of outputs (m, N) on inputs (p, N), (m, p), and the shares explained, (m,).
+
+    Raises
+    ------
+    DataError
+        If they are too large for that.
+    """
+    squares = sum(_products(x, x) for x in inputs)
+    mixed = sum(_products(y, x) for x, y in zip(inputs, outputs, strict=True))
+    total = sum(np.sum(y**2, axis=1) for y in outputs)
+    if not (np.isfinite(squares).all() and np.isfinite(mixed).all() and np.isfinite(total).all()):
+        # LAPACK may search for a solution for ever.
+        raise DataError("positions or torques are too large to be squared")
+    scale = np.sqrt(np.diag(squares))
+    scale[scale == 0.0] = 1.0
+    solution = np.linalg.lstsq(squares / np.outer(scale, scale), (mixed / scale).T, rcond=None)[0]
+    coefficients = solution.T / scale
+    residual = total - np.sum(coefficients * (2.0 * mixed - coefficients @ squares), axis=1)
+    explained = 1.0 - np.divide(residual, total, out=np.ones_like(total), where=total > 0.0)
+    return coefficients, explained
+
+
+def _products(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Scalar products of all rows; summed by numpy alone, so that every machine gets the same."""
+    return np.array([[np.sum(x * y) for y in right] for x in left])

@@ -1,0 +1,128 @@
+"""When a trial has lasted long enough: standard errors below a bound, looked at now and then."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
+from armimp_estimation.estimators.lpm import FittedColumn
+
+_GROWTH = 10
+"""A trial is looked at again after this part of its length at the earliest, as a look at a long
+record takes long."""
+
+
+def largest_error(column: FittedColumn) -> tuple[float, str]:
+    """Largest relative standard error of a column, and the name of the element, such as ``K21``.
+
+    One standard error over the absolute value of its parameter; infinite for a parameter of 0.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = column.errors / np.abs(column.values)
+    relative[np.isnan(relative)] = np.inf
+    letter, row = np.unravel_index(int(relative.argmax()), relative.shape)
+    return float(relative.max()), f"{'MBK'[letter]}{row + 1}{column.joint + 1}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class PrecisionGoal:
+    """When trials may end before their time.
+
+    Parameters
+    ----------
+    bound : float
+        Largest relative standard error (one standard error) of M, B and K of the column that the
+        trial gives; 0 lets all trials last as long as planned.
+    least : float
+        Length that every trial has at least, s.
+    every : float
+        Time from one look to the next, s; longer where a tenth of the trial is.
+    """
+
+    bound: float = 0.0
+    least: float = 20.0
+    every: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.bound < 1.0:
+            raise ConfigurationError(f"bound of errors must lie in [0, 1), got {self.bound!r}")
+        if not (0.0 < self.least < np.inf and 0.0 < self.every < np.inf):
+            raise ConfigurationError(
+                f"times between judgements must be positive: {self.least!r} s, {self.every!r} s"
+            )
+
+
+class Judge:
+    """Judges one trial at numbers of samples that depend on nothing but the goal.
+
+    Parameters
+    ----------
+    goal : PrecisionGoal
+        With a bound above 0.
+    trial : int
+        Number of the trial, 1-based.
+    planned : int
+        Samples that it has at most.
+    rate : float
+        Samples per second, Hz.
+    """
+
+    def __init__(self, goal: PrecisionGoal, *, trial: int, planned: int, rate: float) -> None:
+        self._goal = goal
+        self._trial = trial
+        self._planned = planned
+        self._every = round(goal.every * rate)
+        self._told = False
+        self._due: int | None = self._within(max(round(goal.least * rate) - NOTICE_TICKS, 1))
+
+    def judge(
+        self, samples: int, column: Callable[[int], FittedColumn | None]
+    ) -> StoppingDecision | None:
+        """Judge the trial, if it is time.
+
+        Parameters
+        ----------
+        samples : int
+            Samples that are there.
+        column : callable
+            Gives the column that follows from the first so many samples; None if there is none.
+
+        Returns
+        -------
+        StoppingDecision or None
+            The first one of all announces when the trial is judged.
+        """
+        if not self._told:
+            self._told = True
+            return self._judgement(0, enough=False)
+        if self._due is None or samples < self._due:
+            return None
+        judged = self._due
+        found = column(judged)
+        largest, element = (np.nan, "") if found is None else largest_error(found)
+        enough = bool(largest < self._goal.bound)
+        self._due = None
+        if not enough:
+            self._due = self._within(judged + max(self._every, judged // _GROWTH))
+        return self._judgement(judged, enough=enough, largest=largest, element=element)
+
+    def _within(self, samples: int) -> int | None:
+        """A number of samples at which it is not too late to end the trial before its time."""
+        return samples if samples + NOTICE_TICKS < self._planned else None
+
+    def _judgement(
+        self, samples: int, *, enough: bool, largest: float = np.nan, element: str = ""
+    ) -> StoppingDecision:
+        return StoppingDecision(
+            trial=self._trial,
+            samples=samples,
+            enough=enough,
+            due=self._due,
+            bound=self._goal.bound,
+            largest=largest,
+            element=element,
+        )

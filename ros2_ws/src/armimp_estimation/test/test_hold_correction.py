@@ -1,0 +1,243 @@
+"""Skew of torques that are read just before the command is updated: what it is, and its cure."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy import signal
+
+from armimp_common import contract
+from armimp_common.errors import DataError
+from armimp_estimation.alignment.assemble import assemble_trials
+from armimp_estimation.bags.statuses import decode_trial_statuses
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.fit import fit_mbk
+from armimp_estimation.hold_correction import command_steps, update_jump
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData
+from support.synthetic_bags import SyntheticRecording, synthetic_recording
+from support.synthetic_trials import TWO_JOINT_ARM
+
+FloatArray = NDArray[np.float64]
+
+ARM = TWO_JOINT_ARM
+SAMPLES, PERIOD = 30_000, 1e-3
+ROBOT = np.array([[0.354, 0.191], [0.191, 0.180]])
+FRICTION = np.diag([3.0, 1.5])  # N·m·s/rad: only the robot has it
+TRANSMISSION = ARM.M @ np.linalg.inv(ARM.M + ROBOT)
+
+
+def rig_record(joint: int, *, chatter: float, seed: int = 1, count: float = 0.0) -> TrialRecord:
+    """Arm and robot without control; commands are held, torques read just before the next one.
+
+    The exact solution of the equations of motion: ``(M_r + M_h) θ̈ = u - (F + B_h) θ̇ - K_h θ``.
+    """
+    rng = np.random.default_rng((seed, joint))
+    sos = signal.butter(8, 15.0, fs=1.0 / PERIOD, output="sos")
+    perturbation = np.zeros((2, SAMPLES))
+    perturbation[joint] = 10.0 * signal.sosfilt(sos, rng.uniform(-1.0, 1.0, SAMPLES))
+    command = perturbation + chatter * rng.standard_normal((2, SAMPLES))
+
+    inverse = np.linalg.inv(ARM.M + ROBOT)
+    system = np.block(
+        [[np.zeros((2, 2)), np.eye(2)], [-inverse @ ARM.K, -inverse @ (ARM.B + FRICTION)]]
+    )
+    drive = np.concatenate((np.zeros((2, 2)), inverse))
+    whole = scipy.linalg.expm(PERIOD * np.block([[system, drive], [np.zeros((2, 6))]]))
+    values, vectors = np.linalg.eig(whole[:4, :4])
+    modal = np.linalg.solve(vectors, whole[:4, 4:]) @ command
+    modes = [signal.lfilter([0.0, 1.0], [1.0, -v], x) for v, x in zip(values, modal, strict=True)]
+    state = (vectors @ np.stack(modes)).real
+    position, velocity = state[:2], state[2:]
+    held = np.concatenate((np.zeros((2, 1)), command[:, :-1]), axis=1)  # before the update
+    acceleration = inverse @ (held - (ARM.B + FRICTION) @ velocity - ARM.K @ position)
+    torque = ARM.M @ acceleration + ARM.B @ velocity + ARM.K @ position
+    return TrialRecord(
+        trial=joint + 1,
+        perturbed_joint=joint,
+        rate=1.0 / PERIOD,
+        joint_names=("a", "b"),
+        perturbation=perturbation,
+        position=np.round(position / count) * count if count else position,
+        torque=torque,
+        start_ns=0,
+        seed=seed,
+        command=command,
+    )
+
+
+@pytest.fixture(scope="module")
+def chattering() -> list[TrialRecord]:
+    return [rig_record(joint, chatter=1.0, count=1e-5) for joint in range(2)]
+
+
+@pytest.fixture(scope="module")
+def smooth() -> list[TrialRecord]:
+    return [rig_record(joint, chatter=0.0) for joint in range(2)]
+
+
+def viscosity(records: list[TrialRecord], config: LpmConfig | None = None) -> FloatArray:
+    """Fitted viscosity relative to the true one."""
+    data = [TrialData.from_record(record) for record in records]
+    estimator = LpmFull() if config is None else LpmFull(config=config)
+    return fit_mbk(estimator.estimate(data)).mbk.B / ARM.B
+
+
+def test_chatter_of_the_command_tells_how_far_torques_jump(chattering: list[TrialRecord]) -> None:
+    found = update_jump(chattering)
+    assert found is not None
+    np.testing.assert_allclose(found.torque, TRANSMISSION, atol=0.02 * np.max(TRANSMISSION))
+
+
+def test_without_chatter_the_motion_tells(smooth: list[TrialRecord]) -> None:
+    found = update_jump(smooth)
+    assert found is not None
+    np.testing.assert_allclose(found.torque, TRANSMISSION, atol=0.08 * np.max(TRANSMISSION))
+
+
+def test_midway_between_before_and_after_the_jump_there_is_no_skew(
+    smooth: list[TrialRecord],
+) -> None:
+    """The claim itself, sample by sample, against the motion as it is seen around the sample."""
+    record = smooth[0]
+    position = record.position
+    acceleration = np.diff(position, n=2, axis=1) / PERIOD**2
+    velocity = (position[:, 2:] - position[:, :-2]) / (2.0 * PERIOD)
+    expected = ARM.M @ acceleration + ARM.B @ velocity + ARM.K @ position[:, 1:-1]
+    steps = command_steps(record, SAMPLES)
+    midway = record.torque + 0.5 * TRANSMISSION @ steps
+    late = np.std((record.torque[:, 1:-1] - expected)[:, 100:])
+    left = np.std((midway[:, 1:-1] - expected)[:, 100:])
+    assert left < 0.02 * late
+
+
+@pytest.mark.parametrize("rig", ["chattering", "smooth"])
+def test_viscosity_is_right_with_commands_and_nearly_so_without(
+    rig: str, request: pytest.FixtureRequest
+) -> None:
+    records: list[TrialRecord] = request.getfixturevalue(rig)
+    before = LpmConfig(reading=TorqueReading(timing=TorqueTiming.BEFORE_UPDATE))
+    np.testing.assert_allclose(viscosity(records, before), 1.0, atol=0.005)
+    without = [dataclasses.replace(record, command=None) for record in records]
+    np.testing.assert_allclose(viscosity(without), 1.0, atol=0.025)
+    # Where the records refute what is declared, it is not believed.
+    simultaneous = LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS))
+    np.testing.assert_allclose(viscosity(without, simultaneous), 1.0, atol=0.025)
+
+
+def test_commands_are_not_used_for_readings_that_are_means(smooth: list[TrialRecord]) -> None:
+    config = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
+    without = [dataclasses.replace(record, command=None) for record in smooth]
+    np.testing.assert_array_equal(viscosity(smooth, config), viscosity(without, config))
+
+
+def test_when_commands_do_not_drive_the_torques_expect_none(chattering: list[TrialRecord]) -> None:
+    noise = np.random.default_rng(1).standard_normal((2, SAMPLES))
+    foreign = [dataclasses.replace(record, command=noise) for record in chattering]
+    assert update_jump(foreign) is None
+
+
+def test_when_commands_are_of_other_joints_or_samples_expect_none(
+    chattering: list[TrialRecord],
+) -> None:
+    def changed(command: FloatArray) -> TrialRecord:
+        return dataclasses.replace(record, command=command)
+
+    for shift in (-1, 1):
+        shifted = []
+        for record in chattering:
+            assert record.command is not None
+            shifted.append(changed(np.roll(record.command, shift, axis=1)))
+        assert update_jump(shifted) is None
+    swapped = []
+    for record in chattering:
+        assert record.command is not None
+        swapped.append(changed(record.command[::-1]))
+    assert update_jump(swapped) is None
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_when_positions_are_too_large_to_be_squared_expect_data_error(
+    smooth: list[TrialRecord],
+) -> None:
+    absurd = [dataclasses.replace(one, position=1e300 * one.position) for one in smooth]
+    with pytest.raises(DataError, match="too large"):
+        update_jump(absurd)
+
+
+def test_when_nothing_moves_expect_none(smooth: list[TrialRecord]) -> None:
+    still = np.zeros((2, SAMPLES))
+    dead = [
+        dataclasses.replace(record, position=still, torque=still, command=still)
+        for record in smooth
+    ]
+    assert update_jump(dead) is None
+
+
+def test_steps_are_differences_of_commands_and_begin_with_zero(smooth: list[TrialRecord]) -> None:
+    record = dataclasses.replace(
+        smooth[0],
+        command=np.cumsum(np.ones((2, SAMPLES)), axis=1) ** 2,
+    )
+    np.testing.assert_array_equal(command_steps(record, 4), [[0.0, 3.0, 5.0, 7.0]] * 2)
+    with pytest.raises(ValueError, match="trial 1 has no commands"):
+        command_steps(dataclasses.replace(record, command=None), 4)
+
+
+class TestCommandsOfRecords:
+    NAMES = ("shoulder", "elbow")
+    RECORDING = synthetic_recording(perturbed=(0, 1), ticks=40, settle=10, rest=5)
+
+    def assembled(
+        self, topics: dict[str, list[bytes]], recording: SyntheticRecording = RECORDING
+    ) -> list[TrialRecord]:
+        statuses, problem = decode_trial_statuses(recording.by_topic()[contract.TRIAL])
+        assert not problem
+        return [t.require() for t in assemble_trials(self.NAMES, topics, statuses)]
+
+    def test_each_sample_has_the_command_that_answered_it(self) -> None:
+        records = self.assembled(self.RECORDING.by_topic())
+        assert len(records) == 2
+        for record in records:
+            assert record.command is not None
+            # So they are made.
+            np.testing.assert_array_equal(record.command, record.torque + record.perturbation)
+
+    def test_a_recording_that_is_cut_within_a_tick_keeps_them(self) -> None:
+        topics = self.RECORDING.by_topic()
+        del topics[contract.COMMANDS][-1]
+        assert all(record.command is not None for record in self.assembled(topics))
+
+    @pytest.mark.parametrize("left", [slice(0, 0), slice(0, 60), slice(2, None)])
+    def test_when_commands_are_missing_expect_a_record_without(self, left: slice) -> None:
+        topics = self.RECORDING.by_topic()
+        topics[contract.COMMANDS] = topics[contract.COMMANDS][left]
+        assert [record.command for record in self.assembled(topics)] == [None, None]
+
+    def test_when_a_command_is_malformed_expect_records_without(self) -> None:
+        topics = self.RECORDING.by_topic()
+        topics[contract.COMMANDS][3] = b"rubbish"
+        assert [record.command for record in self.assembled(topics)] == [None, None]
+
+    def test_when_a_command_is_not_finite_expect_that_record_without(self) -> None:
+        topics = self.RECORDING.by_topic()
+        raw = bytearray(topics[contract.COMMANDS][20])
+        raw[-8:] = np.array([np.nan]).tobytes()
+        topics[contract.COMMANDS][20] = bytes(raw)
+        first, second = self.assembled(topics)
+        assert first.command is None
+        assert second.command is not None
+
+
+def test_when_a_command_of_a_record_does_not_fit_expect_data_error(
+    smooth: list[TrialRecord],
+) -> None:
+    with pytest.raises(DataError, match="command has 5 samples, perturbation has 30000"):
+        dataclasses.replace(smooth[0], command=np.zeros((2, 5)))
+    command = np.zeros((2, SAMPLES))
+    command[1, 7] = np.inf
+    with pytest.raises(DataError, match="command of b is inf at sample 7"):
+        dataclasses.replace(smooth[0], command=command)

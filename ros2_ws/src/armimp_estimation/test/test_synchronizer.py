@@ -1,0 +1,182 @@
+"""The inbox of the recorder: whole samples, in order, and nothing waits for ever."""
+
+import pytest
+
+from armimp_common.cdr import JointStateEncoder
+from armimp_common.contract import COMMANDS, DATA_STREAMS, JOINT_STATES, PERTURBATION
+from armimp_estimation.alignment.synchronizer import FETCHED, HandedInbox
+
+
+class Post:
+    """An inbox, how messages get there, and what it tells."""
+
+    def __init__(self) -> None:
+        self.told: list[int] = []
+        self.times_behind = 0
+        self.inbox = HandedInbox(self.told.append, self._on_behind)
+        self.deliver = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
+
+    def _on_behind(self) -> None:
+        self.times_behind += 1
+
+    def deliver_all(self, message: bytes) -> None:
+        """A message of each stream, that of the perturbation last."""
+        for topic in (*FETCHED, PERTURBATION):
+            self.deliver[topic](message)
+
+
+def filled(**counts: int) -> Post:
+    """An inbox with so many numbered messages of each stream, by the name of the constant."""
+    post = Post()
+    for topic in DATA_STREAMS:
+        for number in range(counts.get(topic, counts["others"])):
+            post.deliver[topic](str(number).encode())
+    return post
+
+
+def numbers(raws: list[bytes]) -> list[int]:
+    return [int(raw) for raw in raws]
+
+
+def test_samples_are_taken_whole_and_the_rest_later() -> None:
+    post = filled(others=3, joint_states=5)
+
+    first = post.inbox.take()
+    post.deliver_all(b"9")
+    second = post.inbox.take()
+
+    assert all(numbers(first[topic]) == [0, 1, 2] for topic in DATA_STREAMS)
+    assert numbers(second[JOINT_STATES]) == [3]
+    assert numbers(second[COMMANDS]) == [9]
+    assert post.inbox.samples == 4
+
+
+def test_what_is_incomplete_can_be_taken_and_is_made_up_for() -> None:
+    post = filled(others=3, joint_states=5)
+
+    taken = post.inbox.take(incomplete=True)
+    for topic in DATA_STREAMS:
+        for number in range(len(taken[topic]), 6):
+            post.deliver[topic](str(number).encode())
+    rest = post.inbox.take()
+
+    assert numbers(taken[JOINT_STATES]) == [0, 1, 2, 3, 4]
+    assert numbers(taken[COMMANDS]) == [0, 1, 2]
+    assert numbers(rest[JOINT_STATES]) == [5]
+    assert numbers(rest[COMMANDS]) == [3, 4, 5]
+
+
+def test_nothing_waits_for_a_stream_that_fell_silent() -> None:
+    post = filled(others=200, joint_states=30)
+
+    taken = post.inbox.take()
+
+    assert len(taken[JOINT_STATES]) == 30
+    assert 150 <= len(taken[COMMANDS]) < 200
+    assert post.inbox.samples == 30
+
+
+def test_samples_wait_as_a_whole_for_perturbations_that_are_late() -> None:
+    post = filled(others=200, **{PERTURBATION: 30})
+
+    taken = post.inbox.take()
+
+    assert all(numbers(taken[topic]) == list(range(30)) for topic in DATA_STREAMS)
+    for number in range(30, 200):
+        post.deliver[PERTURBATION](str(number).encode())
+    rest = post.inbox.take()
+    assert all(numbers(rest[topic]) == list(range(30, 200)) for topic in DATA_STREAMS)
+
+
+def test_nothing_waits_for_perturbations_that_stay_away() -> None:
+    post = filled(others=10_000, **{PERTURBATION: 0})
+
+    assert len(post.inbox.take()[JOINT_STATES]) == 8000
+
+
+def test_newest_stamp_is_that_of_the_last_perturbation_that_waits() -> None:
+    inbox = Post().inbox
+    encode = JointStateEncoder(("a",), "effort").encode
+    assert inbox.newest_ns is None
+    for stamp_ns in (5, 7):
+        inbox.receive(encode(stamp_ns, [0.0]))
+    assert inbox.newest_ns == 7
+    inbox.receive(b"no message")
+    assert inbox.newest_ns is None
+
+
+def test_samples_are_told_by_tens() -> None:
+    post = Post()
+    for _ in range(25):
+        post.deliver_all(b"in turn")
+
+    assert post.told == [10, 20]
+    assert post.times_behind == 0
+
+
+@pytest.mark.parametrize("last", FETCHED)
+def test_samples_whose_perturbation_came_first_are_told_with_the_next_one(last: str) -> None:
+    post = Post()
+    order = [*(topic for topic in DATA_STREAMS if topic != last), last]
+    for _ in range(25):
+        for topic in order:
+            post.deliver[topic](b"in turn")
+
+    assert post.told == [10, 20]
+    assert post.times_behind == 2
+
+
+@pytest.mark.parametrize("late", FETCHED)
+def test_samples_whose_perturbation_was_the_last_one_are_told_at_a_look(late: str) -> None:
+    post = Post()
+    for topic in (*(topic for topic in FETCHED if topic != late), PERTURBATION):
+        for _ in range(25):
+            post.deliver[topic](b"one stream after the other")
+    assert post.told == []
+    assert post.times_behind == 1
+    assert post.inbox.look()
+
+    for _ in range(25):
+        post.deliver[late](b"at last")
+
+    assert not post.inbox.look()
+    assert post.told == [20]
+
+
+def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
+    post = Post()
+    for _ in range(9):
+        post.deliver_all(b"1")
+
+    post.inbox.close()
+    for _ in range(9):
+        post.deliver_all(b"2")
+
+    assert not post.inbox.look()
+    post.inbox.close()
+    assert post.inbox.take() == {topic: [b"1"] * 9 for topic in DATA_STREAMS}
+    assert post.told == []
+
+
+@pytest.mark.parametrize("topic", DATA_STREAMS)
+def test_once_opened_it_begins_anew(topic: str) -> None:
+    post = filled(others=3)
+    post.inbox.take()
+    post.deliver[topic](b"1")
+
+    post.inbox.open()
+
+    assert post.inbox.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
+    assert post.inbox.samples == 0
+
+
+def test_what_came_while_it_was_closed_is_not_taken_once_it_is_open() -> None:
+    post = Post()
+    post.inbox.close()
+    for _ in range(9):
+        post.deliver_all(b"too early")
+
+    post.inbox.open()
+    post.deliver_all(b"1")
+
+    assert post.inbox.take() == {topic: [b"1"] for topic in DATA_STREAMS}

@@ -1,0 +1,316 @@
+"""Delay and anti-alias filter of torque readings: what they do, in closed form, and its cure."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.linalg
+from numpy.typing import NDArray
+from scipy import signal
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.conclusion import reading_of
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.welch import WelchFull
+from armimp_estimation.fit import fit_mbk
+from armimp_estimation.hold_correction import update_jump
+from armimp_estimation.mbk import MBK
+from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_timing import ReadingSummary, TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData
+from support.synthetic_trials import TWO_JOINT_ARM
+
+FloatArray = NDArray[np.float64]
+
+ARM = TWO_JOINT_ARM
+SAMPLES, PERIOD, RATE = 30_000, 1e-3, 1e3
+ROBOT = np.array([[0.354, 0.191], [0.191, 0.180]])
+FRICTION = np.diag([3.0, 1.5])  # N·m·s/rad: only the robot has it
+F = np.array([0.122, 1.0, 5.0, 15.0])
+
+LATE = {
+    "whole periods": TorqueReading(delay=0.002),
+    "part of a period": TorqueReading(delay=0.0013),
+    "filter": TorqueReading(cutoff=200.0),
+    "filter of second order, late": TorqueReading(cutoff=200.0, order=2, delay=0.0007),
+    "drives lag": TorqueReading(actuator_lag=0.001),
+    "everything": TorqueReading(cutoff=250.0, delay=0.0016, actuator_lag=0.0007),
+}
+late = pytest.mark.parametrize("reading", LATE.values(), ids=LATE.keys())
+
+
+def images(reading: TorqueReading, power: int) -> NDArray[np.complex128]:
+    """What sampling folds back, as the sum over the images of the spectrum, symmetric about 0."""
+    m = np.concatenate([np.arange(-100_000, 0), np.arange(1, 100_001)])[:, None]
+    omega = 2.0 * np.pi * (F + m * RATE)
+    response = reading.response(omega / (2.0 * np.pi)) / (1.0 + 1j * omega * reading.actuator_lag)
+    return np.asarray(-np.sum(response / (1j * omega) ** power, axis=0) * RATE**power)
+
+
+@late
+def test_what_sampling_folds_back_is_the_sum_over_the_images(reading: TorqueReading) -> None:
+    # Where a jump falls on a reading, this sum takes it as half there; it is read just before.
+    on_the_jump = 0.5 if reading == LATE["whole periods"] else 0.0
+    edge, bend = reading.folded(F, RATE)
+    at_tick = on_the_jump * np.exp(-2j * np.pi * F / RATE * 2)
+    np.testing.assert_allclose(edge, images(reading, 1) + at_tick, atol=1e-5)
+    np.testing.assert_allclose(bend, images(reading, 2), atol=1e-6)
+
+
+def test_prompt_readings_lack_what_the_formula_of_euler_and_maclaurin_says() -> None:
+    x = 2.0 * np.pi * F / RATE
+    edge, bend = TorqueReading().folded(F, RATE)
+    np.testing.assert_allclose(edge, 0.5 - 1j * x / 12.0, atol=2e-6)
+    np.testing.assert_allclose(bend, 1.0 / 12.0, atol=1e-4)
+
+
+@late
+def test_the_skew_is_what_is_folded_back_at_low_frequency(reading: TorqueReading) -> None:
+    edge, _ = reading.folded(np.array([1e-3]), RATE)
+    assert reading.skew(RATE) == pytest.approx(edge[0].real, abs=1e-7)
+
+
+def test_the_skew_of_other_readings() -> None:
+    assert TorqueReading().skew(RATE) == 0.5
+    assert TorqueReading(delay=0.003).skew(RATE) == pytest.approx(0.5)
+    assert TorqueReading(delay=0.0005).skew(RATE) == pytest.approx(0.0)
+    assert TorqueReading(timing=TorqueTiming.INTERVAL_MEAN, delay=0.002).skew(RATE) == 0.5
+    assert TorqueReading(timing=TorqueTiming.SIMULTANEOUS).skew(RATE) == 0.0
+
+
+def test_the_response_is_that_of_filter_and_delay() -> None:
+    reading = TorqueReading(cutoff=100.0, delay=0.002, actuator_lag=0.01)
+    expected = np.exp(-2j * np.pi * F * 0.002) / (1.0 + 1j * F / 100.0)
+    np.testing.assert_allclose(reading.response(F), expected, rtol=1e-12)
+
+
+def test_a_drive_as_slow_as_the_filter_makes_no_trouble() -> None:
+    """Partial fractions know no double poles."""
+    double = TorqueReading(cutoff=1.0 / (2.0 * np.pi * 0.001), actuator_lag=0.001)
+    edge, bend = double.folded(F, RATE)
+    np.testing.assert_allclose(edge, images(double, 1), atol=1e-5)
+    np.testing.assert_allclose(bend, images(double, 2), atol=1e-5)
+
+
+@late
+def test_without_the_poles_of_the_filter_a_step_is_there_after_as_many_readings(
+    reading: TorqueReading,
+) -> None:
+    weights = reading.whitening(RATE)
+    steps = np.convolve(reading.answers(RATE, 12)[0], weights)[:12]
+    assert np.sum(weights) == pytest.approx(1.0)
+    np.testing.assert_allclose(steps[weights.size - 1 :], 1.0, atol=1e-12)
+
+
+def rig_record(joint: int, reading: TorqueReading) -> TrialRecord:
+    """Arm, robot, drives and transducers without control, under commands that are held and chatter.
+
+    The exact solution; the filter's output is read ``delay`` before each update.
+    """
+    rng = np.random.default_rng((1, joint))
+    sos = signal.butter(8, 15.0, fs=RATE, output="sos")
+    perturbation = np.zeros((2, SAMPLES))
+    perturbation[joint] = 10.0 * signal.sosfilt(sos, rng.uniform(-1.0, 1.0, SAMPLES))
+    command = perturbation + rng.standard_normal((2, SAMPLES))
+
+    inverse = np.linalg.inv(ARM.M + ROBOT)
+    eye, zero = np.eye(2), np.zeros((2, 2))
+    lag = reading.actuator_lag
+    # θ, v, torque of the drives; then the filter. Inputs: commands.
+    fall = -eye / lag if lag else zero
+    damping = ARM.B + FRICTION
+    a = np.block(
+        [
+            [zero, eye, zero],
+            [-inverse @ ARM.K, -inverse @ damping, inverse if lag else zero],
+            [zero, zero, fall],
+        ]
+    )
+    b = np.concatenate([zero, zero if lag else inverse, eye / lag if lag else zero])
+    # Torque on the arm from these.
+    load = np.concatenate(
+        [
+            ARM.K - ARM.M @ inverse @ ARM.K,
+            ARM.B - ARM.M @ inverse @ damping,
+            ARM.M @ inverse if lag else zero,
+        ],
+        axis=1,
+    )
+    direct = zero if lag else ARM.M @ inverse
+    out, out_direct = load, direct
+    if reading.cutoff:
+        zpk = signal.butter(reading.order, 2.0 * np.pi * reading.cutoff, analog=True, output="zpk")
+        fa, fb, fc, _ = signal.zpk2ss(*zpk)
+        fa, fb, fc = (np.kron(m, eye) for m in (fa, fb, fc))
+        a = np.block([[a, np.zeros((6, len(fa)))], [fb @ load, fa]])
+        b = np.concatenate([b, fb @ direct])
+        out, out_direct = np.concatenate([np.zeros((2, 6)), fc], axis=1), zero
+    states = len(a)
+    whole = int(np.floor(reading.delay / PERIOD + 1e-9))
+    phase = PERIOD * (1.0 - (reading.delay / PERIOD - whole))
+
+    def over(time: float) -> tuple[FloatArray, FloatArray]:
+        system = np.block([[a, b], [np.zeros((2, states + 2))]])
+        found = scipy.linalg.expm(time * system)
+        return found[:states, :states], found[:states, states:]
+
+    transition, driven = over(PERIOD)
+    part, part_driven = over(phase)
+    values, vectors = np.linalg.eig(transition)
+    modal = np.linalg.solve(vectors, driven) @ command
+    modes = [signal.lfilter([0.0, 1.0], [1.0, -v], x) for v, x in zip(values, modal, strict=True)]
+    state = (vectors @ np.stack(modes)).real
+    # Read within the period that a command begins, and known at its end or later.
+    read = out @ (part @ state + part_driven @ command) + out_direct @ command
+    torque = np.zeros((2, SAMPLES))
+    torque[:, whole + 1 :] = read[:, : SAMPLES - whole - 1]
+    return TrialRecord(
+        trial=joint + 1,
+        perturbed_joint=joint,
+        rate=RATE,
+        joint_names=("a", "b"),
+        perturbation=perturbation,
+        position=state[:2],
+        torque=torque,
+        start_ns=0,
+        seed=1,
+        command=command,
+    )
+
+
+def fitted(records: list[TrialRecord], reading: TorqueReading) -> MBK:
+    data = [TrialData.from_record(record, None, reading) for record in records]
+    return fit_mbk(LpmFull(config=LpmConfig(reading=reading)).estimate(data)).mbk
+
+
+def errors(found: MBK) -> dict[str, float]:
+    """Largest relative error of each matrix."""
+    return {
+        name: float(np.max(np.abs(getattr(found, name) / getattr(ARM, name) - 1.0)))
+        for name in ("M", "B", "K")
+    }
+
+
+@late
+def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
+    jump = update_jump([rig_record(joint, reading) for joint in range(2)], reading)
+    assert jump is not None
+    transmission = ARM.M @ np.linalg.inv(ARM.M + ROBOT)
+    np.testing.assert_allclose(jump.torque, transmission, atol=0.03 * np.max(transmission))
+
+
+@late
+def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
+    records = [rig_record(joint, reading) for joint in range(2)]
+    told = errors(fitted(records, reading))
+    assert told["M"] < 0.002
+    assert told["B"] < 0.005
+    assert told["K"] < 0.015
+    # What nobody told is found as a common delay, or in the standard errors.
+    data = [TrialData.from_record(record) for record in records]
+    fit = fit_mbk(LpmFull().estimate(data))
+    for name in "MBK":
+        error = np.abs(getattr(fit.mbk, name) - getattr(ARM, name))
+        assert (error < 3.5 * getattr(fit, f"{name}_se")).all() or (fit.lack > 2.0).any()
+
+
+@late
+def test_without_commands_the_skew_alone_leaves_little(reading: TorqueReading) -> None:
+    records = [dataclasses.replace(rig_record(joint, reading), command=None) for joint in range(2)]
+    left = errors(fitted(records, reading))
+    assert left["M"] < 0.005
+    assert left["B"] < 0.025
+    assert left["K"] < 0.015
+
+
+def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> None:
+    reading = TorqueReading(delay=0.003, cutoff=50.0)
+    prompt, slow = (rig_record(0, one) for one in (TorqueReading(), reading))
+    plain = TrialData.from_record(prompt).spectra.spectra.matrix
+    raw = TrialData.from_record(slow).spectra.spectra.matrix
+    corrected = TrialData.from_record(slow, None, reading).spectra.spectra.matrix
+
+    # But for the skew of half a sample, which is not corrected here.
+    np.testing.assert_allclose(np.abs(corrected[0, 3:]), np.abs(plain[0, 3:]), rtol=0.03)
+    np.testing.assert_allclose(corrected[0, 3:], plain[0, 3:], rtol=0.06)
+    assert np.max(np.abs(raw[0, 3:] / plain[0, 3:] - 1.0)) > 0.3
+    # In the order of scipy: G_xy = E[conj(X) Y].
+    np.testing.assert_allclose(corrected, np.conj(np.swapaxes(corrected, 0, 1)), rtol=1e-12)
+    np.testing.assert_array_equal(corrected[:3, :3], raw[:3, :3])
+
+    def coherence(matrix: NDArray[np.complex128]) -> FloatArray:
+        power = np.abs(matrix[0, 3]) ** 2
+        return np.asarray(power / (matrix[0, 0].real * matrix[3, 3].real))
+
+    np.testing.assert_allclose(coherence(corrected), coherence(raw), rtol=1e-10)
+
+
+def test_averaged_spectra_give_the_right_mass_through_a_filter_that_is_known() -> None:
+    reading = TorqueReading(delay=0.003, cutoff=50.0)
+    records = [rig_record(joint, reading) for joint in range(2)]
+
+    def mass_error(known: TorqueReading | None) -> float:
+        data = [TrialData.from_record(record, None, known) for record in records]
+        found = fit_mbk(WelchFull().estimate(data)).mbk.M
+        return float(np.max(np.abs(found / ARM.M - 1.0)))
+
+    assert mass_error(reading) < 0.02
+    assert mass_error(None) > 0.03
+
+
+def test_metadata_tell_all_of_it_and_parameters_prevail() -> None:
+    metadata = {
+        "torque_timing": '"interval_mean"',
+        "torque_delay": "0.002",
+        "torque_cutoff": "150",
+        "torque_order": "2",
+        "actuator_lag": "0.001",
+    }
+    expected = TorqueReading(
+        timing=TorqueTiming.INTERVAL_MEAN, delay=0.002, cutoff=150, order=2, actuator_lag=0.001
+    )
+    assert reading_of(metadata) == expected
+    given = EstimatorParameters(
+        metadata=json.dumps(metadata), torque=TorqueParameters(delay=0.004)
+    ).bag_metadata()
+    assert reading_of(given) == dataclasses.replace(expected, delay=0.004)
+    assert reading_of(EstimatorParameters().bag_metadata()) == TorqueReading()
+
+
+@pytest.mark.parametrize(
+    ("metadata", "words"),
+    [
+        ({"torque_delay": '"long"'}, "torque_delay is not a number: 'long'"),
+        ({"torque_delay": "true"}, "torque_delay is not a number: True"),
+        ({"torque_order": "1.5"}, "torque_order is not an integer: 1.5"),
+        ({"torque_delay": "-2"}, "delay must be within ± 1 s, got -2 s"),
+        ({"torque_cutoff": "NaN"}, "cutoff must be finite"),
+        ({"torque_order": "9"}, "order must be 1 to 4, got 9"),
+    ],
+)
+def test_metadata_that_make_no_sense_are_refused(metadata: dict[str, str], words: str) -> None:
+    with pytest.raises(DataError, match=words):
+        reading_of(metadata)
+
+
+@pytest.mark.parametrize(
+    "values", [{"delay": -1.5}, {"cutoff": float("inf")}, {"order": 0}, {"actuator_lag": -1e-3}]
+)
+def test_impossible_values_are_refused(values: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match="torque reading"):
+        TorqueReading(**values)
+
+
+def test_summary_and_sentence_tell_what_was_corrected() -> None:
+    timing = TorqueTiming.BEFORE_UPDATE
+    reading = TorqueReading(timing=timing, delay=0.0023, cutoff=200.0, order=2)
+    assert ReadingSummary.of(reading).reading() == reading
+    assert reading.sentence == (
+        "just before each command takes effect, 2.3 ms late, "
+        "through a Butterworth low-pass of order 2, 200 Hz"
+    )

@@ -1,0 +1,501 @@
+"""Collector of trials: whatever the interleaving, exactly the messages of each trial."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armimp_common import contract
+from armimp_common.cdr import CommandEncoder, JointStateEncoder, stamp_of
+from armimp_common.contract import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATION, TRIAL
+from armimp_common.errors import MalformedMessageError
+from armimp_common.trial_status import Phase, TrialStatus
+from armimp_estimation.alignment.sample_batch import ORDER, SampleBatch
+from armimp_estimation.alignment.synchronizer import HandedInbox
+from armimp_estimation.alignment.trial_segmenter import CollectedTrial, TrialSegmenter
+from armimp_estimation.bags.statuses import decode_trial_status
+from support.synthetic_bags import SyntheticRecording, synthetic_recording
+
+SETTLE, TICKS, REST = 4, 30, 5
+LENGTH = SETTLE + TICKS + REST
+RECORDING = synthetic_recording(perturbed=(0, 1, 0), ticks=TICKS, settle=SETTLE, rest=REST)
+TOPICS = (*DATA_STREAMS, TRIAL)
+STAMPED = (contract.JOINT_STATES, contract.TORQUE_SENSORS, PERTURBATION)
+
+Messages = dict[str, list[bytes]]
+Turns = Sequence[tuple[str, int]]
+
+
+def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
+    statuses = [decode_trial_status(raw) for raw in recording.by_topic()[TRIAL]]
+    return [*statuses, replace(statuses[-1], phase=Phase.DONE)]
+
+
+class Desk:
+    """A collector with a diary; messages go to it one by one, or so many ticks together."""
+
+    def __init__(self, together: int = 0) -> None:
+        self.together, self.heard, self.inbox = together, 0, HandedInbox()
+        self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
+        self.events: list[tuple[str, int]] = []
+        self.sunk: list[tuple[str, bytes, int]] = []
+        self.trials: list[CollectedTrial] = []
+        self.collector = TrialSegmenter(
+            lambda topic, raw, stamp_ns: self.sunk.append((topic, raw, stamp_ns)),
+            self.on_complete,
+            lambda status: self.events.append(("begin", status.trial)),
+        )
+
+    def on_complete(self, trial: CollectedTrial) -> None:
+        self.events.append(("complete", trial.statuses[0].trial))
+        self.trials.append(trial)
+
+    def feed(
+        self, messages: Mapping[str, Sequence[bytes]], statuses: Sequence[TrialStatus], turns: Turns
+    ) -> None:
+        """Feed so many messages of a stream at each turn, and what is left in the end."""
+        data = {topic: iter(messages[topic]) for topic in DATA_STREAMS}
+        others = iter(statuses)
+        for topic, count in [*turns, *((topic, 10_000) for topic in TOPICS)]:
+            for _ in range(count):
+                if not (self.feed_status(others) if topic == TRIAL else self.feed_one(topic, data)):
+                    break
+        self.drain(incomplete=True)
+
+    def drain(self, *, incomplete: bool = False) -> None:
+        self.collector.add_many(self.inbox.take(incomplete=incomplete), self.refuse)
+
+    def refuse(self, topic: str, error: MalformedMessageError) -> None:
+        raise error
+
+    def feed_status(self, statuses: Iterator[TrialStatus]) -> bool:
+        status = next(statuses, None)
+        if status is not None:
+            self.drain()
+            self.collector.add_status(status)
+        return status is not None
+
+    def feed_one(self, topic: str, data: Mapping[str, Iterator[bytes]]) -> bool:
+        raw = next(data[topic], None)
+        if raw is not None and not self.together:
+            self.collector.add(topic, raw)
+        elif raw is not None:
+            self.receivers[topic](raw)
+            self.heard += topic == PERTURBATION
+            if topic == PERTURBATION and self.heard % self.together == 0:
+                self.drain()
+        return raw is not None
+
+    def assert_orderly(self, trials: int) -> None:
+        """Each trial began and was completed once, one after the other, and went to the sink."""
+        assert self.events == [
+            (what, trial) for trial in range(1, trials + 1) for what in ("begin", "complete")
+        ]
+        for topic in DATA_STREAMS:
+            assert [raw for name, raw, _ in self.sunk if name == topic] == [
+                raw for trial in self.trials for raw in trial.messages[topic]
+            ]
+
+
+def own_messages(recording: SyntheticRecording, number: int) -> Messages:
+    first = (number - 1) * LENGTH + SETTLE
+    topics = recording.by_topic()
+    return {topic: topics[topic][first : first + TICKS] for topic in DATA_STREAMS}
+
+
+def natural_turns() -> list[tuple[str, int]]:
+    """The order of the graph, with each status before the command that it concerns."""
+    turns: list[tuple[str, int]] = []
+    for tick in range(3 * LENGTH):
+        turns += [(contract.JOINT_STATES, 1), (contract.TORQUE_SENSORS, 1)]
+        if tick % LENGTH in (0, SETTLE, SETTLE + TICKS):
+            turns.append((TRIAL, 1))
+        turns += [(COMMANDS, 1), (PERTURBATION, 1)]
+    return turns
+
+
+turns_of_any_kind = st.lists(
+    st.tuples(st.sampled_from(TOPICS), st.integers(1, 2 * LENGTH)), max_size=40
+)
+
+
+ticks_together = st.sampled_from([0, 1, 7, 20])
+
+
+@settings(max_examples=300, deadline=None)
+@given(turns=turns_of_any_kind, order=st.permutations(TOPICS), together=ticks_together)
+def test_in_every_interleaving_each_trial_has_exactly_its_messages_in_order(
+    turns: Turns, order: Sequence[str], together: int
+) -> None:
+    desk = Desk(together)
+
+    desk.feed(RECORDING.by_topic(), statuses_of(RECORDING), [*turns, *((t, 1000) for t in order)])
+
+    desk.assert_orderly(3)
+    for number, trial in enumerate(desk.trials, 1):
+        assert trial.messages == own_messages(RECORDING, number)
+        phases = [status.phase for status in trial.statuses]
+        assert phases[:3] == [Phase.SETTLE, Phase.PERTURB, Phase.REST]
+        assert {status.trial for status in trial.statuses} == {number}
+
+
+def ended_early(*, announced: bool) -> list[TrialStatus]:
+    """Statuses of trials that were planned to be twice as long."""
+    told: list[TrialStatus] = []
+    for status in statuses_of(RECORDING):
+        planned = status.phase in (Phase.SETTLE, Phase.PERTURB)
+        told.append(replace(status, ticks=2 * TICKS) if planned else status)
+        if announced and status.phase is Phase.PERTURB:
+            told.append(status)
+    return told
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    turns=turns_of_any_kind,
+    order=st.permutations(TOPICS),
+    announced=st.booleans(),
+    together=ticks_together,
+)
+def test_in_every_interleaving_trials_that_end_early_have_exactly_their_messages(
+    turns: Turns, order: Sequence[str], announced: bool, together: int
+) -> None:
+    desk = Desk(together)
+
+    desk.feed(
+        RECORDING.by_topic(),
+        ended_early(announced=announced),
+        [*turns, *((topic, 1000) for topic in order)],
+    )
+    desk.collector.finish()
+
+    assert [what for what, _ in desk.events] == ["begin", "complete"] * 3
+    for number, trial in enumerate(desk.trials, 1):
+        assert trial.messages == own_messages(RECORDING, number)
+
+
+def test_when_the_end_is_announced_in_time_expect_nothing_beyond_it_in_the_bag() -> None:
+    desk = Desk()
+    phases = iter([Phase.SETTLE, Phase.PERTURB, Phase.REST] * 3)
+    turns: list[tuple[str, int]] = []
+    for topic, count in natural_turns():
+        announces = topic == TRIAL and next(phases) is Phase.PERTURB
+        turns.append((topic, count + announces))
+
+    desk.feed(RECORDING.by_topic(), ended_early(announced=True), turns)
+
+    desk.assert_orderly(3)
+
+
+def test_in_natural_order_a_trial_is_complete_with_its_first_sample_of_rest() -> None:
+    desk = Desk()
+    topics = RECORDING.by_topic()
+    data = {topic: iter(topics[topic]) for topic in DATA_STREAMS}
+    statuses = iter(statuses_of(RECORDING))
+    for tick in range(LENGTH):
+        desk.feed_one(contract.JOINT_STATES, data)
+        desk.feed_one(contract.TORQUE_SENSORS, data)
+        if tick in (0, SETTLE, SETTLE + TICKS):
+            desk.feed_status(statuses)
+        desk.feed_one(COMMANDS, data)
+        desk.feed_one(PERTURBATION, data)
+        completed = tick >= SETTLE + TICKS
+        assert len(desk.trials) == completed
+        assert (desk.collector.status is None) == completed
+        kept = min(max(tick + 1 - SETTLE, 0), TICKS) * (not completed)
+        assert {len(raws) for raws in desk.collector.messages.values()} == {kept}
+    # What goes into the bag is in the order of the graph, with the stamp of the sample.
+    first_ns = RECORDING.records[0].start_ns
+    assert [(topic, stamp_ns) for topic, _, stamp_ns in desk.sunk[:8]] == [
+        (topic, first_ns + k * PERIOD_NS)
+        for k in range(2)
+        for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS, PERTURBATION, COMMANDS)
+    ]
+
+
+@pytest.mark.parametrize("together", [1, 3, 10, 50])
+def test_ticks_taken_together_are_kept_as_if_they_had_come_one_by_one(together: int) -> None:
+    one_by_one, at_once = Desk(), Desk(together)
+    for desk in (one_by_one, at_once):
+        desk.feed(RECORDING.by_topic(), statuses_of(RECORDING), natural_turns())
+
+    at_once.assert_orderly(3)
+    assert at_once.sunk == one_by_one.sunk
+    for trial, expected in zip(at_once.trials, one_by_one.trials, strict=True):
+        assert (trial.messages, trial.statuses) == (expected.messages, expected.statuses)
+
+
+def blocks_of(messages: Mapping[str, Sequence[bytes]]) -> list[SampleBatch]:
+    """What is kept as a block when all ticks of the first trial are taken together."""
+    blocks: list[SampleBatch] = []
+    collector = TrialSegmenter(lambda *_: None, lambda _: None, block_sink=blocks.append)
+    for status in statuses_of(RECORDING)[:2]:
+        collector.add_status(status)
+    collector.add_many({t: messages[t][SETTLE:LENGTH] for t in DATA_STREAMS}, lambda *_: None)
+    return blocks
+
+
+def test_ticks_of_a_trial_that_are_as_they_should_be_are_kept_as_one_block() -> None:
+    (block,) = blocks_of(RECORDING.by_topic())
+
+    assert block.messages == own_messages(RECORDING, 1)
+    assert block.stamps == [stamp_of(raw) for raw in block.messages[PERTURBATION]]
+    assert tuple(block.messages) == ORDER
+
+
+def test_when_anything_is_unusual_expect_each_message_looked_at_for_itself() -> None:
+    topics = RECORDING.by_topic()
+    for topic in STAMPED:
+        swapped, longer, foreign = (list(topics[topic]) for _ in range(3))
+        swapped[8], swapped[9] = swapped[9], swapped[8]
+        longer[8] += b"\0"
+        foreign[8] = b"\0\0" + foreign[8][2:]
+        for spoilt in (swapped, longer, foreign, topics[topic][1:], [b"\0\1\0\0"] * LENGTH):
+            assert blocks_of({**topics, topic: spoilt}) == []
+    swapped_everywhere = {**topics}
+    for topic in STAMPED:
+        swapped_everywhere[topic] = list(topics[topic])
+        swapped_everywhere[topic][8:10] = reversed(topics[topic][8:10])
+    assert blocks_of(swapped_everywhere) == []
+
+
+def test_malformed_messages_among_others_are_refused_by_name() -> None:
+    topics = {topic: list(raws) for topic, raws in RECORDING.by_topic().items()}
+    topics[contract.TORQUE_SENSORS][SETTLE + 3] = b"\0\1"
+    refused: list[str] = []
+    desk = Desk()
+    for status in statuses_of(RECORDING)[:2]:
+        desk.collector.add_status(status)
+
+    desk.collector.add_many(
+        {topic: topics[topic] for topic in DATA_STREAMS},
+        lambda topic, error: refused.append(f"{topic}: {error}"),
+    )
+
+    (told,) = refused
+    assert told.startswith("torque_sensors: message has 2 bytes")
+    assert len(desk.collector.messages[contract.JOINT_STATES]) == TICKS
+
+
+lost_ticks = st.sets(st.integers(0, 3 * LENGTH - 1), max_size=12)
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    lost=st.fixed_dictionaries(dict.fromkeys(DATA_STREAMS, lost_ticks)),
+    order=st.permutations(DATA_STREAMS),
+    together=ticks_together,
+)
+def test_lost_messages_are_missing_and_nothing_else(
+    lost: Mapping[str, set[int]], order: Sequence[str], together: int
+) -> None:
+    desk = Desk(together)
+    present = {
+        topic: [raw for tick, raw in enumerate(RECORDING.by_topic()[topic]) if tick not in gone]
+        for topic, gone in lost.items()
+    }
+    order_of_arrival = [(topic, 1) for _ in range(LENGTH * 3) for topic in order]
+
+    statuses = statuses_of(RECORDING)
+    desk.feed(present, statuses, [(TRIAL, len(statuses)), *order_of_arrival])
+    desk.collector.finish()
+
+    desk.assert_orderly(3)
+    for number, trial in enumerate(desk.trials, 1):
+        own = own_messages(RECORDING, number)
+        expected = {
+            topic: [raw for raw in own[topic] if raw in present[topic]] for topic in STAMPED
+        }
+        ordinals = [present[PERTURBATION].index(raw) for raw in expected[PERTURBATION]]
+        expected[COMMANDS] = [present[COMMANDS][i] for i in ordinals if i < len(present[COMMANDS])]
+        last_ns = max(map(stamp_of, expected[PERTURBATION]), default=-1)
+        for topic in STAMPED:
+            # A sample is known to belong to the trial by a perturbation that is not earlier.
+            expected[topic] = [raw for raw in expected[topic] if stamp_of(raw) <= last_ns]
+        assert trial.messages == expected
+
+
+def test_commands_are_paired_with_perturbations_by_their_number_from_the_beginning() -> None:
+    topics = RECORDING.by_topic()
+    first = SETTLE
+    del topics[COMMANDS][0]
+    desk = Desk()
+
+    desk.feed(topics, statuses_of(RECORDING), natural_turns())
+
+    assert desk.trials[0].messages[COMMANDS] == topics[COMMANDS][first : first + TICKS]
+    assert desk.trials[0].messages[PERTURBATION] == own_messages(RECORDING, 1)[PERTURBATION]
+
+
+@pytest.mark.parametrize("together", [0, 50])
+def test_when_a_stream_falls_silent_expect_the_trial_without_it_once_it_is_overdue(
+    together: int,
+) -> None:
+    recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=2050)
+    topics = recording.by_topic()
+    del topics[contract.TORQUE_SENSORS][25:]
+    desk = Desk(together)
+    turns = [(topic, 1) for _ in range(2 * 2105) for topic in DATA_STREAMS]
+
+    desk.feed(topics, statuses_of(recording), [(TRIAL, 10), *turns])
+
+    desk.assert_orderly(2)
+    assert [len(trial.messages[contract.TORQUE_SENSORS]) for trial in desk.trials] == [20, 0]
+    assert [len(trial.messages[contract.JOINT_STATES]) for trial in desk.trials] == [50, 50]
+
+
+def test_an_abort_completes_the_trial_with_what_there_is() -> None:
+    statuses = statuses_of(RECORDING)
+    aborted = replace(statuses[1], phase=Phase.ABORTED, valid=False, reason="a fault")
+    desk = Desk()
+    topics = RECORDING.by_topic()
+
+    data = {topic: iter(raws) for topic, raws in topics.items()}
+    desk.feed_status(iter(statuses[:1]))
+    desk.collector.add_status(statuses[1])
+    for _ in range(SETTLE + 10):
+        for topic in DATA_STREAMS:
+            desk.feed_one(topic, data)
+    desk.collector.add_status(aborted)
+
+    desk.assert_orderly(1)
+    (trial,) = desk.trials
+    assert trial.statuses == (*statuses[:2], aborted)
+    assert {topic: len(raws) for topic, raws in trial.messages.items()} == dict.fromkeys(
+        DATA_STREAMS, 10
+    )
+    for _ in range(50):
+        for topic in DATA_STREAMS:
+            desk.feed_one(topic, data)
+    desk.collector.finish()
+    assert len(desk.trials) == 1
+
+
+def test_when_aborted_before_the_perturbation_expect_no_trial() -> None:
+    statuses = statuses_of(RECORDING)
+    desk = Desk()
+
+    desk.feed(
+        RECORDING.by_topic(),
+        [statuses[0], replace(statuses[0], phase=Phase.ABORTED, valid=False, reason="a fault")],
+        [(TRIAL, 2)],
+    )
+    desk.collector.finish()
+
+    assert desk.events == [("begin", 1)]
+    assert desk.sunk == []
+    assert desk.collector.status is None
+
+
+def test_when_finished_early_expect_what_there_is_and_the_next_trial_whole() -> None:
+    desk = Desk()
+    topics = RECORDING.by_topic()
+    statuses = statuses_of(RECORDING)
+    data = {topic: iter(raws) for topic, raws in topics.items()}
+    desk.collector.add_status(statuses[0])
+    desk.collector.add_status(statuses[1])
+    for _ in range(SETTLE + 7):
+        for topic in DATA_STREAMS:
+            desk.feed_one(topic, data)
+
+    desk.collector.finish()
+    desk.collector.finish()
+    assert [len(raws) for raws in desk.trials[0].messages.values()] == [7] * 4
+
+    desk.feed({topic: list(rest) for topic, rest in data.items()}, statuses[3:6], [(TRIAL, 3)])
+    assert desk.events == [("begin", 1), ("complete", 1), ("begin", 2), ("complete", 2)]
+    assert desk.trials[1].messages == own_messages(RECORDING, 2)
+
+
+@pytest.mark.parametrize("phase", [Phase.REST, Phase.DONE, Phase.ABORTED])
+def test_status_of_a_trial_that_is_over_begins_nothing(phase: Phase) -> None:
+    late = replace(statuses_of(RECORDING)[2], phase=phase)
+    desk = Desk()
+
+    desk.collector.add_status(late)
+
+    assert desk.events == []
+    assert desk.collector.status is None
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_clock_of_a_driver_may_drift(drift: float) -> None:
+    ticks = 5000
+    stamps = [round(k * PERIOD_NS * (1 + drift)) for k in range(ticks + 20)]
+    states, efforts = (JointStateEncoder(("a",), field) for field in ("position", "effort"))
+    topics = {
+        contract.JOINT_STATES: [states.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
+        contract.TORQUE_SENSORS: [efforts.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
+        COMMANDS: [CommandEncoder(1).encode((0.0,))] * len(stamps),
+        PERTURBATION: [efforts.encode(stamp_ns, (1.0,)) for stamp_ns in stamps],
+    }
+    settle, perturb, rest = statuses_of(RECORDING)[:3]
+    statuses = [settle, *(replace(s, start_ns=0, ticks=ticks) for s in (perturb, rest))]
+    desk = Desk()
+    turns = [(topic, 1) for _ in stamps for topic in DATA_STREAMS]
+
+    desk.feed(topics, statuses, [(TRIAL, 3), *turns])
+
+    desk.assert_orderly(1)
+    for topic, raws in desk.trials[0].messages.items():
+        assert raws == topics[topic][:ticks]
+
+
+def test_without_statuses_there_is_no_trial() -> None:
+    desk = Desk()
+
+    desk.feed(RECORDING.by_topic(), [], [])
+    desk.collector.finish()
+
+    assert (desk.events, desk.sunk) == ([], [])
+
+
+def test_message_without_a_stamp_is_refused() -> None:
+    with pytest.raises(MalformedMessageError):
+        TrialSegmenter(print, print).add(contract.JOINT_STATES, b"\0\1\0\0")
+
+
+def fed_in_turn(spoil: Mapping[str, list[bytes]]) -> list[CollectedTrial]:
+    """Trials of a graph that sends one message of each stream after the other."""
+    messages = {**RECORDING.by_topic(), **spoil}
+    statuses = statuses_of(RECORDING)
+    desk = Desk()
+    desk.collector.add_status(statuses[0])
+    desk.collector.add_status(statuses[1])
+    desk.feed(messages, statuses[2:], [(topic, 1) for _ in range(3 * LENGTH) for topic in TOPICS])
+    return desk.trials
+
+
+@pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+@pytest.mark.parametrize("tick", [0, 5, TICKS - 2])
+def test_samples_out_of_order_are_kept_in_the_order_of_their_arrival(topic: str, tick: int) -> None:
+    stream = list(RECORDING.by_topic()[topic])
+    i = SETTLE + tick
+    stream[i], stream[i + 1] = stream[i + 1], stream[i]
+
+    first = fed_in_turn({topic: stream})[0].messages[topic]
+
+    assert first == stream[SETTLE : SETTLE + TICKS]
+
+
+def test_a_stamp_far_in_the_future_holds_nothing_up() -> None:
+    stream = list(RECORDING.by_topic()[contract.JOINT_STATES])
+    wrong = JointStateEncoder(("shoulder", "elbow"), "position").encode(10**15, (0.0, 0.0))
+    stream.insert(SETTLE + 5, wrong)
+
+    first = fed_in_turn({contract.JOINT_STATES: stream})[0].messages[contract.JOINT_STATES]
+
+    assert first == RECORDING.by_topic()[contract.JOINT_STATES][SETTLE : SETTLE + TICKS]
+
+
+@pytest.mark.parametrize("stray", [0, SETTLE])
+def test_a_perturbation_of_somebody_else_between_trials_displaces_no_command(stray: int) -> None:
+    stream = list(RECORDING.by_topic()[contract.PERTURBATION])
+    stream.insert(SETTLE + TICKS + 1, stream[stray])
+
+    spoiled, sound = fed_in_turn({contract.PERTURBATION: stream}), fed_in_turn({})
+
+    assert len(sound) > 1
+    assert [one.messages for one in spoiled] == [one.messages for one in sound]

@@ -1,0 +1,393 @@
+"""The compiled plant: equations of motion and RK4, for many trials side by side.
+
+Trials stand in lanes, and lanes in blocks of equal width. The numbers of a batch fill an array with
+one row per block; there, each quantity takes ``width`` places, one for each lane. A block goes
+through a whole control period on its own: its numbers stay in the processor's registers and first
+cache. The width and the number of joints n are compile-time constants, carried by the lengths of
+two tuples; arithmetic is on all lanes of a block at once (:mod:`armimp_sim.simd.lanes`). A block of
+width 1 is the ordinary single trial; the arithmetic is the same operation by operation, so a lane
+gives the same bits in any batch.
+
+Places in a block (n times the width each unless said otherwise), in the order of :func:`rows`:
+state θ, v, z; input τ, d; parameters; work space.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.compiled import compiled, compiled_entry
+from armimp_sim.simd.lanes import Tag, fill, load, store
+from armimp_sim.simd.math import exp_minus, sine_cosine
+
+WIDTH = 16
+"""Lanes of a block when there are several: two of the widest registers, which hide each other's
+waiting times, are faster than one. Unused lanes of the last block are at rest."""
+
+# Vectors, in units of n rows: state, inputs, parameters, outputs, work space.
+THETA, VELOCITY, BRISTLE = 0, 1, 2
+COMMAND, VOLUNTARY = 3, 4
+POSTURE = 5
+COULOMB, STRIBECK, INVERSE_STRIBECK_VELOCITY = 6, 7, 8  # Fc, Fs − Fc, 1/vs
+SIGMA_0, SIGMA_1, SIGMA_2 = 9, 10, 11
+TORQUE = 12  # torque on the arm at the last sample
+_LAST_THETA, _LAST_VELOCITY, _MEAN_THETA = 13, 14, 15  # for the mean torque of an interval
+_START = 16  # state at the start of the RK4 step: 3 vectors
+_SUM = 19  # weighted sum of the slopes: 3 vectors
+_SLOPE_V, _SLOPE_Z = 22, 23
+_COSINE, _SINE, _OMEGA_SQUARED = 24, 25, 26
+_CENTRIPETAL, _RHS = 27, 28
+VECTORS = 29
+# n×n matrices follow the vectors.
+INERTIA, DAMPING, STIFFNESS, CHAIN, _MASS = 0, 1, 2, 3, 4
+MATRICES = 5
+
+
+def rows(n: int) -> int:
+    """Number of quantities of a lane with n joints."""
+    return VECTORS * n + MATRICES * n * n
+
+
+def width_for(lanes: int) -> int:
+    """Width of the blocks of a batch."""
+    return 1 if lanes == 1 else WIDTH
+
+
+@compiled
+def _get(w: NDArray[np.float64], block: int, row: int, width: Tag) -> float:
+    return load(w, block * w.shape[1] + row * len(width), width)
+
+
+@compiled
+def _put(w: NDArray[np.float64], block: int, row: int, width: Tag, value: float) -> None:
+    store(w, block * w.shape[1] + row * len(width), value)
+
+
+@compiled
+def _matrix_row(which: int, i: int, j: int, n: int) -> int:
+    return VECTORS * n + which * n * n + i * n + j
+
+
+@compiled
+def _kinematics(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Sines and cosines of the absolute link angles, and squared absolute rates."""
+    n = len(joints)
+    # The dynamics depend on angle differences only: the first link may stand at zero.
+    angle = fill(0.0, width)
+    rate = _get(w, block, VELOCITY * n, width)
+    _put(w, block, _COSINE * n, width, fill(1.0, width))
+    _put(w, block, _SINE * n, width, angle)
+    _put(w, block, _OMEGA_SQUARED * n, width, rate * rate)
+    for a in range(1, n):
+        angle += _get(w, block, THETA * n + a, width)
+        rate += _get(w, block, VELOCITY * n + a, width)
+        s, c = sine_cosine(angle)
+        _put(w, block, _COSINE * n + a, width, c)
+        _put(w, block, _SINE * n + a, width, s)
+        _put(w, block, _OMEGA_SQUARED * n + a, width, rate * rate)
+
+
+@compiled
+def _bristle_force(w: NDArray[np.float64], block: int, i: int, n: int, width: Tag) -> float:
+    """LuGre's g(v) of joint i."""
+    x = _get(w, block, VELOCITY * n + i, width) * _get(
+        w, block, INVERSE_STRIBECK_VELOCITY * n + i, width
+    )
+    return _get(w, block, COULOMB * n + i, width) + _get(
+        w, block, STRIBECK * n + i, width
+    ) * exp_minus(x * x)
+
+
+@compiled
+def _friction(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """LuGre: slope of the bristle deflection, and −F into the right-hand side."""
+    n = len(joints)
+    for i in range(n):
+        v = _get(w, block, VELOCITY * n + i, width)
+        z = _get(w, block, BRISTLE * n + i, width)
+        sigma_0 = _get(w, block, SIGMA_0 * n + i, width)
+        dz = v - sigma_0 * abs(v) * z / _bristle_force(w, block, i, n, width)
+        force = (
+            sigma_0 * z
+            + _get(w, block, SIGMA_1 * n + i, width) * dz
+            + _get(w, block, SIGMA_2 * n + i, width) * v
+        )
+        _put(w, block, _SLOPE_Z * n + i, width, dz)
+        _put(w, block, _RHS * n + i, width, -force)
+
+
+@compiled
+def _arm(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Take B_h θ̇ + K_h (θ − θ_0) + d from the right-hand side."""
+    n = len(joints)
+    for i in range(n):
+        total = _get(w, block, VOLUNTARY * n + i, width)
+        for j in range(n):
+            angle = _get(w, block, THETA * n + j, width) - _get(w, block, POSTURE * n + j, width)
+            total += (
+                _get(w, block, _matrix_row(DAMPING, i, j, n), width)
+                * _get(w, block, VELOCITY * n + j, width)
+                + _get(w, block, _matrix_row(STIFFNESS, i, j, n), width) * angle
+            )
+        _put(w, block, _RHS * n + i, width, _get(w, block, _RHS * n + i, width) - total)
+
+
+@compiled
+def _links(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Inertia and centripetal torque of the chain in absolute link angles φ.
+
+    There the kinetic energy is ½ Σ_ab A_ab cos(φ_a − φ_b) φ̇_a φ̇_b with constant A. Since
+    φ_a = Σ_{i≤a} θ_i, joint quantities are sums over the links from the joint outwards.
+    """
+    n = len(joints)
+    for i in range(n):
+        c_i, s_i = _get(w, block, _COSINE * n + i, width), _get(w, block, _SINE * n + i, width)
+        centripetal = fill(0.0, width)
+        for b in range(n):
+            coefficient = _get(w, block, _matrix_row(CHAIN, i, b, n), width)
+            c_b, s_b = _get(w, block, _COSINE * n + b, width), _get(w, block, _SINE * n + b, width)
+            cosine = coefficient * (c_i * c_b + s_i * s_b)
+            _put(w, block, _matrix_row(_MASS, i, b, n), width, cosine)
+            sine = coefficient * (s_i * c_b - c_i * s_b)
+            centripetal += sine * _get(w, block, _OMEGA_SQUARED * n + b, width)
+        _put(w, block, _CENTRIPETAL * n + i, width, centripetal)
+
+
+@compiled
+def _drive(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Add τ − C θ̇ to the right-hand side."""
+    n = len(joints)
+    outwards = fill(0.0, width)
+    for i in range(n - 1, -1, -1):
+        outwards = _get(w, block, _CENTRIPETAL * n + i, width) + outwards
+        torque = _get(w, block, COMMAND * n + i, width) - outwards
+        _put(w, block, _RHS * n + i, width, _get(w, block, _RHS * n + i, width) + torque)
+
+
+@compiled
+def _masses(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """M_r(θ) + M_h from the inertia of the links: sums over columns, then over rows."""
+    n = len(joints)
+    first, arm = _matrix_row(_MASS, 0, 0, n), _matrix_row(INERTIA, 0, 0, n)
+    for i in range(n):
+        for b in range(n - 2, -1, -1):
+            _accumulate(w, block, first + i * n + b, first + i * n + b + 1, width)
+    for element in range(n * (n - 1) - 1, -1, -1):
+        _accumulate(w, block, first + element, first + element + n, width)
+    for element in range(n * n):
+        _accumulate(w, block, first + element, arm + element, width)
+
+
+@compiled
+def _accumulate(w: NDArray[np.float64], block: int, row: int, other: int, width: Tag) -> None:
+    """Add one quantity to another."""
+    _put(w, block, row, width, _get(w, block, row, width) + _get(w, block, other, width))
+
+
+@compiled
+def _solve(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """θ̈ = (M_r + M_h)⁻¹ rhs by elimination.
+
+    No pivoting: configuration checks that the symmetric part is positive definite, for which
+    elimination in the given order is stable.
+    """
+    n = len(joints)
+    for p in range(n):
+        for i in range(p + 1, n):
+            factor = _get(w, block, _matrix_row(_MASS, i, p, n), width) / _get(
+                w, block, _matrix_row(_MASS, p, p, n), width
+            )
+            for j in range(p + 1, n):
+                row, pivot = _matrix_row(_MASS, i, j, n), _matrix_row(_MASS, p, j, n)
+                value = _get(w, block, row, width) - factor * _get(w, block, pivot, width)
+                _put(w, block, row, width, value)
+            value = _get(w, block, _RHS * n + i, width) - factor * _get(
+                w, block, _RHS * n + p, width
+            )
+            _put(w, block, _RHS * n + i, width, value)
+    for i in range(n - 1, -1, -1):
+        total = _get(w, block, _RHS * n + i, width)
+        for j in range(i + 1, n):
+            total -= _get(w, block, _matrix_row(_MASS, i, j, n), width) * _get(
+                w, block, _SLOPE_V * n + j, width
+            )
+        pivot_value = _get(w, block, _matrix_row(_MASS, i, i, n), width)
+        _put(w, block, _SLOPE_V * n + i, width, total / pivot_value)
+
+
+@compiled
+def _slopes(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Time derivatives of v and z at the present state (that of θ is v itself)."""
+    _kinematics(w, block, joints, width)
+    _friction(w, block, joints, width)
+    _arm(w, block, joints, width)
+    _links(w, block, joints, width)
+    _drive(w, block, joints, width)
+    _masses(w, block, joints, width)
+    _solve(w, block, joints, width)
+
+
+@compiled
+def rk4_step(w: NDArray[np.float64], block: int, joints: Tag, width: Tag, h: float) -> None:
+    """One classical Runge–Kutta step of length h with constant command."""
+    n = len(joints)
+    for row in range(3 * n):
+        _put(w, block, _START * n + row, width, _get(w, block, row, width))
+        _put(w, block, _SUM * n + row, width, fill(0.0, width))
+    for stage in range(4):
+        # Weight of these slopes in the sum, and how far they lead to the next stage.
+        weight = 2.0 if 1 <= stage <= 2 else 1.0
+        ahead = 0.5 * h if stage < 2 else h
+        _slopes(w, block, joints, width)
+        for row in range(3 * n):
+            if row < n:
+                slope = _get(w, block, VELOCITY * n + row, width)
+            else:
+                slope = _get(w, block, _SLOPE_V * n + row - n, width)
+            total = _get(w, block, _SUM * n + row, width) + weight * slope
+            _put(w, block, _SUM * n + row, width, total)
+            next_value = _get(w, block, _START * n + row, width) + ahead * slope
+            _put(w, block, row, width, next_value)
+    for row in range(3 * n):
+        total = (h / 6.0) * _get(w, block, _SUM * n + row, width)
+        _put(w, block, row, width, _get(w, block, _START * n + row, width) + total)
+
+
+@compiled
+def _remember(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    n = len(joints)
+    for i in range(n):
+        _put(w, block, _LAST_THETA * n + i, width, _get(w, block, THETA * n + i, width))
+        _put(w, block, _LAST_VELOCITY * n + i, width, _get(w, block, VELOCITY * n + i, width))
+        _put(w, block, _MEAN_THETA * n + i, width, fill(0.0, width))
+
+
+@compiled
+def _add_to_mean(
+    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, weight: float
+) -> None:
+    n = len(joints)
+    for i in range(n):
+        both = _get(w, block, _START * n + i, width) + _get(w, block, THETA * n + i, width)
+        mean = _get(w, block, _MEAN_THETA * n + i, width) + weight * both
+        _put(w, block, _MEAN_THETA * n + i, width, mean)
+
+
+@compiled
+def _mean_slopes(
+    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, period: float
+) -> None:
+    """Mean acceleration and velocity since :func:`_remember`; it takes the place of the last."""
+    n = len(joints)
+    for i in range(n):
+        gained = _get(w, block, VELOCITY * n + i, width) - _get(
+            w, block, _LAST_VELOCITY * n + i, width
+        )
+        way = _get(w, block, THETA * n + i, width) - _get(w, block, _LAST_THETA * n + i, width)
+        _put(w, block, _SLOPE_V * n + i, width, gained / period)
+        _put(w, block, _LAST_VELOCITY * n + i, width, way / period)
+
+
+@compiled
+def _torque(
+    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, rows_of: tuple[int, int, int]
+) -> None:
+    """TORQUE = M_h a + B_h v + K_h (θ − θ_0) + d with the vectors θ, v, a of the given rows."""
+    n = len(joints)
+    theta, velocity, slope = rows_of
+    for i in range(n):
+        total = _get(w, block, VOLUNTARY * n + i, width)
+        for j in range(n):
+            angle = _get(w, block, theta * n + j, width) - _get(w, block, POSTURE * n + j, width)
+            total += (
+                _get(w, block, _matrix_row(INERTIA, i, j, n), width)
+                * _get(w, block, slope * n + j, width)
+                + _get(w, block, _matrix_row(DAMPING, i, j, n), width)
+                * _get(w, block, velocity * n + j, width)
+                + _get(w, block, _matrix_row(STIFFNESS, i, j, n), width) * angle
+            )
+        _put(w, block, TORQUE * n + i, width, total)
+
+
+@compiled
+def sample_block(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """Torque on the arm at this instant in one block, as :func:`sample_now`."""
+    _slopes(w, block, joints, width)
+    _torque(w, block, joints, width, (THETA, VELOCITY, _SLOPE_V))
+
+
+@compiled_entry
+def sample_now(w: NDArray[np.float64], joints: Tag, width: Tag) -> None:
+    """Torque on the arm at this instant, N·m, under the command still in force, into TORQUE."""
+    for block in range(w.shape[0]):
+        sample_block(w, block, joints, width)
+
+
+@compiled_entry
+def advance(
+    w: NDArray[np.float64], joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool
+) -> None:
+    """Advance all lanes by ``steps`` RK4 steps of ``h`` seconds, then sample the torque.
+
+    Parameters
+    ----------
+    w : (blocks, rows(n) · width)
+        The batch; its COMMAND and VOLUNTARY rows are held constant (zero-order hold).
+    joints, width : tuples of n and of the width of the blocks zeros
+        Carry the two numbers as compile-time constants.
+    steps : int
+        Number of steps.
+    h : s
+        Length of one.
+    interval_mean : bool
+        Whether TORQUE is the mean over the interval rather than its value at the end.
+    """
+    for block in range(w.shape[0]):
+        _remember(w, block, joints, width)
+        for _ in range(steps):
+            rk4_step(w, block, joints, width, h)
+            _add_to_mean(w, block, joints, width, 0.5 / steps)
+        if interval_mean:
+            _mean_slopes(w, block, joints, width, steps * h)
+            _torque(w, block, joints, width, (_MEAN_THETA, _LAST_VELOCITY, _SLOPE_V))
+        else:
+            sample_block(w, block, joints, width)
+
+
+@compiled
+def place(lane: int, row: int, width: int) -> tuple[int, int]:
+    """Index of one quantity of a lane in the batch: block, and place in the block."""
+    return lane // width, row * width + lane % width
+
+
+@compiled_entry
+def stiffness_ratio(w: NDArray[np.float64], joints: Tag, width: Tag, h: float) -> float:
+    """Largest h·σ0|v|/g(v) of all joints and lanes, for the step-stability check.
+
+    Parameters
+    ----------
+    w : (blocks, rows(n) · width)
+        The batch.
+    joints, width : tuples of n and of the width of the blocks zeros
+        Carry the two numbers as compile-time constants.
+    h : s
+
+    Returns
+    -------
+    float
+        Not finite if the velocity of any joint in any lane is not.
+    """
+    n, m = len(joints), len(width)
+    ratios = np.empty(m)
+    worst = 0.0
+    for block in range(w.shape[0]):
+        for i in range(n):
+            speed = abs(_get(w, block, VELOCITY * n + i, width))
+            sigma_0 = _get(w, block, SIGMA_0 * n + i, width)
+            store(ratios, 0, h * sigma_0 * speed / _bristle_force(w, block, i, n, width))
+            for lane in range(m):
+                if np.isnan(ratios[lane]):
+                    return np.nan
+                worst = max(worst, ratios[lane])
+    return worst

@@ -1,0 +1,1 @@
+"""Models of the parts of the rig: arm, robot, friction, sensors."""
