@@ -36,7 +36,7 @@ test-all: setup  ## run every test: each page, colcon, campaigns, every kill; ho
 compiled: setup
 	@PYTHONPATH=tests $(BIN)/python -m support.compiled
 
-bench: setup  ## measure what a run costs here, e.g. ARGS="start --out B"
+bench: setup  ## measure what a run costs here, e.g. ARGS="start growth"
 	@PYTHONPATH=tests $(BIN)/python -m benchmarks $(ARGS)
 
 research: setup  ## repeat a study of research/, e.g. ARGS="limits --seeds 0:8"

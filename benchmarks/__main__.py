@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from datetime import datetime
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from armimp_bringup import cli
-from armimp_bringup.benchmarks import BENCHMARKS, bench
+from armimp_bringup.bench import bench, jitter
 from benchmarks.estimate import time_estimate
+from benchmarks.graph import time_graph
 from benchmarks.growth import measure_growth
 from benchmarks.memory import measure_memory
 from benchmarks.start import time_start
@@ -24,7 +23,8 @@ ALL = {
     "estimate": time_estimate,
     "memory": measure_memory,
     "growth": measure_growth,
-    **BENCHMARKS,
+    "graph": time_graph,
+    "jitter": jitter,
 }
 """Every benchmark by name; a new one is a function and a line here."""
 
@@ -36,14 +36,10 @@ def measure(
     names: Annotated[
         list[str] | None, typer.Argument(metavar="[NAME]...", help="Benchmarks; default: all.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Directory for bench.json.")] = None,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print bench.json instead of a table.")
-    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> int:
     """Measure what a run costs; a target that is missed makes the exit status 1."""
-    directory = out or Path("results") / f"bench-{datetime.now():%Y%m%d-%H%M%S}"
-    return bench(names or (), directory, as_json=json, known=ALL)
+    return bench(names or (), as_json=json, known=ALL)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from armimp_bringup.benchmarks import Measured
+from armimp_bringup.bench import Measured
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_common.contract import TRIAL as TRIAL_TOPIC
 from armimp_estimation.bags import BagWriter, read_bag

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from armimp_bringup.benchmarks import Measured
+from armimp_bringup.bench import Measured
 from armimp_bringup.config import load_config, node_parameters
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_common.contract import NS_PER_S, PERIOD_NS

@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from armimp_bringup.benchmarks import Measured
+from armimp_bringup.bench import Measured
 from armimp_bringup.graph import MODULES
 from armimp_estimation.figure_process import WORKER
 from benchmarks.command_run import COMMAND, run_command

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import median
 
-from armimp_bringup.benchmarks import Measured
+from armimp_bringup.bench import Measured
 from armimp_estimation.results import WallSummary
 from benchmarks.command_run import CommandRun, run_command
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from armimp_bringup.benchmarks import Measured, available_cores
+from armimp_bringup.bench import Measured, available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import Rig, run_offline
 from armimp_bringup.study.command import DEFAULT_ESTIMATORS

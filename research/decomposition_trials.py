@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import JsonValue
 
-from armimp_bringup.benchmarks import available_cores
+from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import run_together
 from armimp_bringup.simulated import SimulatedExperiment

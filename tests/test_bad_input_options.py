@@ -125,7 +125,6 @@ def test_wrong_seeds_end_in_one_line_and_leave_no_directory(
         ("reproduce", "--duration", "nan", "'duration' = nan"),
         ("reproduce", "--joints", "9", "'joints' = 9"),
         ("reproduce", "--estimator", "foo", "'foo'"),
-        ("bench nothing", "--out", "new", "'nothing'"),
     ],
 )
 def test_a_wrong_value_of_the_studies_ends_in_one_line_and_leaves_no_directory(
@@ -139,11 +138,8 @@ def test_a_wrong_value_of_the_studies_ends_in_one_line_and_leaves_no_directory(
 
 
 @pytest.mark.parametrize("out", ["../file", "../file/x", "/proc/here", LONG])
-@pytest.mark.parametrize("command", ["reproduce", "bench"])
-def test_a_directory_that_cannot_be_made_is_named_before_anything_is_measured(
-    command: str, out: str
-) -> None:
-    assert out in refused(command, "--out", out).err
+def test_a_directory_that_cannot_be_made_is_named_before_anything_is_measured(out: str) -> None:
+    assert out in refused("reproduce", "--out", out).err
 
 
 def test_nothing_is_overwritten(directory: Path) -> None:
@@ -168,12 +164,6 @@ def test_a_name_that_is_not_text_is_refused_whatever_it_names(command: str) -> N
     told = refused(command, "no\udcffwhere")
     assert told.status == 1
     assert told.err == "armimp: no\\udcffwhere: its name is not UTF-8\n"
-
-
-def test_a_figure_of_the_benchmarks_is_not_overwritten(directory: Path) -> None:
-    (directory / "bench.json").write_text("{}")
-    assert "bench.json: exists already" in refused("bench", "--out", ".").err
-    assert (directory / "bench.json").read_text() == "{}"
 
 
 @pytest.mark.parametrize(

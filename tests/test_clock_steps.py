@@ -16,7 +16,6 @@ from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.ping_pong import PingNode
 from armimp_common.contract import (
     CONTROLLER_NODE,
     ESTIMATOR_NODE,
@@ -31,6 +30,7 @@ from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.results import read_summary
 from armimp_ros2_control.node import Ros2ControlBridge
 from armimp_sim.node import ArmSimNode
+from benchmarks.ping_pong import PingNode
 from support.fault_figures import Figures
 from support.graph import CLOCK_STEPS, set_clock
 from support.priority import permitted_priority

@@ -34,11 +34,11 @@ Measure = Callable[[str], tuple[int, dict[str, Any]]]
 
 
 @pytest.fixture
-def measure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Measure:
+def measure(capsys: pytest.CaptureFixture[str]) -> Measure:
     """Run a benchmark; gives its status and figures."""
 
     def run(name: str) -> tuple[int, dict[str, Any]]:
-        status = main([name, "--out", str(tmp_path), "--json"])
+        status = main([name, "--json"])
         figures: dict[str, Any] = json.loads(capsys.readouterr().out)["benchmarks"][name]
         return status, figures
 

@@ -440,20 +440,14 @@ def reproduce(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
 def bench(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME]...", help="Benchmarks.", show_default="all"),
+        typer.Argument(metavar="[NAME]...", help="speed or jitter.", show_default="both"),
     ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option("--out", help="Directory for bench.json.", **_default("results/bench-TIME")),
-    ] = None,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print bench.json instead of a table.")
-    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
 ) -> int:
-    """Measure how fast this machine is; a target that is missed makes the exit status 1."""
-    from armimp_bringup.benchmarks import bench as run_bench
+    """Measure how fast and how regular the node graph is on this machine."""
+    from armimp_bringup.bench import bench as run_bench
 
-    return run_bench(names or (), out if out is not None else _new_directory("bench"), as_json=json)
+    return run_bench(names or (), as_json=json)
 
 
 @app.command()

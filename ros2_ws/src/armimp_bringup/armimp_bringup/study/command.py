@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-from armimp_bringup.benchmarks import available_cores
+from armimp_bringup.bench import available_cores
 from armimp_bringup.config import load_config
 from armimp_bringup.study.backends import Backend, Dask, Threads
 from armimp_bringup.study.conditions import select_conditions

@@ -7,15 +7,13 @@ host may give the processor to others for a while, which the system counts as st
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
-from pathlib import Path
 from statistics import median
 from time import perf_counter
 
+import psutil
+
 _ROUNDS = 10_000
-_STEAL = 8
-"""Place of the stolen time in the line of all processors."""
 
 
 def loop_times(count: int = 100) -> list[float]:
@@ -28,16 +26,12 @@ def disturbance(times: Sequence[float]) -> float:
     return median(times) / min(times)
 
 
-def stolen_time(statistics: Path = Path("/proc/stat")) -> float:
+def stolen_time() -> float:
     """Time since the start of the system for which the host took its processors away, s.
 
-    Summed over the processors, see proc_stat(5); 0 where there is no such count.
+    Summed over the processors.
     """
-    try:
-        fields = statistics.read_text(encoding="ascii").splitlines()[0].split()
-        return int(fields[_STEAL]) / os.sysconf("SC_CLK_TCK")
-    except (OSError, IndexError, ValueError):
-        return 0.0
+    return float(psutil.cpu_times().steal)
 
 
 def _loop() -> float:

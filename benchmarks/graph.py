@@ -16,18 +16,18 @@ from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import UInt64
 
-from armimp_bringup import ping_pong
-from armimp_bringup.benchmarks import Measured
+from armimp_bringup.bench import Measured
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.disturbance import disturbance, loop_times, stolen_time
 from armimp_bringup.graph import GraphContext, NodeGroup, SeparateNodes
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.tick_parts import TickParts, tick_parts
 from armimp_common import qos
 from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_sim.simulator import SimulatedRig
+from benchmarks import ping_pong
+from benchmarks.disturbance import disturbance, loop_times, stolen_time
+from benchmarks.tick_parts import TickParts, tick_parts
 
 Processes = Literal["separate", "composed"]
 

@@ -1,0 +1,229 @@
+"""``armimp bench``: the speed of the graph and its jitter on this machine, and their frame."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import platform
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
+from armimp_common.versions import git_revision, versions
+from armimp_estimation.results import Summary
+
+DURATION = 10.0
+"""Length of each trial, s."""
+_PRIORITY = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """One figure of a benchmark.
+
+    Attributes
+    ----------
+    key : its name in the record
+    label : what people read
+    value : NaN misses every limit
+    unit : may be empty
+    limit : what the value must not exceed, if there is a target
+    """
+
+    key: str
+    label: str
+    value: float
+    unit: str = ""
+    limit: float | None = None
+
+    @property
+    def missed(self) -> bool:
+        """Whether there is a target that is not met."""
+        return self.limit is not None and not self.value <= self.limit
+
+
+Tell = Callable[[str], None]
+Benchmark = Callable[[Tell], list[Measured]]
+"""Takes a function that is told what is being measured; gives the figures."""
+
+
+def run_for_bench(tell: Tell = lambda _: None, **options: Any) -> Summary:
+    """Run an experiment with these options of its configuration, and keep no files.
+
+    Raises
+    ------
+    GraphError
+        If it gave no estimate, as on a machine that is much too slow.
+    """
+    from armimp_bringup.config import load_config
+    from armimp_bringup.orchestrator import run_experiment
+
+    config = load_config(None, {"duration": DURATION, **options})
+    with tempfile.TemporaryDirectory() as folder:
+        summary = run_experiment(config, Path(folder) / "run")
+    for problem in summary.problems:
+        tell(problem)
+    if not summary.trials:
+        raise GraphError("; ".join(summary.problems))
+    return summary
+
+
+def speed(tell: Tell) -> list[Measured]:
+    """Measure how fast simulated experiments run in both arrangements of the nodes."""
+    figures = []
+    for processes in ("composed", "separate"):
+        tell(f"2 trials of {DURATION:g} s, {processes}")
+        trials = run_for_bench(tell, processes=processes).trials
+        figures += [
+            Measured(
+                key=f"{processes}_speed",
+                label=f"{processes}: speed",
+                value=median(trial.rtf for trial in trials),
+                unit="x real time",
+            ),
+            Measured(
+                key=f"{processes}_lost",
+                label=f"{processes}: lost samples",
+                value=sum(trial.lost for trial in trials),
+                limit=0,
+            ),
+        ]
+    return figures
+
+
+def jitter(tell: Tell) -> list[Measured]:
+    """Measure the jitter of runs in real time, with and without precedence over other programs.
+
+    There is no target: what a machine must not exceed is a matter of the verdict of a run.
+    """
+    figures: list[Measured] = []
+    for key, label, priority in (("ordinary", "ordinary", 0), ("fifo", "SCHED_FIFO", _PRIORITY)):
+        tell(f"{DURATION:g} s in real time, {label}")
+        try:
+            timing = run_for_bench(tell, mode="realtime", joints=1, priority=priority).timing
+        except (ConfigurationError, GraphError) as error:  # no permission, or far too slow
+            tell(str(error))
+            continue
+        if timing is None:
+            continue
+        found = {
+            "late": ("late samples", 100.0 * timing.late / max(timing.ticks, 1), "%"),
+            "missed": ("missed commands", 100.0 * timing.missed / max(timing.ticks, 1), "%"),
+        }
+        for name, what in (("period", "period"), ("latency", "sample to command")):
+            for part, words in (("p50", "median"), ("p99", "99 %"), ("max", "longest")):
+                value = 1e3 * float(getattr(timing, f"{name}_{part}"))
+                found[f"{name}_{part}"] = (f"{what}, {words}", value, "ms")
+        figures += [
+            Measured(key=f"{key}_{name}", label=f"{label}: {text}", value=value, unit=unit)
+            for name, (text, value, unit) in found.items()
+            if not math.isnan(value)
+        ]
+    return figures
+
+
+BENCHMARKS: Mapping[str, Benchmark] = {"speed": speed, "jitter": jitter}
+"""What a user wants to know of a machine; those of the project itself are in ``benchmarks/``."""
+
+
+def available_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def bench(
+    names: Sequence[str], *, as_json: bool, known: Mapping[str, Benchmark] | None = None
+) -> int:
+    """Run benchmarks and print the figures; 0 if all ran and met their targets, else 1.
+
+    Parameters
+    ----------
+    names : of ``known``; none means all of them
+    as_json : whether to print a record of everything in the place of tables
+    known : by default :data:`BENCHMARKS`
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such benchmark.
+    """
+    from rich.console import Console
+
+    known = BENCHMARKS if known is None else known
+    for name in names:
+        if name not in known:
+            raise ConfigurationError(f"there is no benchmark {name!r}, only {', '.join(known)}")
+    errors = Console(stderr=True, soft_wrap=True, highlight=False)
+    measured: dict[str, list[Measured]] = {}
+    failed: dict[str, str] = {}
+    began = time.monotonic()
+    for name in dict.fromkeys(names or known):
+        try:
+            measured[name] = known[name](errors.print)
+        except ArmimpError as error:  # does not keep the others from running
+            failed[name] = str(error)
+    if as_json:
+        print(json.dumps(_record(measured, failed)))
+    else:
+        _print(measured, time.monotonic() - began)
+    missed = [one for group in measured.values() for one in group if one.missed]
+    for one in missed:
+        errors.print(f"armimp: {one.label} is {one.value:.3g} {one.unit}, target {one.limit:g}")
+    for name, reason in failed.items():
+        errors.print(f"armimp: {name}: {reason}")
+    return 1 if missed or failed else 0
+
+
+def _record(
+    measured: Mapping[str, Sequence[Measured]], failed: Mapping[str, str]
+) -> dict[str, Any]:
+    return {
+        "schema": 1,
+        "machine": {
+            "cores": available_cores(),
+            "processor": _processor(),
+            "system": platform.platform(),
+        },
+        "versions": versions(),
+        "git_revision": git_revision(),
+        "benchmarks": {
+            name: {one.key: asdict(one) | {"met": not one.missed} for one in group}
+            for name, group in measured.items()
+        },
+        "failed": failed,
+    }
+
+
+def _print(measured: Mapping[str, Sequence[Measured]], took: float) -> None:
+    from rich.box import SIMPLE_HEAD
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(soft_wrap=True)
+    for name, group in measured.items():
+        table = Table(title=name, box=SIMPLE_HEAD, title_justify="left", show_header=False)
+        for justify in ("left", "right", "left", "left"):
+            table.add_column("", justify=justify)
+        for one in group:
+            mark = "[bold red]✗[/]" if one.missed else "[green]✓[/]"
+            limit = "" if one.limit is None else f"≤ {one.limit:g} {one.unit} {mark}"
+            table.add_row(one.label, f"{one.value:.3g}", one.unit, limit)
+        console.print(table)
+    console.print(
+        f"{available_cores()} cores, {_processor()}; measured in {took:.0f} s", highlight=False
+    )
+
+
+def _processor() -> str:
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
+    except OSError:
+        return platform.processor()
+    names = [line.split(":", 1)[1].strip() for line in text.splitlines() if "model name" in line]
+    return names[0] if names else platform.processor()

@@ -1,0 +1,108 @@
+"""`armimp bench`: figures, targets, and what cannot be measured."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from armimp_bringup import bench, orchestrator
+from armimp_bringup.bench import Measured, available_cores
+from armimp_bringup.cli import main
+from armimp_bringup.config import ExperimentConfig
+from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.jitter import TimingFigures, TimingLimits
+from armimp_estimation.realtime_timing import TimingRecord
+
+Benchmark = Callable[[object], list[Measured]]
+
+
+def _instead(monkeypatch: pytest.MonkeyPatch, **found: list[Measured] | Benchmark) -> None:
+    """Benchmarks that have these figures without measuring anything."""
+
+    def made(figures: list[Measured] | Benchmark) -> Benchmark:
+        return figures if callable(figures) else lambda _: figures
+
+    monkeypatch.setattr(bench, "BENCHMARKS", {name: made(one) for name, one in found.items()})
+
+
+def _figure(value: float, limit: float | None = None) -> Measured:
+    return Measured(key="one", label="a figure", value=value, unit="s", limit=limit)
+
+
+def test_figures_are_shown_with_units_targets_and_the_machine(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _instead(monkeypatch, first=[_figure(1.5, 2.0)], second=[_figure(7.25)])
+    assert main(["bench"]) == 0
+    told = capsys.readouterr().out
+    for words in ("first", "≤ 2 s ✓", "7.25", f"{available_cores()} cores"):
+        assert words in told
+
+
+@pytest.mark.parametrize("value", [2.1, math.nan])
+def test_missed_target_exits_with_1_and_is_named(
+    value: float, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _instead(monkeypatch, first=[_figure(value, 2.0), _figure(1.0, 2.0)])
+    assert main(["bench"]) == 1
+    assert capsys.readouterr().err == f"armimp: a figure is {value:.3g} s, target 2\n"
+
+
+def test_when_one_fails_expect_it_named_and_the_figures_of_the_others(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(_: object) -> list[Measured]:
+        raise GraphError("no graph today")
+
+    _instead(monkeypatch, first=fails, last=[_figure(2.0)], other=[])
+    assert main(["bench", "first", "last", "last", "--json"]) == 1
+    told = capsys.readouterr()
+    assert told.err == "armimp: first: no graph today\n"
+    record = json.loads(told.out)
+    assert list(record["benchmarks"]) == ["last"]
+    assert record["failed"] == {"first": "no graph today"}
+
+
+def test_unknown_benchmark_is_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "guess"]) == 2
+    assert capsys.readouterr().err == (
+        "armimp: there is no benchmark 'guess', only speed, jitter\n"
+    )
+
+
+def test_jitter_is_that_of_runs_in_real_time_without_what_is_not_permitted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    figures = TimingFigures(ticks=200, late=1, missed=4, period_p50=1e-3, latency_max=3e-3)
+    timing = TimingRecord(figures=figures, limits=TimingLimits()).summary
+
+    def run_experiment(config: ExperimentConfig, _: Path) -> SimpleNamespace:
+        assert (config.mode, config.joints) == ("realtime", 1)
+        if config.priority:
+            raise ConfigurationError("priority = 50: not permitted")
+        return SimpleNamespace(problems=["no use"], trials=["one"], timing=timing)
+
+    monkeypatch.setattr(orchestrator, "run_experiment", run_experiment)
+    told: list[str] = []
+    found = {one.key: one.value for one in bench.jitter(told.append)}
+    expected = {"late": 0.5, "missed": 2.0, "period_p50": 1.0, "latency_max": 3.0}
+    assert found == {f"ordinary_{key}": pytest.approx(value) for key, value in expected.items()}
+    assert "no use" in told
+    assert "priority = 50: not permitted" in told
+
+
+def test_speed_is_the_median_of_trials_and_lost_samples_miss_the_target(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=6.0)]
+    summary = SimpleNamespace(problems=[], trials=trials)
+    monkeypatch.setattr(orchestrator, "run_experiment", lambda *_: summary)
+    found = {one.key: one for one in bench.speed(lambda _: None)}
+    assert found["composed_speed"].value == found["separate_speed"].value == 8.0
+    assert found["composed_lost"].missed
+    assert not found["composed_speed"].missed
