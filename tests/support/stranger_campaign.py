@@ -7,7 +7,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,14 +17,18 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
+from rclpy._rclpy_pybind11 import RCLError
 from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
+from rclpy.serialization import serialize_message
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
-from std_msgs.msg import Float64MultiArray, UInt64
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray, String, UInt64
 
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
@@ -224,6 +228,35 @@ def transitions(node: Stranger, rng: Rng) -> None:
             client.call_async(ChangeState.Request(transition=Transition(id=number)))
 
 
+TYPES = {
+    one.__name__: one
+    for one in (JointState, Float64MultiArray, DiagnosticStatus, DiagnosticArray, UInt64, Clock)
+}
+
+
+def garbage(topic: str, kind: type, profile: Any) -> Act:
+    """Publish bytes that are no message of that type: none, a head alone, cut, absurd lengths."""
+
+    def act(node: Stranger, rng: Rng) -> object:
+        publisher = node.create_publisher(kind, topic, profile)
+        assert heard(publisher)
+        head = b"\0\1\0\0"
+        good = bytes(serialize_message(kind()))
+        for data in (
+            head,
+            head + b"\xff" * 60,
+            good[: len(good) // 2 + 3],
+            head + rng.randbytes(200),
+            rng.randbytes(40),
+            head + b"\0" * 12 + b"\xff\xff\xff\x7f" + b"\0" * 64,
+        ):
+            with suppress(RCLError):  # a topic of fixed size takes no more than that
+                publisher.publish(data)
+        return publisher
+
+    return act
+
+
 ACTS: dict[str, Act] = {
     "zero command": command(0.0, 0),
     "zero command, leaves": command(0.0, 0, leave=True),
@@ -293,6 +326,14 @@ ACTS: dict[str, Act] = {
     },
     **{f"sample of {topic}": sample(topic) for topic in contract.VALUE_FIELD},
     "transitions": transitions,
+    **{
+        f"bytes on {topic}": garbage(topic, TYPES[kind.rpartition("/")[2]], qos.PROFILES[topic])
+        for topic, kind in contract.MESSAGE_TYPES.items()
+    },
+    **{
+        f"bytes on {topic}": garbage(topic, String, qos.ALIVE)
+        for topic in map(contract.alive, (contract.SIM_NODE, contract.CONTROLLER_NODE))
+    },
 }
 PARAMETERS: dict[str, tuple[str, Parameter]] = {
     "torque gain": (contract.SIM_NODE, Parameter("sensors.torque_gain", value=[1.3, 1.3])),
