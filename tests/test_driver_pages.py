@@ -1,4 +1,4 @@
-"""docs/drivers.md and docs/ros2-control.md say what the code does."""
+"""docs/drivers.md says what the code does."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -63,4 +63,4 @@ def test_every_check_is_in_the_table_of_the_page() -> None:
 
 @pytest.mark.parametrize("name", leaves(BridgeParameters))
 def test_every_parameter_of_the_bridge_is_on_its_page(name: str) -> None:
-    assert first_cells("ros2-control.md", "parameter").count(name) == 1
+    assert first_cells("drivers.md", "parameter").count(name) == 1
