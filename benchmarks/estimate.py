@@ -9,7 +9,7 @@ from pathlib import Path
 
 from armimp_bringup.bench import Measured
 from armimp_bringup.offline_estimate import estimate_bags
-from armimp_common.contract import TRIAL as TRIAL_TOPIC
+from armimp_common.topics import TRIAL as TRIAL_TOPIC
 from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.conclusion import FinishedTrial, conclude

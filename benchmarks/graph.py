@@ -21,9 +21,9 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import GraphContext, NodeGroup, SeparateNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_sim.simulator import SimulatedRig
 from benchmarks import ping_pong
 from benchmarks.disturbance import disturbance, loop_times, stolen_time

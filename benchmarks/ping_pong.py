@@ -16,10 +16,9 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
 
-from armimp_common import contract, qos
+from armimp_common import qos, topics
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.executor import run_node
-from armimp_common.steady import steady_timer
+from armimp_common.executor import run_node, steady_timer
 
 PING, PONG, TAP = NAMES = ("ping", "pong", "tap")
 TOOK: Final = "ping/took"
@@ -30,10 +29,10 @@ BACKLOG: Final = 45
 """Exchanges that may be ahead of what the listener has acknowledged, as in the graph."""
 
 _TYPES: Final[Mapping[str, type[Any]]] = {
-    contract.JOINT_STATES: JointState,
-    contract.TORQUE_SENSORS: JointState,
-    contract.COMMANDS: Float64MultiArray,
-    contract.PERTURBATION: JointState,
+    topics.JOINT_STATES: JointState,
+    topics.TORQUE_SENSORS: JointState,
+    topics.COMMANDS: Float64MultiArray,
+    topics.PERTURBATION: JointState,
 }
 
 
@@ -48,10 +47,10 @@ class _Bare(Node):
         """Publisher of a topic, and a message for it."""
         publisher = self.create_publisher(_TYPES[topic], topic, qos.SAMPLE)
         values = [0.1] * self.joints
-        if topic == contract.COMMANDS:
+        if topic == topics.COMMANDS:
             return publisher, CommandEncoder(self.joints).encode(values)
         names = [f"joint_{i + 1}" for i in range(self.joints)]
-        encoder = JointStateEncoder(names, contract.VALUE_FIELD[topic])
+        encoder = JointStateEncoder(names, topics.VALUE_FIELD[topic])
         return publisher, encoder.encode(0, values)
 
     def listen(self, topic: str, callback: Callable[[bytes], None]) -> None:
@@ -68,11 +67,11 @@ class PingNode(_Bare):
         self._done = self._acknowledged = 0
         self._held = self._awaited = False
         self._streams = [
-            self.stream(topic) for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
+            self.stream(topic) for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS)
         ]
         self._result = self.create_publisher(UInt64, TOOK, qos.LATCHED)
-        self.listen(contract.COMMANDS, self._on_command)
-        self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED)
+        self.listen(topics.COMMANDS, self._on_command)
+        self.create_subscription(UInt64, topics.RECEIVED, self._on_received, qos.LATCHED)
         self.create_subscription(UInt64, READY, self._on_ready, qos.LATCHED)
         self._start = steady_timer(self, 0.02, self._begin)
 
@@ -114,11 +113,11 @@ class PongNode(_Bare):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(PONG, **kwargs)
         self._heard = 0
-        self._streams = [self.stream(topic) for topic in (contract.COMMANDS, contract.PERTURBATION)]
-        for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS):
+        self._streams = [self.stream(topic) for topic in (topics.COMMANDS, topics.PERTURBATION)]
+        for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS):
             self.listen(topic, self._on_message)
         # As the controller, which wants to know whether anything is still recorded.
-        self.create_subscription(UInt64, contract.RECEIVED, lambda _: None, qos.LATCHED)
+        self.create_subscription(UInt64, topics.RECEIVED, lambda _: None, qos.LATCHED)
         self._ready = self.create_publisher(UInt64, READY, qos.LATCHED)
         self._start = steady_timer(self, 0.02, self._begin)
 
@@ -142,7 +141,7 @@ class TapNode(_Bare):
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(TAP, **kwargs)
         self._heard = 0
-        self._received = self.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        self._received = self.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         for topic in _TYPES:
             self.listen(topic, self._on_message)
         self._start = steady_timer(self, 0.02, self._begin)
@@ -154,7 +153,7 @@ class TapNode(_Bare):
 
     def _on_message(self, _: bytes) -> None:
         self._heard += 1
-        if self._heard % (4 * contract.RECEIVED_EVERY) == 0:
+        if self._heard % (4 * topics.RECEIVED_EVERY) == 0:
             self._received.publish(UInt64(data=self._heard // 4))
 
 

@@ -9,7 +9,9 @@ from time import perf_counter_ns
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateDecoder, JointStateEncoder
-from armimp_common.contract import (
+from armimp_common.errors import DataError, MalformedMessageError
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
@@ -18,8 +20,6 @@ from armimp_common.contract import (
     TORQUE_SENSORS,
     VALUE_FIELD,
 )
-from armimp_common.errors import DataError, MalformedMessageError
-from armimp_common.trial_status import Phase, TrialStatus
 from armimp_control.experiment import Experiment
 from armimp_estimation.alignment.synchronizer import TOGETHER, HandedInbox
 from armimp_estimation.recording import Recording

@@ -8,7 +8,7 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.node import Node
 
-from armimp_common import contract, qos
+from armimp_common import qos, topics
 
 
 class Listener(Node):
@@ -18,7 +18,7 @@ class Listener(Node):
         super().__init__("listener")
         self.concluded = False
         # Results are latched: the quality of service has to ask for it (docs/interfaces.md).
-        self.create_subscription(DiagnosticStatus, contract.RESULT, self._on_result, qos.LATCHED)
+        self.create_subscription(DiagnosticStatus, topics.RESULT, self._on_result, qos.LATCHED)
         self.get_logger().info("listens")
 
     def _on_result(self, message: DiagnosticStatus) -> None:

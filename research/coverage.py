@@ -11,8 +11,8 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.simulated import simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_bringup.terminal import leave_terminal, phase
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
 from research.coverage_figure import coverage_figure
 from research.coverage_statistics import NOMINAL, TARGET, Cell

@@ -17,7 +17,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_bringup.terminal import leave_terminal, phase
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.spectra import WelchConfig

@@ -11,8 +11,8 @@ from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.simulated import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_bringup.terminal import leave_terminal, phase
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
 from armimp_sim.voluntary import power_spectrum
 from research.cramer_rao import (

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.schema import to_params_yaml
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_ros2_control.parameters import BridgeParameters
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from armimp_bringup import cli, graph
-from armimp_common.contract import SIM_NODE
+from armimp_common.topics import SIM_NODE
 from armimp_sim import node
 
 SOON = 5

@@ -14,11 +14,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from armimp_common import contract, qos
-from armimp_common.contract import PERIOD_NS
+from armimp_common import qos, topics
 from armimp_common.executor import run_node
-from armimp_common.pacing import Pacer
 from armimp_common.pubsub import CommandPublisher, JointStatePublisher
+from armimp_common.realtime import Pacer
+from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.simulator import SimulatedRig
 
@@ -32,7 +32,7 @@ class WrongField(ArmSimNode):
         result = super().on_configure(state)
         self.destroy_publisher(self.torque_sensors.publisher)
         names = self._settings.joints
-        self.torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, names, "position")
+        self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, names, "position")
         return result
 
 
@@ -58,10 +58,10 @@ class Altered(ArmSimNode):
 
     def _renamed(self, topic: str, names: tuple[str, ...], profile: QoSProfile) -> None:
         """Make the publisher of the angles or of the torques anew."""
-        angles = topic == contract.JOINT_STATES
+        angles = topic == topics.JOINT_STATES
         old = self.joint_states if angles else self.torque_sensors
         self.destroy_publisher(old.publisher)
-        field = contract.VALUE_FIELD[topic]
+        field = topics.VALUE_FIELD[topic]
         new = JointStatePublisher(self, topic, names, field, profile=profile)
         if angles:
             self.joint_states = new
@@ -128,7 +128,7 @@ class WrongName(Altered):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_configure(state)
-        self._renamed(contract.TORQUE_SENSORS, ("shoulder", "wrist"), qos.SAMPLE)
+        self._renamed(topics.TORQUE_SENSORS, ("shoulder", "wrist"), qos.SAMPLE)
         return result
 
 
@@ -138,7 +138,7 @@ class BestEffort(Altered):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_configure(state)
         profile = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._renamed(contract.JOINT_STATES, tuple(self._settings.joints), profile)
+        self._renamed(topics.JOINT_STATES, tuple(self._settings.joints), profile)
         return result
 
 
@@ -256,7 +256,7 @@ class NoStop(ArmSimNode):
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
         for service in list(self.services):
-            if service.service_name.endswith(contract.SIM_STOP_SERVICE):
+            if service.service_name.endswith(topics.SIM_STOP_SERVICE):
                 self.destroy_service(service)
 
 
@@ -272,24 +272,24 @@ class WrongType(LifecycleNode):
     """Takes the torque of each joint in a JointState, and sends angles without names."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(contract.SIM_NODE, **options)
-        self._commands = self.create_subscription(JointState, contract.COMMANDS, lambda _: None, 10)
-        self._sensors = self.create_publisher(Float64MultiArray, contract.JOINT_STATES, 10)
+        super().__init__(topics.SIM_NODE, **options)
+        self._commands = self.create_subscription(JointState, topics.COMMANDS, lambda _: None, 10)
+        self._sensors = self.create_publisher(Float64MultiArray, topics.JOINT_STATES, 10)
 
 
 class Slow(Node):
     """No lifecycle node, no services, half the rate, and torques by best effort."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__(contract.SIM_NODE, **options)
+        super().__init__(topics.SIM_NODE, **options)
         names = ("shoulder", "elbow")
         hasty = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._angles = JointStatePublisher(self, contract.JOINT_STATES, names, "position")
+        self._angles = JointStatePublisher(self, topics.JOINT_STATES, names, "position")
         self._torques = JointStatePublisher(
-            self, contract.TORQUE_SENSORS, names, "effort", profile=hasty
+            self, topics.TORQUE_SENSORS, names, "effort", profile=hasty
         )
         self._listener = self.create_subscription(
-            Float64MultiArray, contract.COMMANDS, lambda _: None, qos.SAMPLE
+            Float64MultiArray, topics.COMMANDS, lambda _: None, qos.SAMPLE
         )
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._run)
@@ -317,7 +317,7 @@ class InUse(Slow):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**options)
-        self._commander = CommandPublisher(self, contract.COMMANDS, 2)
+        self._commander = CommandPublisher(self, topics.COMMANDS, 2)
 
 
 KINDS = (ArmSimNode, NoWatchdog, Relapsing, WrongType, Slow, InUse)

@@ -14,11 +14,10 @@ from rclpy.qos import qos_profile_system_default
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from armimp_common.contract import PERIOD_NS
 from armimp_common.executor import run_node
-from armimp_common.pacing import Pacer
-from armimp_common.realtime_scheduling import wake_up_exactly
-from armimp_common.stamps import to_time
+from armimp_common.realtime import Pacer, wake_up_exactly
+from armimp_common.status import to_time
+from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig

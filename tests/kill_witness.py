@@ -15,11 +15,11 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.node import Node
 
-from armimp_common import contract, qos
-from armimp_common.contract import SIM_NODE
-from armimp_common.diagnostics import values_of
+from armimp_common import qos, topics
 from armimp_common.executor import run_node
 from armimp_common.pubsub import CommandSubscription, JointStateSubscription
+from armimp_common.status import values_of
+from armimp_common.topics import SIM_NODE
 
 JOINTS = ("shoulder", "elbow")
 
@@ -35,18 +35,18 @@ class Witness(Node):
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
         self._channels = [
-            CommandSubscription(self, contract.COMMANDS, len(JOINTS), self._on_command),
+            CommandSubscription(self, topics.COMMANDS, len(JOINTS), self._on_command),
             JointStateSubscription(
                 self,
-                contract.PERTURBATION,
+                topics.PERTURBATION,
                 JOINTS,
                 "effort",
                 lambda stamp_ns, _: self._stamps.append((time.monotonic(), stamp_ns)),
             ),
         ]
-        self.create_subscription(DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED)
+        self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED)
         self.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
         file.touch()
 

@@ -24,9 +24,9 @@ from armimp_bringup import orchestrator
 from armimp_bringup.cli import main
 from armimp_bringup.graph import GraphContext, SeparateNodes
 from armimp_bringup.supervisor import Supervisor
-from armimp_common.contract import SUPERVISOR_NODE
-from armimp_common.diagnostics import values_of
 from armimp_common.lifecycle import LifecycleManager, TransitionName
+from armimp_common.status import values_of
+from armimp_common.topics import SUPERVISOR_NODE
 
 PATIENCE = 60.0
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_common.contract import PERIOD_NS, TRIAL
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import PERIOD_NS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE

@@ -8,7 +8,14 @@ from xml.etree import ElementTree
 
 import pytest
 
-from armimp_common import contract
+from armimp_common.topics import (
+    CONTROLLER_NODE,
+    DATA_STREAMS,
+    ESTIMATOR_NODE,
+    RECEIVED,
+    SIM_NODE,
+    TRIAL,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "ros2_ws" / "src"
@@ -74,6 +81,6 @@ def test_the_picture_shows_topics_and_nodes_that_exist() -> None:
     shown = re.sub(r"/\n", "/", "\n".join(texts))
     found = re.findall(r"^(\w+/[a-z]+|joint_states, torque_sensors|\w+_\w+s)(?=:|$)", shown, re.M)
     topics = {topic for one in found for topic in one.split(", ")}
-    assert topics == {*contract.DATA_STREAMS, contract.TRIAL, contract.RECEIVED}
-    for node in (contract.SIM_NODE, contract.CONTROLLER_NODE, contract.ESTIMATOR_NODE):
+    assert topics == {*DATA_STREAMS, TRIAL, RECEIVED}
+    for node in (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE):
         assert node in texts

@@ -11,9 +11,9 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.cdr import JointStateDecoder, JointStateEncoder
-from armimp_common.contract import PERIOD_NS
+from armimp_common.topics import PERIOD_NS
 from armimp_estimation.bags import BagWriter
 from support.command import Told, behaved, call, refused
 from support.recordings import recorded_arm
@@ -23,7 +23,7 @@ SAMPLES = 1800
 MESSAGES = recorded_arm(SAMPLES).messages
 NAMES = recorded_arm(SAMPLES).records[0].joint_names
 STORE = get_typestore(Stores.ROS2_JAZZY)
-TYPES = dict(contract.MESSAGE_TYPES)
+TYPES = dict(topics.MESSAGE_TYPES)
 Change = Callable[[Message], Message | None]
 
 
@@ -55,9 +55,9 @@ def restamped(stamp: Callable[[int], int], names: Sequence[str] = NAMES) -> list
 
     def change(message: Message) -> Message:
         topic, log_time_ns, raw = message
-        if topic not in contract.VALUE_FIELD:
+        if topic not in topics.VALUE_FIELD:
             return message
-        field = contract.VALUE_FIELD[topic]
+        field = topics.VALUE_FIELD[topic]
         (stamp_ns,), values = JointStateDecoder(names, field).decode_many([raw])
         encoder = JointStateEncoder(names, field)
         return topic, log_time_ns, encoder.encode(stamp(int(stamp_ns)), values[:, 0])
@@ -110,13 +110,13 @@ class TestContent:
         assert "no messages of an experiment" in both_refuse(foreign(tmp_path / "foreign", ()))
 
     @pytest.mark.parametrize(
-        "topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS, contract.PERTURBATION]
+        "topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS, topics.PERTURBATION]
     )
     def test_a_missing_topic(self, topic: str, tmp_path: Path) -> None:
         bag = foreign(tmp_path / "bag", changed(lambda m: None if m[0] == topic else m))
         assert f"no topic {topic}" in both_refuse(bag)
 
-    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+    @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
     def test_wrong_joint_names(self, topic: str, tmp_path: Path) -> None:
         def rename(message: Message) -> Message:
             raw = message[2].replace(b"joint_2", b"joint_7") if message[0] == topic else message[2]
@@ -140,25 +140,25 @@ class TestContent:
         "kind", ["std_msgs/msg/Float64MultiArray", "std_msgs/msg/String", "sensor_msgs/msg/Imu"]
     )
     def test_a_wrong_message_type(self, kind: str, tmp_path: Path) -> None:
-        bag = foreign(tmp_path / "bag", MESSAGES, {**TYPES, contract.JOINT_STATES: kind})
+        bag = foreign(tmp_path / "bag", MESSAGES, {**TYPES, topics.JOINT_STATES: kind})
         line = both_refuse(bag)
         assert kind in line
-        assert contract.JOINT_STATES in line
+        assert topics.JOINT_STATES in line
 
     def test_messages_of_another_type_under_the_right_name(self, tmp_path: Path) -> None:
-        command = next(raw for topic, _, raw in MESSAGES if topic == contract.COMMANDS)
+        command = next(raw for topic, _, raw in MESSAGES if topic == topics.COMMANDS)
         bag = write(
             tmp_path / "bag",
-            changed(lambda m: (m[0], m[1], command) if m[0] == contract.TORQUE_SENSORS else m),
+            changed(lambda m: (m[0], m[1], command) if m[0] == topics.TORQUE_SENSORS else m),
         )
-        assert f"{contract.TORQUE_SENSORS}: none of " in both_refuse(bag)
+        assert f"{topics.TORQUE_SENSORS}: none of " in both_refuse(bag)
 
     @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+    @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
     def test_a_value_that_is_no_number(self, topic: str, value: float, tmp_path: Path) -> None:
         numbered = [i for i, message in enumerate(MESSAGES) if message[0] == topic]
         where = numbered[len(numbered) // 4]
-        encoder = JointStateEncoder(NAMES, contract.VALUE_FIELD[topic])
+        encoder = JointStateEncoder(NAMES, topics.VALUE_FIELD[topic])
         stamp_ns = MESSAGES[where][1]
         messages = list(MESSAGES)
         messages[where] = (topic, stamp_ns, encoder.encode(stamp_ns, np.array([0.1, value])))
@@ -217,7 +217,7 @@ class TestContradictions:
         encoder = JointStateEncoder(NAMES, "effort")
         messages: list[Message] = []
         for topic, log_time_ns, raw in MESSAGES:
-            if topic == contract.TORQUE_SENSORS and log_time_ns in stamps:
+            if topic == topics.TORQUE_SENSORS and log_time_ns in stamps:
                 stamp_ns, values = decoder.decode(raw)
                 twice = encoder.encode(stamp_ns, [2.0 * value for value in values])
                 messages.append((topic, log_time_ns, twice))
@@ -232,14 +232,14 @@ class TestContradictions:
             tmp_path / "lost",
             changed(
                 lambda m: (
-                    None if m[0] == contract.TORQUE_SENSORS and m[1] // PERIOD_NS in ticks else m
+                    None if m[0] == topics.TORQUE_SENSORS and m[1] // PERIOD_NS in ticks else m
                 )
             ),
         )
         told = behaved("estimate", str(contradictory), "--allow-gaps", "--json")
         assert numbers(told) == numbers(behaved("estimate", str(lost), "--allow-gaps", "--json"))
         trial = json.loads(told.out)["trials"][0]
-        assert trial["contradictory"] == trial["streams"][contract.TORQUE_SENSORS]["contradictory"]
+        assert trial["contradictory"] == trial["streams"][topics.TORQUE_SENSORS]["contradictory"]
         assert trial["contradictory"] == 30
         assert trial["excluded"] > 0.0
 

@@ -16,14 +16,9 @@ from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common.contract import (
-    CONTROLLER_NODE,
-    ESTIMATOR_NODE,
-    SIM_NODE,
-    SUPERVISOR_NODE,
-)
 from armimp_common.executor import Spinner, run_node
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_driver_template.node import ExoDriver
 from armimp_estimation.node import ImpedanceEstimatorNode
@@ -149,7 +144,7 @@ from pathlib import Path
 import rclpy
 from rclpy.node import Node
 from armimp_common.executor import Spinner
-from armimp_common.steady import steady_timer
+from armimp_common.executor import steady_timer
 from support.graph import eventually
 
 def set_clock():

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from rclpy.node import Node
 
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from support.graph import PATIENCE
 
 pytestmark = pytest.mark.slow

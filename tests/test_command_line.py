@@ -15,7 +15,7 @@ import pytest
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig, load_config, node_parameters
-from armimp_common import contract
+from armimp_common.topics import DATA_STREAMS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 
 SHORT = ["run", "--duration", "2", "--seed", "5"]
@@ -89,7 +89,7 @@ def test_a_recording_without_trial_statuses_is_replayed_too(
         copy = tmp_path / Path(bag).name
         with BagWriter(copy, metadata={}) as writer:
             for topic, time_ns, raw in iterate_messages(Path(bag)):
-                if topic != contract.TRIAL:
+                if topic != TRIAL:
                     writer.write(topic, raw, time_ns)
         copies.append(str(copy))
     capfd.readouterr()
@@ -157,7 +157,7 @@ def test_the_tables_show_estimate_truth_and_error_of_every_parameter(
 def test_the_bag_holds_every_sample_of_every_stream(experiment: Path) -> None:
     for bag in bags(experiment):
         topics = [topic for topic, _, _ in iterate_messages(Path(bag))]
-        for stream in contract.DATA_STREAMS:
+        for stream in DATA_STREAMS:
             assert topics.count(stream) == 2000
 
 
@@ -174,7 +174,7 @@ def without(topic: str, bag: str, directory: Path) -> str:
 def test_when_torque_readings_are_missing_expect_one_line_that_says_so(
     command: str, experiment: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    bag = without(contract.TORQUE_SENSORS, bags(experiment)[0], tmp_path)
+    bag = without(TORQUE_SENSORS, bags(experiment)[0], tmp_path)
     capfd.readouterr()
     assert main([command, bag]) == 1
     error = capfd.readouterr().err

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import yaml
 
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCKER = ROOT / "docker"

@@ -16,8 +16,8 @@ import pytest
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import Declared, estimate_bags
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_common.domain import DomainClaim
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_estimation.bags import read_bag
 from armimp_estimation.conclusion import Conclusion
 from armimp_sim.presets import human_arm

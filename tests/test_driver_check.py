@@ -21,8 +21,8 @@ from armimp_bringup.driver_check.command import ask
 from armimp_bringup.driver_check.findings import Finding, Verdict, failures, open_questions
 from armimp_bringup.driver_check.probe import CheckOptions
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common.contract import COMMANDS, CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_common.errors import ConfigurationError
+from armimp_common.topics import COMMANDS, CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_estimation.bags import read_bag
 from armimp_sim.node import ArmSimNode
 from support.graph import PATIENCE

@@ -13,7 +13,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.presentation import print_result
 from armimp_bringup.supervisor import Progress
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.results import Summary
 from support.runs import FinishedRun, Run

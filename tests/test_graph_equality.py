@@ -7,7 +7,8 @@ import pytest
 
 from armimp_bringup.config import ExperimentConfig, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
-from armimp_common.contract import (
+from armimp_common.status import Phase
+from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
@@ -15,7 +16,6 @@ from armimp_common.contract import (
     PERTURBATION,
     TORQUE_SENSORS,
 )
-from armimp_common.trial_status import Phase
 from armimp_estimation.bags import read_bag
 from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.results import read_frf

@@ -18,10 +18,10 @@ from armimp_bringup.health import main as health
 from armimp_bringup.health import state_of
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from support.graph import PATIENCE
 from support.runs import FinishedRun
 

@@ -21,8 +21,8 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.resources import config_file
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_estimation.bags import read_bag
 from support.fault_figures import Figures
 from support.stalls import StallWitness

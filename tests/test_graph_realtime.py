@@ -29,7 +29,9 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.replay import replay_bags
 from armimp_bringup.supervisor import Progress
-from armimp_common.contract import (
+from armimp_common.heartbeat import Presence
+from armimp_common.realtime import Pacer
+from armimp_common.topics import (
     CONTROLLER_NODE,
     DATA_STREAMS,
     NS_PER_S,
@@ -37,8 +39,6 @@ from armimp_common.contract import (
     SIM_NODE,
     VALUE_FIELD,
 )
-from armimp_common.heartbeat import Presence
-from armimp_common.pacing import Pacer
 from armimp_estimation.realtime_timing import TimingRecord
 from armimp_estimation.report import load_result, report_page
 from armimp_estimation.results import Summary, read_summary

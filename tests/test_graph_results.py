@@ -16,11 +16,10 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
 from armimp_common import qos
-from armimp_common.contract import RESULT, TRIAL
-from armimp_common.diagnostics import Level, values_of
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
-from armimp_common.trial_status import Phase
+from armimp_common.status import Level, Phase, values_of
+from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.messages import CONCLUSION_NAME
 from support.graph import PATIENCE
 from support.runs import FinishedRun

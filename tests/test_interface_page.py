@@ -17,12 +17,28 @@ from pydantic.fields import FieldInfo
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from armimp_bringup.config import ExperimentConfig, bag_metadata, node_parameters
-from armimp_common import contract, qos
-from armimp_common.diagnostics import values_of
-from armimp_common.jitter import LATE_NS, TIMING_NAME, TimingFigures
+from armimp_common import qos
+from armimp_common.realtime import LATE_NS
 from armimp_common.schema import defaults, flatten, leaves
-from armimp_common.stopping_rule import JUDGEMENT_NAME, NOTICE_TICKS, StoppingDecision
-from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
+from armimp_common.status import (
+    NOTICE_TICKS,
+    Phase,
+    StoppingDecision,
+    TimingFigures,
+    TrialStatus,
+    values_of,
+)
+from armimp_common.topics import (
+    COMMANDS,
+    CONTROLLER_NODE,
+    DATA_STREAMS,
+    ESTIMATOR_NODE,
+    MESSAGE_TYPES,
+    PERIOD_NS,
+    RECEIVED_EVERY,
+    SIM_NODE,
+    VALUE_FIELD,
+)
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.alignment.stream_statistics import StreamStatistics
@@ -64,9 +80,9 @@ Table = list[Row]
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = (DOCS / "interfaces.md").read_text(encoding="utf-8")
 SCHEMAS: dict[str, type[BaseModel]] = {
-    contract.SIM_NODE: SimulatorParameters,
-    contract.CONTROLLER_NODE: ControllerParameters,
-    contract.ESTIMATOR_NODE: EstimatorParameters,
+    SIM_NODE: SimulatorParameters,
+    CONTROLLER_NODE: ControllerParameters,
+    ESTIMATOR_NODE: EstimatorParameters,
 }
 
 
@@ -117,13 +133,13 @@ def test_the_nodes_of_the_page_are_those_of_the_contract() -> None:
 
 
 def test_the_topics_of_the_page_are_those_of_the_contract() -> None:
-    assert set(_table("Topics", "topic")) == set(contract.MESSAGE_TYPES) == set(qos.PROFILES)
+    assert set(_table("Topics", "topic")) == set(MESSAGE_TYPES) == set(qos.PROFILES)
 
 
-@pytest.mark.parametrize("topic", contract.MESSAGE_TYPES)
+@pytest.mark.parametrize("topic", MESSAGE_TYPES)
 def test_type_and_qos_of_every_topic_are_those_of_the_code(topic: str) -> None:
     row, profile = _table("Topics", "topic")[topic], qos.PROFILES[topic]
-    assert row["type"] == f"`{contract.MESSAGE_TYPES[topic]}`"
+    assert row["type"] == f"`{MESSAGE_TYPES[topic]}`"
     reliability = {
         ReliabilityPolicy.RELIABLE: "reliable",
         ReliabilityPolicy.BEST_EFFORT: "best effort",
@@ -140,15 +156,15 @@ def test_type_and_qos_of_every_topic_are_those_of_the_code(topic: str) -> None:
 
 def test_the_arrays_of_the_data_streams_are_those_of_the_contract() -> None:
     rows = _table("Messages of the data streams", "topic")
-    expected = {**contract.VALUE_FIELD, contract.COMMANDS: "data"}
+    expected = {**VALUE_FIELD, COMMANDS: "data"}
     assert {topic: row["array"] for topic, row in rows.items()} == {
-        topic: f"`{expected[topic]}`" for topic in contract.DATA_STREAMS
+        topic: f"`{expected[topic]}`" for topic in DATA_STREAMS
     }
 
 
 def test_the_numbers_of_the_timing_are_those_of_the_contract() -> None:
-    assert f"The period is {contract.PERIOD_NS // 10**6} ms." in PAGE
-    assert f"then every {contract.RECEIVED_EVERY}, " in PAGE
+    assert f"The period is {PERIOD_NS // 10**6} ms." in PAGE
+    assert f"then every {RECEIVED_EVERY}, " in PAGE
     assert f"while {LIMIT} or more are under way" in PAGE
 
 
@@ -181,7 +197,7 @@ def _range(field: FieldInfo) -> str:
 
 def _in_force(node: str) -> dict[str, Any]:
     """What `armimp run` gives a node by default; the estimator's own defaults."""
-    if node == contract.ESTIMATOR_NODE:
+    if node == ESTIMATOR_NODE:
         return dict(flatten(EstimatorParameters()))
     return dict(flatten(node_parameters(ExperimentConfig(), None).by_node()[node]))
 
@@ -206,7 +222,7 @@ def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(node:
         assert row["type"] == leaf.type_name, name
         assert row["range"] == _range(dict(_fields(model))[name]), name
         # The simulator node takes its preset where its schema has no default.
-        required = name not in defaults(model) and node != contract.SIM_NODE
+        required = name not in defaults(model) and node != SIM_NODE
         expected = pytest.approx(value, rel=1e-5) if leaf.item is float else value
         assert _default(row["default"]) == (required, expected), name
 
@@ -221,7 +237,7 @@ def test_every_dotted_name_on_a_page_that_looks_like_a_parameter_is_one(page: st
 
 
 def test_the_page_names_all_estimators_that_exist() -> None:
-    meaning = _table(contract.ESTIMATOR_NODE, "parameter")["estimators"]["meaning"]
+    meaning = _table(ESTIMATOR_NODE, "parameter")["estimators"]["meaning"]
     assert re.findall(r"`(\w+)`", meaning) == list(estimator_names())
 
 
@@ -246,7 +262,7 @@ def test_the_keys_of_the_trial_status_are_those_of_the_code() -> None:
     rows = _table("Trial status", "key")
     assert list(rows) == list(STATUS.to_values())
     assert re.findall(r"`(\w+)`", rows["phase"]["value"]) == [phase.value for phase in Phase]
-    assert f"`{STATUS_NAME}`" in PAGE
+    assert f"`{TrialStatus.STATUS_NAME}`" in PAGE
 
 
 def test_the_keys_of_progress_are_those_of_the_code() -> None:
@@ -266,7 +282,7 @@ def test_the_keys_of_progress_are_those_of_the_code() -> None:
 def test_the_keys_of_a_judgement_are_those_of_the_code() -> None:
     judgement = StoppingDecision(trial=1, samples=0, enough=False, due=1, bound=0.02)
     assert list(_table("Judgement", "key")) == list(judgement.to_values())
-    assert f"`{JUDGEMENT_NAME}`" in PAGE
+    assert f"`{StoppingDecision.STATUS_NAME}`" in PAGE
     assert f"{NOTICE_TICKS} samples" in PAGE
 
 
@@ -318,7 +334,7 @@ def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identi
 def test_the_keys_of_the_timing_are_those_of_the_code() -> None:
     figures = TimingFigures(ticks=0, late=0, missed=0)
     assert list(_table("Timing in real time", "key")) == list(figures.to_values())
-    assert f"`{TIMING_NAME}`" in PAGE
+    assert f"`{TimingFigures.STATUS_NAME}`" in PAGE
     assert f"more than {LATE_NS / 1e6:g} ms after" in PAGE
     assert f"after {WATCHDOG_TICKS} periods without any command" in PAGE
     assert f"straight line within {RAMP_TICKS} ms" in PAGE

@@ -8,12 +8,13 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from armimp_bringup.graph import NODES
 from armimp_common.domain import DomainClaim
-from armimp_common.sockets import Endpoint, endpoints
+from armimp_common.process import endpoints
 from armimp_estimation.results import read_summary
 from support.runs import FinishedRun
 
@@ -75,7 +76,7 @@ def test_when_the_domain_is_taken_expect_the_second_experiment_refused(tmp_path:
     assert not (tmp_path / "out").exists()
 
 
-def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set[Endpoint]]:
+def graph_of(process: "subprocess.Popen[str]", directory: Path) -> dict[int, set[Any]]:
     """Processes of an experiment that has begun its first trial, each with its endpoints."""
     deadline = time.monotonic() + PATIENCE
     while not any(directory.glob("bags/*/*.mcap")):

@@ -9,9 +9,9 @@ import pytest
 from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError
-from armimp_common.trial_status import TrialStatus
+from armimp_common.status import TrialStatus
+from armimp_common.topics import PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_estimation.identify import Identification
 from armimp_sim.simulator import SimulatedRig

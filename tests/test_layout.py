@@ -25,18 +25,12 @@ ROS = {"rclpy", *MESSAGE_PACKAGES}
 
 WITH_ROS = {
     "armimp_common.pubsub",
-    "armimp_common.discovery",
-    "armimp_common.lean_subscription",
     "armimp_common.lifecycle",
     "armimp_common.heartbeat",
     "armimp_common.parameters",
-    "armimp_common.polled_subscription",
     "armimp_common.qos",
     "armimp_common.driver_base",
-    "armimp_common.services",
     "armimp_common.executor",
-    "armimp_common.stamps",
-    "armimp_common.steady",
     "armimp_control.node",
     "armimp_driver_template.node",
     "armimp_estimation.messages",

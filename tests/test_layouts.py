@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 
 import pytest
 
-from armimp_common.contract import DATA_STREAMS, MESSAGE_TYPES, VALUE_FIELD
+from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES, VALUE_FIELD
 from armimp_estimation.bags import iterate_messages
 from armimp_sim.presets import JOINT_NAMES
 from support.runs import FinishedRun

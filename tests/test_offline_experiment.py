@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.offline import OfflineTrial, Rig, run_offline
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimators.lpm import LpmConfig

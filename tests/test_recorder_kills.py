@@ -37,7 +37,7 @@ MOST_LOST = 100
 RECORDER = """
 import os, struct, sys, time
 from pathlib import Path
-from armimp_common.contract import DATA_STREAMS, TRIAL
+from armimp_common.topics import DATA_STREAMS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.alignment.synchronizer import TOGETHER, HandedInbox
 from armimp_estimation.recording import Recording

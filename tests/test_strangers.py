@@ -22,13 +22,11 @@ from std_msgs.msg import Float64MultiArray
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import PARAMETERS_FILE, run_experiment
-from armimp_common import contract, qos
-from armimp_common.diagnostics import judgement_message, trial_status_message
+from armimp_common import qos, topics
 from armimp_common.domain import DomainClaim
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import CommandPublisher
-from armimp_common.stopping_rule import StoppingDecision
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, StoppingDecision, TrialStatus, status_message
 from armimp_estimation.results import Summary
 from support.graph import PATIENCE
 
@@ -78,7 +76,7 @@ def until_heard(publisher: Any, listeners: int) -> None:
 
 
 def unnumbered(node: Node, torque: float = 0.0) -> object:
-    publisher = node.create_publisher(Float64MultiArray, contract.COMMANDS, qos.SAMPLE)
+    publisher = node.create_publisher(Float64MultiArray, topics.COMMANDS, qos.SAMPLE)
     until_heard(publisher, 2)
     publisher.publish(Float64MultiArray(data=[0.0, torque]))
     return publisher
@@ -89,14 +87,14 @@ def not_finite(node: Node) -> object:
 
 
 def numbered(node: Node) -> object:
-    channel = CommandPublisher(node, contract.COMMANDS, 2)
+    channel = CommandPublisher(node, topics.COMMANDS, 2)
     until_heard(channel.publisher, 2)
     channel.publish((0.0, 0.0))
     return channel
 
 
 def leaving(node: Node) -> None:
-    channel = CommandPublisher(node, contract.COMMANDS, 2)
+    channel = CommandPublisher(node, topics.COMMANDS, 2)
     until_heard(channel.publisher, 2)
     channel.publish((0.0, 0.0))
     assert channel.publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
@@ -120,17 +118,17 @@ def test_one_command_of_somebody_else_is_a_fault_with_who_and_when(
     summary = disturbed(tmp_path / "out", act, processes=processes)
     assert not summary.valid
     (fault,) = [one for one in summary.problems if one.startswith("arm_sim: rig: ")]
-    assert contract.COMMANDS in fault
+    assert topics.COMMANDS in fault
     when, _, publishers = fault.partition("; published by ")
     assert when.endswith(" s")
     assert who in publishers.split(", ")
 
 
 def shortening(node: Node) -> None:
-    publisher = node.create_publisher(DiagnosticStatus, contract.TRIAL, qos.LATCHED)
+    publisher = node.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
     until_heard(publisher, 2)
     publisher.publish(
-        trial_status_message(
+        status_message(
             TrialStatus(
                 phase=Phase.PERTURB,
                 trial=1,
@@ -155,11 +153,11 @@ def test_a_status_that_ends_a_trial_early_is_refused_and_spoils_the_result(tmp_p
 
 
 def judging(node: Node) -> None:
-    publisher = node.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
+    publisher = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
     until_heard(publisher, 1)
     for trial in (1, 2):
         judgement = StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
-        publisher.publish(judgement_message(judgement))
+        publisher.publish(status_message(judgement))
 
 
 def test_a_judgement_that_nobody_asked_for_ends_no_trial(tmp_path: Path) -> None:
@@ -172,7 +170,7 @@ def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(
 ) -> None:
     class Disturbed(LifecycleManager):
         def configure(self, name: str) -> None:
-            if name == contract.SIM_NODE:
+            if name == topics.SIM_NODE:
                 client = AsyncParameterClient(self._node, name)
                 future = client.set_parameters([Parameter("sensors.torque_gain", value=[1.3, 1.3])])
                 assert self._spin_until(future, PATIENCE)

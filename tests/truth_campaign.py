@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.errors import ArmimpError
 from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.alignment.trial_streams import Stream, TrialStreams
@@ -269,9 +269,9 @@ def streams_of(recordings: list[Recording]) -> TrialStreams:
         shift = int(stamps[-1][-1] - one.stamps[0] + gap)
     joined = np.concatenate(stamps)
     fields = {
-        contract.JOINT_STATES: "position",
-        contract.TORQUE_SENSORS: "torque",
-        contract.PERTURBATION: "perturbation",
+        topics.JOINT_STATES: "position",
+        topics.TORQUE_SENSORS: "torque",
+        topics.PERTURBATION: "perturbation",
     }
     commands = None
     if all(one.command is not None for one in recordings):

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.config import NodeParameters
-from armimp_common.contract import NS_PER_S, PERIOD_NS
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord

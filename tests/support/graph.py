@@ -19,8 +19,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import values_of
+from armimp_common import qos, topics
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import (
@@ -30,7 +29,7 @@ from armimp_common.pubsub import (
     wait_until_matched,
 )
 from armimp_common.schema import Value, flatten
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus, values_of
 
 PATIENCE = 30.0
 """How long to wait for what must happen (s): long, as the machine may have other work."""
@@ -134,7 +133,7 @@ def set_clock(node: Node, step: float) -> None:
     clock: Any = node.get_clock()
     now = clock.now()
     clock._set_ros_time_is_active(True)
-    clock.set_ros_time_override(now + Duration(nanoseconds=round(step * contract.NS_PER_S)))
+    clock.set_ros_time_override(now + Duration(nanoseconds=round(step * topics.NS_PER_S)))
 
 
 class ScriptedDriver:
@@ -166,25 +165,25 @@ class ScriptedDriver:
         self.start_ns = start_ns
         self.tick = 0
         self.channels = {
-            topic: JointStatePublisher(node, topic, names, contract.VALUE_FIELD[topic])
-            for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
+            topic: JointStatePublisher(node, topic, names, topics.VALUE_FIELD[topic])
+            for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS)
         }
         self.commands: list[tuple[float, ...]] = []
         self.perturbations: list[tuple[int, tuple[float, ...]]] = []
         self.messages: list[DiagnosticStatus] = []
         self._node = node
         self._subscriptions = [
-            CommandSubscription(node, contract.COMMANDS, len(names), self.commands.append),
+            CommandSubscription(node, topics.COMMANDS, len(names), self.commands.append),
             JointStateSubscription(
                 node,
-                contract.PERTURBATION,
+                topics.PERTURBATION,
                 names,
                 "effort",
                 lambda stamp_ns, values: self.perturbations.append((stamp_ns, values)),
             ),
         ]
         self.trial: Subscription = node.create_subscription(
-            DiagnosticStatus, contract.TRIAL, self.messages.append, qos.LATCHED
+            DiagnosticStatus, topics.TRIAL, self.messages.append, qos.LATCHED
         )
 
     def wait_for_controller(self) -> None:
@@ -199,7 +198,7 @@ class ScriptedDriver:
     @property
     def stamp_ns(self) -> int:
         """Stamp of the next sample (ns)."""
-        return self.start_ns + self.tick * contract.PERIOD_NS
+        return self.start_ns + self.tick * topics.PERIOD_NS
 
     @property
     def statuses(self) -> list[TrialStatus]:
@@ -217,6 +216,6 @@ class ScriptedDriver:
 
     def feed(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
         """Publish one sample: angles (rad) and torques on the arm (N·m)."""
-        self.channels[contract.JOINT_STATES].publish(self.stamp_ns, theta)
-        self.channels[contract.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
+        self.channels[topics.JOINT_STATES].publish(self.stamp_ns, theta)
+        self.channels[topics.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
         self.tick += 1

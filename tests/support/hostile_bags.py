@@ -29,10 +29,18 @@ import yaml
 import zstandard
 
 from armimp_bringup.cli import main, program
-from armimp_common import contract
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.contract import PERIOD_NS
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    MESSAGE_TYPES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+)
 from armimp_estimation.bags.mcap_file import LIBRARY, MAGIC
 from armimp_estimation.bags.metadata import BagSummary, bag_information, dump
 from armimp_estimation.bags.statuses import encode_trial_status
@@ -43,7 +51,7 @@ Attack: TypeAlias = Callable[[Path], Arguments]
 Message: TypeAlias = tuple[str, int, bytes]
 
 WITNESS: Final = "witness"
-_TOPICS: Final = (*contract.DATA_STREAMS, contract.TRIAL)
+_TOPICS: Final = (*DATA_STREAMS, TRIAL)
 _GIB: Final = 1 << 30
 
 ATTACKS: dict[str, Attack] = {}
@@ -104,7 +112,7 @@ def head(library: str = "strange", prefix: str = "/") -> bytes:
     parts = [MAGIC, record(1, text("ros2") + text(library))]
     for number, topic in enumerate(_TOPICS, 1):
         parts += [
-            schema(number, contract.MESSAGE_TYPES[topic]),
+            schema(number, MESSAGE_TYPES[topic]),
             channel(number, prefix + topic, number),
         ]
     return b"".join(parts)
@@ -147,10 +155,10 @@ def samples(
         stamp = tick * PERIOD_NS
         torque = [0.0, 0.0]
         torque[joint(tick)] = 1.0 + tick % 7
-        yield contract.JOINT_STATES, stamp, states.encode(stamp, [value(tick), 0.1])
-        yield contract.TORQUE_SENSORS, stamp, efforts.encode(stamp, [0.1, 0.2])
-        yield contract.PERTURBATION, stamp, efforts.encode(stamp, torque)
-        yield contract.COMMANDS, stamp, commands.encode([0.1, 0.2])
+        yield JOINT_STATES, stamp, states.encode(stamp, [value(tick), 0.1])
+        yield TORQUE_SENSORS, stamp, efforts.encode(stamp, [0.1, 0.2])
+        yield PERTURBATION, stamp, efforts.encode(stamp, torque)
+        yield COMMANDS, stamp, commands.encode([0.1, 0.2])
 
 
 def status(trial: int, start_ns: int, ticks: int, **values: object) -> bytes:
@@ -323,7 +331,7 @@ def sixty_five_thousand_channels(directory: Path) -> Arguments:
 
 @attack()
 def sixty_five_thousand_rigs(directory: Path) -> Arguments:
-    topics = contract.DATA_STREAMS
+    topics = DATA_STREAMS
     names = (channel(10 + i, f"/{i // 4}/{topics[i % 4]}", 0) for i in range(65_500))
     return mcap(directory, MAGIC, *names, message(10, 1, b"x"))
 
@@ -489,7 +497,7 @@ def database(directory: Path, script: str, *, fill: bool = True) -> Arguments:
 
 
 def fill_topics(connection: sqlite3.Connection) -> None:
-    rows = [(i, "/" + t, contract.MESSAGE_TYPES[t], "cdr") for i, t in enumerate(_TOPICS, 1)]
+    rows = [(i, "/" + t, MESSAGE_TYPES[t], "cdr") for i, t in enumerate(_TOPICS, 1)]
     connection.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", rows)
 
 

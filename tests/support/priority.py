@@ -1,7 +1,7 @@
 """Precedence over other work of the machine, where that is permitted."""
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.realtime_scheduling import require_precedence
+from armimp_common.realtime import require_precedence
 
 PRIORITY = 30
 

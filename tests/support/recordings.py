@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.contract import PERIOD_NS
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import PERIOD_NS
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import Message, SyntheticRecording
@@ -59,7 +59,7 @@ def recording_of(
             seed=record.seed or 0,
             valid=True,
         )
-        messages.append((contract.TRIAL, start_ns + tick * PERIOD_NS, encode_trial_status(status)))
+        messages.append((topics.TRIAL, start_ns + tick * PERIOD_NS, encode_trial_status(status)))
 
     for number, record in enumerate(records, 1):
         first = tick + settle
@@ -72,14 +72,14 @@ def recording_of(
         for k in range(position.shape[1]):
             stamp_ns = start_ns + tick * PERIOD_NS
             messages += [
-                (contract.JOINT_STATES, stamp_ns, states.encode(stamp_ns, position[:, k])),
-                (contract.TORQUE_SENSORS, stamp_ns, efforts.encode(stamp_ns, torque[:, k])),
+                (topics.JOINT_STATES, stamp_ns, states.encode(stamp_ns, position[:, k])),
+                (topics.TORQUE_SENSORS, stamp_ns, efforts.encode(stamp_ns, torque[:, k])),
             ]
             if k in phases:
                 announce(phases[k], number)
             messages += [
-                (contract.COMMANDS, stamp_ns, commands.encode(perturbation[:, k])),
-                (contract.PERTURBATION, stamp_ns, efforts.encode(stamp_ns, perturbation[:, k])),
+                (topics.COMMANDS, stamp_ns, commands.encode(perturbation[:, k])),
+                (topics.PERTURBATION, stamp_ns, efforts.encode(stamp_ns, perturbation[:, k])),
             ]
             tick += 1
     announce(Phase.DONE, len(records))

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from armimp_bringup.offline import OfflineTrial
 from armimp_common.cdr import CommandDecoder, JointStateDecoder
-from armimp_common.contract import COMMANDS, DATA_STREAMS, PERIOD_NS, TRIAL, VALUE_FIELD
-from armimp_common.trial_status import TrialStatus
+from armimp_common.status import TrialStatus
+from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, TRIAL, VALUE_FIELD
 from armimp_estimation.bags import iterate_messages, read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.results import Summary

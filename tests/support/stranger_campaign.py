@@ -32,22 +32,22 @@ from std_msgs.msg import Float64MultiArray, String, UInt64
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common import contract, qos
+from armimp_common import qos, topics
 from armimp_common.cdr import CommandEncoder, command_number
-from armimp_common.diagnostics import (
-    Level,
-    judgement_message,
-    make_array,
-    make_status,
-    trial_status_message,
-)
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
-from armimp_common.jitter import TIMING_NAME
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import JointStatePublisher, RawSubscription
-from armimp_common.stopping_rule import StoppingDecision
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import (
+    Level,
+    Phase,
+    StoppingDecision,
+    TimingFigures,
+    TrialStatus,
+    make_array,
+    make_status,
+    status_message,
+)
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.results import Summary
 
@@ -72,7 +72,7 @@ class Stranger(Node):
         )
         super().__init__("stranger", context=context, use_global_arguments=False)
         self._last = 0
-        RawSubscription(self, contract.COMMANDS, Float64MultiArray, self._on_command)
+        RawSubscription(self, topics.COMMANDS, Float64MultiArray, self._on_command)
 
     def _on_command(self, data: bytes) -> None:
         self._last = command_number(data)
@@ -136,7 +136,7 @@ def command(torque: float, number: int, times: int = 1, *, leave: bool = False) 
     """Command torque on both joints; number −1 is that which comes next, as far as one can know."""
 
     def act(node: Stranger, rng: Rng) -> object:
-        publisher = node.create_publisher(Float64MultiArray, contract.COMMANDS, qos.SAMPLE)
+        publisher = node.create_publisher(Float64MultiArray, topics.COMMANDS, qos.SAMPLE)
         assert heard(publisher, 3)
         encode = CommandEncoder(2).encode
         first = number if number >= 0 else node.last_number() + 1
@@ -179,13 +179,13 @@ def status(**changes: Any) -> Callable[[Rng], DiagnosticStatus]:
         "valid": True,
         **changes,
     }
-    return lambda _: trial_status_message(TrialStatus(**values))
+    return lambda _: status_message(TrialStatus(**values))
 
 
 def judgement(trial: int) -> Callable[[Rng], DiagnosticStatus]:
     """Make a judgement that a trial may end."""
     made = StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
-    return lambda _: judgement_message(made)
+    return lambda _: status_message(made)
 
 
 def received(count: int) -> Callable[[Rng], UInt64]:
@@ -209,10 +209,10 @@ def sample(topic: str) -> Act:
     """Publish one sample that no rig measured, amid the others."""
 
     def act(node: Stranger, rng: Rng) -> object:
-        field = contract.VALUE_FIELD[topic]
+        field = topics.VALUE_FIELD[topic]
         channel = JointStatePublisher(node, topic, JOINTS, field)
         assert heard(channel.publisher)
-        channel.publish(rng.choice((0, 700, 1500)) * contract.PERIOD_NS, (0.1, 0.1))
+        channel.publish(rng.choice((0, 700, 1500)) * topics.PERIOD_NS, (0.1, 0.1))
         return channel
 
     return act
@@ -220,7 +220,7 @@ def sample(topic: str) -> Act:
 
 def transitions(node: Stranger, rng: Rng) -> None:
     """Ask every node for transitions that there are not."""
-    for name in (contract.SIM_NODE, contract.CONTROLLER_NODE, contract.ESTIMATOR_NODE):
+    for name in (topics.SIM_NODE, topics.CONTROLLER_NODE, topics.ESTIMATOR_NODE):
         client = node.create_client(ChangeState, f"{name}/change_state")
         client.wait_for_service(1.0)
         for number in (0, 1, 2, 9, 77, 255):
@@ -269,75 +269,75 @@ ACTS: dict[str, Act] = {
     "NaN, numbered": command(float("nan"), -1),
     "progress": message(
         DiagnosticStatus,
-        contract.PROGRESS,
+        topics.PROGRESS,
         qos.PROGRESS,
         *(rubbish("impedance_estimator: progress") for _ in range(20)),
     ),
     "judgement": message(
-        DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED, judgement(1), judgement(2)
+        DiagnosticStatus, topics.STOPPING, qos.LATCHED, judgement(1), judgement(2)
     ),
     "judgement that cannot be read": message(
         DiagnosticStatus,
-        contract.JUDGEMENT,
+        topics.STOPPING,
         qos.LATCHED,
         *(rubbish("impedance_estimator: judgement") for _ in range(5)),
     ),
-    "shorter trial": message(DiagnosticStatus, contract.TRIAL, qos.LATCHED, status(ticks=1500)),
+    "shorter trial": message(DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(ticks=1500)),
     "trial of another joint": message(
-        DiagnosticStatus, contract.TRIAL, qos.LATCHED, status(joint=1, joint_name="elbow")
+        DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(joint=1, joint_name="elbow")
     ),
     "trial is over": message(
-        DiagnosticStatus, contract.TRIAL, qos.LATCHED, status(phase=Phase.REST, tick=1000)
+        DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(phase=Phase.REST, tick=1000)
     ),
     "all is over": message(
-        DiagnosticStatus, contract.TRIAL, qos.LATCHED, status(phase=Phase.DONE, trial=2)
+        DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(phase=Phase.DONE, trial=2)
     ),
     "aborted": message(
-        DiagnosticStatus, contract.TRIAL, qos.LATCHED, status(phase=Phase.ABORTED, valid=False)
+        DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(phase=Phase.ABORTED, valid=False)
     ),
     "status that cannot be read": message(
         DiagnosticStatus,
-        contract.TRIAL,
+        topics.TRIAL,
         qos.LATCHED,
         *(rubbish("imbic_controller: trial") for _ in range(5)),
     ),
     "result": message(
         DiagnosticStatus,
-        contract.RESULT,
+        topics.RESULT,
         qos.LATCHED,
         lambda _: make_status(CONCLUSION_NAME, Level.OK, "valid", {"valid": "true"}),
     ),
     "error": message(
         DiagnosticArray,
-        contract.DIAGNOSTICS,
+        topics.DIAGNOSTICS,
         qos.DIAGNOSTICS,
         lambda _: make_array(0, [make_status("arm_sim: rig", Level.ERROR, "made up", {})]),
     ),
     "timing": message(
         DiagnosticArray,
-        contract.DIAGNOSTICS,
+        topics.DIAGNOSTICS,
         qos.DIAGNOSTICS,
-        lambda rng: make_array(0, [rubbish(TIMING_NAME)(rng) for _ in range(5)]),
+        lambda rng: make_array(0, [rubbish(TimingFigures.STATUS_NAME)(rng) for _ in range(5)]),
     ),
     **{
-        f"received {count}": message(UInt64, contract.RECEIVED, qos.LATCHED, received(count))
-        for count in (0, 10, 10**6, contract.RECORDER_GONE)
+        f"received {count}": message(UInt64, topics.RECEIVED, qos.LATCHED, received(count))
+        for count in (0, 10, 10**6, topics.RECORDER_GONE)
     },
-    **{f"sample of {topic}": sample(topic) for topic in contract.VALUE_FIELD},
+    **{f"sample of {topic}": sample(topic) for topic in topics.VALUE_FIELD},
     "transitions": transitions,
     **{
         f"bytes on {topic}": garbage(topic, TYPES[kind.rpartition("/")[2]], qos.PROFILES[topic])
-        for topic, kind in contract.MESSAGE_TYPES.items()
+        for topic, kind in topics.MESSAGE_TYPES.items()
     },
     **{
         f"bytes on {topic}": garbage(topic, String, qos.ALIVE)
-        for topic in map(contract.alive, (contract.SIM_NODE, contract.CONTROLLER_NODE))
+        for topic in map(topics.alive, (topics.SIM_NODE, topics.CONTROLLER_NODE))
     },
 }
 PARAMETERS: dict[str, tuple[str, Parameter]] = {
-    "torque gain": (contract.SIM_NODE, Parameter("sensors.torque_gain", value=[1.3, 1.3])),
-    "seed": (contract.CONTROLLER_NODE, Parameter("perturbation.seed", value=77)),
-    "overlap": (contract.ESTIMATOR_NODE, Parameter("welch.overlap", value=1024)),
+    "torque gain": (topics.SIM_NODE, Parameter("sensors.torque_gain", value=[1.3, 1.3])),
+    "seed": (topics.CONTROLLER_NODE, Parameter("perturbation.seed", value=77)),
+    "overlap": (topics.ESTIMATOR_NODE, Parameter("welch.overlap", value=1024)),
 }
 
 

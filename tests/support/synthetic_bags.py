@@ -10,10 +10,17 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common import contract
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.contract import PERIOD_NS
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import (
+    COMMANDS,
+    JOINT_STATES,
+    NS_PER_S,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+)
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.record import TrialRecord
 
@@ -89,7 +96,7 @@ def synthetic_recording(
             TrialRecord(
                 trial=index + 1,
                 perturbed_joint=joint,
-                rate=contract.NS_PER_S / PERIOD_NS,
+                rate=NS_PER_S / PERIOD_NS,
                 joint_names=names,
                 perturbation=perturbation[:, part],
                 position=position[:, part],
@@ -138,10 +145,10 @@ def _samples(
     for tick in range(position.shape[1]):
         stamp = start_ns + tick * PERIOD_NS
         raws = {
-            contract.JOINT_STATES: states.encode(stamp, position[:, tick]),
-            contract.TORQUE_SENSORS: efforts.encode(stamp, torque[:, tick]),
-            contract.COMMANDS: commands.encode(torque[:, tick] + perturbation[:, tick]),
-            contract.PERTURBATION: efforts.encode(stamp, perturbation[:, tick]),
+            JOINT_STATES: states.encode(stamp, position[:, tick]),
+            TORQUE_SENSORS: efforts.encode(stamp, torque[:, tick]),
+            COMMANDS: commands.encode(torque[:, tick] + perturbation[:, tick]),
+            PERTURBATION: efforts.encode(stamp, perturbation[:, tick]),
         }
         periods.append(
             [(topic, stamp + 10_000 * (1 + i), raw) for i, (topic, raw) in enumerate(raws.items())]
@@ -159,6 +166,6 @@ def _interleaved(
         for when, status in statuses:
             if when == tick:
                 log_time = start_ns + tick * PERIOD_NS
-                yield contract.TRIAL, log_time, encode_trial_status(status)
+                yield TRIAL, log_time, encode_trial_status(status)
         if tick < length:
             yield from samples[tick]

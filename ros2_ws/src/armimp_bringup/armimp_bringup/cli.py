@@ -239,7 +239,7 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         from armimp_bringup.orchestrator import run_experiment
         from armimp_bringup.presentation import Stopwatch, present
         from armimp_common.executor import stop_on_signals
-        from armimp_common.trial_status import Phase
+        from armimp_common.status import Phase
         from armimp_estimation.figure_process import FigureProcess
 
         settings = load_config(

@@ -13,11 +13,10 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from armimp_bringup.offline import Rig
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import build, check_names, explain, flatten
+from armimp_common.schema import Loader, build, check_names, explain, flatten, load_yaml
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.versions import git_revision, versions
-from armimp_common.yaml_text import Loader, load_yaml
 from armimp_control.parameters import ControllerParameters
 from armimp_estimation.atomic_write import read_text, require_text
 from armimp_estimation.conclusion import TIMING_KEY

@@ -11,9 +11,9 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from armimp_bringup.remote_parameters import Asked, RemoteParameters
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.errors import ConfigurationError, GraphError
-from armimp_common.heartbeat import Presence, Watch
+from armimp_common.heartbeat import HeartbeatMonitor, Presence
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.parameters import as_parameters
 
@@ -50,7 +50,7 @@ class ExternalNodes:
     """
 
     def __init__(self, supervisor: Node, names: Sequence[str]) -> None:
-        self._watches = [Watch(supervisor, name, lambda _: None) for name in names]
+        self._watches = [HeartbeatMonitor(supervisor, name, lambda _: None) for name in names]
 
     def dead(self) -> Mapping[str, str]:
         """Say which nodes were there and are not any more.
@@ -90,9 +90,9 @@ class ExternalNodes:
                     " or has to be started anew"
                 )
         given = {name: as_parameters(parameters[name]) for name in manager.names}
-        if contract.SIM_NODE in given:
-            known = nodes[contract.SIM_NODE].names()
-            if not known.issuperset(item.name for item in given[contract.SIM_NODE]):
+        if topics.SIM_NODE in given:
+            known = nodes[topics.SIM_NODE].names()
+            if not known.issuperset(item.name for item in given[topics.SIM_NODE]):
                 _leave_to_driver(given, known)
         for name in manager.names:
             nodes[name].set(given[name])
@@ -118,11 +118,9 @@ def _leave_to_driver(given: dict[str, list[Parameter]], known: set[str]) -> None
     A driver gets those parameters of the simulator that it has by the same name: the joints, and
     how time passes.
     """
-    given[contract.SIM_NODE] = [item for item in given[contract.SIM_NODE] if item.name in known]
-    for number, item in enumerate(given.get(contract.ESTIMATOR_NODE, [])):
+    given[topics.SIM_NODE] = [item for item in given[topics.SIM_NODE] if item.name in known]
+    for number, item in enumerate(given.get(topics.ESTIMATOR_NODE, [])):
         if item.name == "metadata":
             metadata = json.loads(item.value)
             metadata.pop("truth", None)
-            given[contract.ESTIMATOR_NODE][number] = Parameter(
-                "metadata", value=json.dumps(metadata)
-            )
+            given[topics.ESTIMATOR_NODE][number] = Parameter("metadata", value=json.dumps(metadata))

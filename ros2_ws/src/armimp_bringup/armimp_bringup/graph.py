@@ -20,12 +20,11 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.resources import config_file
-from armimp_common.contract import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
 from armimp_common.executor import NO_LOG_FILES, Spinner
-from armimp_common.parent_watchdog import ParentWatchdog
-from armimp_common.sockets import reachable_from_outside
+from armimp_common.process import ParentWatchdog, reachable_from_outside
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
 MODULES: Mapping[str, Sequence[str]] = {

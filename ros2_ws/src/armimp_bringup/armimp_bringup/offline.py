@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_control.faults import in_words
 from armimp_control.laws.law import LawConfig, LawNumbers, control_tick
 from armimp_control.laws.layout import MEMORY_ROWS, NO_JOINT, TARE

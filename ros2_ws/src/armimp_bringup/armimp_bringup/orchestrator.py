@@ -14,7 +14,7 @@ from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, Separat
 from armimp_bringup.remote_parameters import Asked, RemoteParameters, read_back
 from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.errors import (
     ArmimpError,
     DataError,
@@ -23,9 +23,9 @@ from armimp_common.errors import (
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.parameters import as_parameters
-from armimp_common.realtime_scheduling import require_precedence, seldom_collecting
+from armimp_common.realtime import require_precedence, seldom_collecting
 from armimp_common.schema import to_params_yaml
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.conclusion import SUMMARY_FILE, conclude
@@ -34,7 +34,7 @@ from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
 from armimp_estimation.results import Summary, read_summary, write_summary
 
 PARAMETERS_FILE = "parameters.yaml"
-GRAPH_ORDER = (contract.ESTIMATOR_NODE, contract.CONTROLLER_NODE, contract.SIM_NODE)
+GRAPH_ORDER = (topics.ESTIMATOR_NODE, topics.CONTROLLER_NODE, topics.SIM_NODE)
 """Order of activation: whoever listens comes before whoever speaks."""
 LOGS = "logs"
 _STALL = 30.0
@@ -127,7 +127,7 @@ def run_experiment(
             else:
                 nodes = SeparateNodes(parameter_file, directory / LOGS)
                 if config.mode == "realtime":
-                    nodes.renice(contract.ESTIMATOR_NODE, _NICE[config.priority > 0])
+                    nodes.renice(topics.ESTIMATOR_NODE, _NICE[config.priority > 0])
             try:
                 supervisor.realtime = config.mode == "realtime"
                 problems += lead(
@@ -150,7 +150,7 @@ def run_experiment(
 def _prepare(directory: Path, parameters: NodeParameters) -> Path:
     """Make the output directory and the file with the parameters in it."""
     prepare_directory(directory)
-    ticks = round(parameters.controller.sequence.duration * contract.NS_PER_S / contract.PERIOD_NS)
+    ticks = round(parameters.controller.sequence.duration * topics.NS_PER_S / topics.PERIOD_NS)
     n = len(parameters.simulator.joints)
     require_free_space(directory, n * expected_bytes(ticks, n))
     parameter_file = directory / PARAMETERS_FILE

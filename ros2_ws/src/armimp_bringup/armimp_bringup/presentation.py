@@ -16,7 +16,7 @@ from rich.table import Table
 from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
 from armimp_common.process import age
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_estimation.conclusion import SUMMARY_FILE
 from armimp_estimation.figure_process import FigureProcess
 from armimp_estimation.problems import Severity

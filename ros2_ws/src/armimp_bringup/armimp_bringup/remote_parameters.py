@@ -14,7 +14,7 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.services import ask
+from armimp_common.lifecycle import ask
 
 _PATIENCE = 10.0
 

@@ -21,13 +21,13 @@ from armimp_bringup.orchestrator import PARAMETERS_FILE, lead, settle
 from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_bringup.terminal import complete
-from armimp_common import contract, qos
+from armimp_common import qos, topics
 from armimp_common.cdr import stamp_of
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import RawSubscription
 from armimp_common.schema import to_params_yaml
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.bags import BagContent
 from armimp_estimation.bags.statuses import encode_trial_status
@@ -36,11 +36,11 @@ from armimp_estimation.realtime_timing import latest_metadata
 from armimp_estimation.results import Summary
 
 _CLASSES: dict[str, type[Any]] = {
-    contract.JOINT_STATES: JointState,
-    contract.TORQUE_SENSORS: JointState,
-    contract.PERTURBATION: JointState,
-    contract.COMMANDS: Float64MultiArray,
-    contract.TRIAL: DiagnosticStatus,
+    topics.JOINT_STATES: JointState,
+    topics.TORQUE_SENSORS: JointState,
+    topics.PERTURBATION: JointState,
+    topics.COMMANDS: Float64MultiArray,
+    topics.TRIAL: DiagnosticStatus,
 }
 _BATCH = 400
 """Messages under way at once: far less than the depth of the subscriptions."""
@@ -61,7 +61,7 @@ class BagPlayer(Node):
         self._heard = 0
         self._expected = 0
         self._through: Future = Future()
-        self._echo = RawSubscription(self, contract.PERTURBATION, JointState, self._on_echo)
+        self._echo = RawSubscription(self, topics.PERTURBATION, JointState, self._on_echo)
 
     def play(self, bag: BagContent, should_stop: Callable[[], bool]) -> None:
         """Play one bag as fast as the graph takes it.
@@ -73,7 +73,7 @@ class BagPlayer(Node):
         """
         for sent, (topic, message) in enumerate(_with_statuses(bag), 1):
             self._senders[topic].publish(message)
-            self._expected += topic == contract.PERTURBATION
+            self._expected += topic == topics.PERTURBATION
             if sent % _BATCH == 0:
                 self._wait()
                 if should_stop():
@@ -82,7 +82,7 @@ class BagPlayer(Node):
 
     def finish(self, last: TrialWindow, trials: int) -> None:
         """Say that nothing more will come."""
-        self._senders[contract.TRIAL].publish(_status(Phase.DONE, last, trials))
+        self._senders[topics.TRIAL].publish(_status(Phase.DONE, last, trials))
 
     def _wait(self) -> None:
         if self._heard < self._expected:
@@ -98,7 +98,7 @@ class BagPlayer(Node):
 
 def _with_statuses(bag: BagContent) -> Iterator[tuple[str, bytes]]:
     """Messages of the bag; where it has no trial statuses, with those that were inferred."""
-    if contract.TRIAL in bag.topics:
+    if topics.TRIAL in bag.topics:
         yield from ((topic, raw) for topic, _, raw in bag.messages() if topic in _CLASSES)
         return
     windows = [trial.window for trial in bag.trials]
@@ -107,14 +107,14 @@ def _with_statuses(bag: BagContent) -> Iterator[tuple[str, bytes]]:
     for topic, _, raw in bag.messages():
         if topic not in _CLASSES:
             continue
-        if due and topic != contract.COMMANDS and stamp_of(raw) >= due[0].start_ns:
+        if due and topic != topics.COMMANDS and stamp_of(raw) >= due[0].start_ns:
             if present is not None:
-                yield contract.TRIAL, _status(Phase.REST, present, len(windows))
+                yield topics.TRIAL, _status(Phase.REST, present, len(windows))
             present = due.popleft()
-            yield contract.TRIAL, _status(Phase.PERTURB, present, len(windows))
+            yield topics.TRIAL, _status(Phase.PERTURB, present, len(windows))
         yield topic, raw
     if present is not None:
-        yield contract.TRIAL, _status(Phase.REST, present, len(windows))
+        yield topics.TRIAL, _status(Phase.REST, present, len(windows))
 
 
 def _status(phase: Phase, window: TrialWindow, trials: int) -> bytes:
@@ -193,14 +193,14 @@ def replay_bags(
             prepare_directory(directory)
             parameter_file = directory / PARAMETERS_FILE
             parameter_file.write_text(
-                to_params_yaml({contract.ESTIMATOR_NODE: parameters}), encoding="utf-8"
+                to_params_yaml({topics.ESTIMATOR_NODE: parameters}), encoding="utf-8"
             )
             supervisor = Supervisor(graph, on_progress)
             with Spinner([supervisor], context=graph.context) as spinner:
                 player = BagPlayer(graph, spinner)
                 spinner.add_node(player)
                 nodes = ComposedNodes(
-                    graph.context, spinner, parameter_file, (contract.ESTIMATOR_NODE,)
+                    graph.context, spinner, parameter_file, (topics.ESTIMATOR_NODE,)
                 )
 
                 def drive() -> None:
@@ -214,7 +214,7 @@ def replay_bags(
                         supervisor,
                         spinner,
                         nodes,
-                        (contract.ESTIMATOR_NODE,),
+                        (topics.ESTIMATOR_NODE,),
                         interrupted=interrupted,
                         drive=drive,
                     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
 from armimp_bringup.offline import OfflineTrial, run_offline
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig

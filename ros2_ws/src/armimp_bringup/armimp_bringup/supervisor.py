@@ -11,12 +11,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from armimp_bringup.graph import GraphContext
-from armimp_common import contract, qos
-from armimp_common.diagnostics import GATE_STATUS, Level, values_of
+from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.heartbeat import Heartbeat
-from armimp_common.jitter import TIMING_NAME, TimingFigures
-from armimp_common.trial_status import Phase
+from armimp_common.status import LIMITER_STATUS, Level, Phase, TimingFigures, values_of
 from armimp_estimation.messages import CONCLUSION_NAME
 
 _MANY, _MOST = 1000, 2**53
@@ -94,9 +92,7 @@ class Supervisor(Node):
         on_phase: Callable[[Phase], None] = lambda _: None,
         on_over: Callable[[], None] = lambda: None,
     ) -> None:
-        super().__init__(
-            contract.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False
-        )
+        super().__init__(topics.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False)
         self._on_progress = on_progress
         self._on_phase = on_phase
         self._on_over = on_over
@@ -109,14 +105,14 @@ class Supervisor(Node):
         self._done = self._told = False
         self._answered: str | None = None
         self.last_news = time.monotonic()
-        self._sign = Heartbeat(self, contract.SUPERVISOR_NODE)
+        self._sign = Heartbeat(self, topics.SUPERVISOR_NODE)
         self.create_subscription(
-            DiagnosticStatus, contract.PROGRESS, self._on_progress_message, qos.PROGRESS
+            DiagnosticStatus, topics.PROGRESS, self._on_progress_message, qos.PROGRESS
         )
-        self.create_subscription(DiagnosticStatus, contract.RESULT, self._on_result, qos.LATCHED)
-        self.create_subscription(DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED)
+        self.create_subscription(DiagnosticStatus, topics.RESULT, self._on_result, qos.LATCHED)
+        self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED)
         self.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
 
     @property
@@ -128,7 +124,7 @@ class Supervisor(Node):
         try:
             progress = Progress.from_values(values_of(message))
         except MalformedMessageError as error:
-            self.get_logger().warning(f"{contract.PROGRESS}: refused: {error}", once=True)
+            self.get_logger().warning(f"{topics.PROGRESS}: refused: {error}", once=True)
             return
         if progress.samples:
             self.last_news = time.monotonic()
@@ -161,7 +157,9 @@ class Supervisor(Node):
         for status in message.status:
             self._note_answers(status)
             # Up to an abort, but what comes after it is better than nothing.
-            if status.name == TIMING_NAME and not (self.finished and self.timing is not None):
+            if status.name == TimingFigures.STATUS_NAME and not (
+                self.finished and self.timing is not None
+            ):
                 with suppress(MalformedMessageError):  # the estimator complains
                     self.timing = TimingFigures.from_values(values_of(status))
             if status.level == bytes([Level.ERROR]):
@@ -179,7 +177,7 @@ class Supervisor(Node):
 
     def _note_answers(self, status: DiagnosticStatus) -> None:
         """Samples that are answered are news, also where a phase without recording is long."""
-        if status.name == GATE_STATUS:
+        if status.name == LIMITER_STATUS:
             answered = values_of(status).get("tick")
             if answered != self._answered:
                 self._answered = answered

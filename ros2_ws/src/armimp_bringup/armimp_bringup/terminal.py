@@ -21,7 +21,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 
 if TYPE_CHECKING:
     from armimp_bringup.supervisor import Progress as Snapshot

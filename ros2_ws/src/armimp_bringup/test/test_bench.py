@@ -15,7 +15,8 @@ from armimp_bringup.bench import Measured, available_cores
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_common.errors import ConfigurationError, GraphError
-from armimp_common.jitter import TimingFigures, TimingLimits
+from armimp_common.realtime import TimingLimits
+from armimp_common.status import TimingFigures
 from armimp_estimation.realtime_timing import TimingRecord
 
 Benchmark = Callable[[object], list[Measured]]

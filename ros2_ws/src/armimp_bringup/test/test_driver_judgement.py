@@ -11,8 +11,8 @@ from armimp_bringup.driver_check.judge import judge
 from armimp_bringup.driver_check.responses import letting
 from armimp_bringup.driver_check.samples import Call, Ending, Endpoint, Message, Push, Record
 from armimp_bringup.driver_check.witness import stalls
-from armimp_common import contract
-from armimp_common.contract import COMMANDS, JOINT_STATES, PERIOD_NS, TORQUE_SENSORS
+from armimp_common import topics
+from armimp_common.topics import COMMANDS, JOINT_STATES, PERIOD_NS, TORQUE_SENSORS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
 
@@ -136,7 +136,7 @@ def endpoint(topic: str) -> Endpoint:
         topic=topic,
         role="subscriber" if topic == COMMANDS else "publisher",
         node="/arm_sim",
-        type=contract.MESSAGE_TYPES[topic],
+        type=topics.MESSAGE_TYPES[topic],
     )
 
 
@@ -150,7 +150,7 @@ def sound() -> Record:
         paced=True,
         endpoints=[endpoint(topic) for topic in (JOINT_STATES, TORQUE_SENSORS, COMMANDS)],
         streams={topic: messages(topic) for topic in (JOINT_STATES, TORQUE_SENSORS)},
-        services=frozenset({contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE}),
+        services=frozenset({topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE}),
         lifecycle="unconfigured",
         pushes=pushes(bench),
         moved=0.002,
@@ -346,8 +346,8 @@ def test_missing_or_silent_services_are_named(sound: Record) -> None:
     silent = Ending(push=None, told=None, stop=Call(success=None))
     failed = failures(judge(replace(sound, services=frozenset(), stop=silent)))
     assert failed == [
-        f"service {contract.SIM_STOP_SERVICE}",
-        f"service {contract.SIM_RESET_SERVICE}",
+        f"service {topics.SIM_STOP_SERVICE}",
+        f"service {topics.SIM_RESET_SERVICE}",
         "emergency stop: answer",
     ]
 

@@ -16,8 +16,8 @@ from armimp_bringup.resources import config_file
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
+from armimp_common.process import endpoints
 from armimp_common.schema import to_params_yaml
-from armimp_common.sockets import endpoints
 
 VARIABLES = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
@@ -77,7 +77,7 @@ def test_when_the_user_chose_a_reach_or_a_profile_expect_it_kept(
 OPEN_BEFORE = """
 import os, rclpy
 from armimp_bringup.graph import GraphContext
-from armimp_common.sockets import endpoints
+from armimp_common.process import endpoints
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SUBNET"
 rclpy.init(domain_id={domain})
 rclpy.create_node("before").destroy_node()

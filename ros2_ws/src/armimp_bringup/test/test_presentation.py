@@ -12,7 +12,7 @@ import pytest
 
 from armimp_bringup.presentation import Stopwatch, complaints, present
 from armimp_common.errors import DataError
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_estimation.figure_process import FigureProcess
 from armimp_estimation.results import read_summary
 from support.results import make_result

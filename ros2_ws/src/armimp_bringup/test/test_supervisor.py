@@ -11,18 +11,18 @@ from rclpy.node import Node
 
 from armimp_bringup.graph import GraphContext
 from armimp_bringup.supervisor import Progress, Supervisor
-from armimp_common import contract, qos
-from armimp_common.diagnostics import (
-    Level,
-    make_array,
-    make_status,
-    timing_status,
-    trial_status_message,
-)
+from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
-from armimp_common.jitter import TimingFigures
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import (
+    Level,
+    Phase,
+    TimingFigures,
+    TrialStatus,
+    make_array,
+    make_status,
+    status_message,
+)
 from support.graph import PATIENCE
 
 STATUS = TrialStatus(
@@ -46,12 +46,12 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
         supervisor = Supervisor(graph, lambda _: None)
         supervisor.realtime = True
         rig = Node("rig", context=graph.context, use_global_arguments=False)
-        trial = rig.create_publisher(DiagnosticStatus, contract.TRIAL, qos.LATCHED)
-        diagnostics = rig.create_publisher(DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS)
+        trial = rig.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
+        diagnostics = rig.create_publisher(DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS)
 
         def report(ticks: int) -> None:
             fault = make_status("arm_sim: rig", Level.ERROR, f"fault at {ticks}", {})
-            timing = timing_status(TimingFigures(ticks=ticks, late=0, missed=0))
+            timing = status_message(TimingFigures(ticks=ticks, late=0, missed=0))
             diagnostics.publish(make_array(0, [timing, fault]))
 
         with Spinner([supervisor, rig]) as spinner:
@@ -65,7 +65,7 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
             if told_before:
                 report(1000)
                 until(lambda: len(supervisor.problems) == 1)
-            trial.publish(trial_status_message(STATUS))
+            trial.publish(status_message(STATUS))
             until(lambda: supervisor.finished)
             for ticks in (1600, 1700):
                 report(ticks)
@@ -117,7 +117,7 @@ def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
     with GraphContext() as graph:
         supervisor = Supervisor(graph, told.append)
         other = Node("other", context=graph.context, use_global_arguments=False)
-        channel = other.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
+        channel = other.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
         with Spinner([supervisor, other]) as spinner:
             end = time.monotonic() + PATIENCE
             spinner.spin(lambda: channel.get_subscription_count() == 1 or time.monotonic() > end)

@@ -1,26 +1,5 @@
-"""What the armimp packages share: message contract, wire format, errors; no physics, no ROS.
+"""What the armimp packages share: topics, codecs, parameters, lifecycle, real time; no physics.
 
-The modules that need rclpy (``qos``, ``executor``, ``parameters``, ``pubsub``, ``lifecycle``)
-are imported by name and never from here, so that the mathematics can be used without ROS.
+Modules that need rclpy are imported by name and never from here, so that the mathematics can be
+used without ROS.
 """
-
-from armimp_common.errors import (
-    ArmimpError,
-    BagError,
-    ConfigurationError,
-    DataError,
-    GraphError,
-    MalformedMessageError,
-)
-from armimp_common.trial_status import Phase, TrialStatus
-
-__all__ = [
-    "ArmimpError",
-    "BagError",
-    "ConfigurationError",
-    "DataError",
-    "GraphError",
-    "MalformedMessageError",
-    "Phase",
-    "TrialStatus",
-]

@@ -5,7 +5,6 @@ import random
 import socket
 from collections import defaultdict
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING, Final
 
 from armimp_common.errors import ConfigurationError, GraphError
@@ -29,7 +28,8 @@ class DomainClaim:
 
     The claim is a UDP port of the domain that the middleware leaves free, bound on the loopback
     interface. So it is exclusive between all users, leaves nothing behind after a crash, and needs
-    no directory that can be written to. A domain is chosen in which no program of this machine has
+    no directory that can be written to; a lock file would belong to the user who made it first, who
+    could keep all others out. A domain is chosen in which no program of this machine has
     a port. No user can keep the others out: if no domain is free, one is taken of a user who
     occupies more than `FAIR_SHARE` of them.
 
@@ -66,8 +66,14 @@ class DomainClaim:
         everybody = set().union(*occupied.values())
         if any(self._bind(one) for one in candidates if one not in everybody):
             return
-        fair = [own for user, own in occupied.items() if _is_fair(user, own)]
-        hoarded = [one for one in candidates if one not in set().union(*fair)]
+        kept = set[int]().union(
+            *(
+                own
+                for user, own in occupied.items()
+                if user == os.getuid() or len(own) <= FAIR_SHARE
+            )
+        )
+        hoarded = [one for one in candidates if one not in kept]
         if not hoarded:
             raise GraphError(f"no domain id is free within {LOWEST}..{HIGHEST}")
         self._bind(hoarded[0])
@@ -92,17 +98,8 @@ class DomainClaim:
     def __enter__(self) -> "Self":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
-
-
-def _is_fair(user: int, domains: set[int]) -> bool:
-    return user == os.getuid() or len(domains) <= FAIR_SHARE
 
 
 def _occupied() -> dict[int, set[int]]:

@@ -21,16 +21,15 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import Level, make_array, make_status, timing_status
+from armimp_common import qos, topics
 from armimp_common.errors import ArmimpError, GraphError
-from armimp_common.heartbeat import Heartbeat, Watch
-from armimp_common.jitter import TimingFigures
+from armimp_common.executor import steady_timer
+from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard
 from armimp_common.protection import CommandSequence
 from armimp_common.pubsub import CommandSubscription, JointStatePublisher, publisher_count
-from armimp_common.steady import steady_timer
+from armimp_common.status import Level, TimingFigures, make_array, make_status, status_message
 
 _STOPPED = "emergency stop"
 _LOOK_PERIOD = 0.02
@@ -94,7 +93,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
     """
 
     def __init__(self, parameters: BaseModel, busy: str, **kwargs: Any) -> None:
-        super().__init__(contract.SIM_NODE, **kwargs)
+        super().__init__(topics.SIM_NODE, **kwargs)
         self.told = ""
         self.active = self._stopped = False
         self.gate: GateT | None = None
@@ -103,10 +102,10 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         self._accused = False
         self._commanders = 0
         self._names: list[str] = []
-        self._sign = Heartbeat(self, contract.SIM_NODE)
-        self.controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
-        self.create_service(Trigger, contract.SIM_STOP_SERVICE, self._on_stop)
-        self.create_service(Trigger, contract.SIM_RESET_SERVICE, self._on_reset)
+        self._sign = Heartbeat(self, topics.SIM_NODE)
+        self.controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
+        self.create_service(Trigger, topics.SIM_STOP_SERVICE, self._on_stop)
+        self.create_service(Trigger, topics.SIM_RESET_SERVICE, self._on_reset)
         declare(self, type(parameters), parameters)
         guard(self, lambda: busy if self.active else None)
 
@@ -121,14 +120,14 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         if self._stopped:
             gate.latch(_STOPPED)
         self.gate = gate
-        self.joint_states = JointStatePublisher(self, contract.JOINT_STATES, joints, "position")
-        self.torque_sensors = JointStatePublisher(self, contract.TORQUE_SENSORS, joints, "effort")
+        self.joint_states = JointStatePublisher(self, topics.JOINT_STATES, joints, "position")
+        self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, joints, "effort")
         self.diagnostics = self.create_publisher(
-            DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
         self.commands = CommandSubscription(
             self,
-            contract.COMMANDS,
+            topics.COMMANDS,
             len(joints),
             on_command,
             on_number=self._on_number,
@@ -196,8 +195,8 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         gate = self.gate
         if gate is None or gate.fault:
             return
-        when = self.stamp_ns() / contract.NS_PER_S
-        accusation = f"{contract.COMMANDS}: {reason} at {when:.3f} s"
+        when = self.stamp_ns() / topics.NS_PER_S
+        accusation = f"{topics.COMMANDS}: {reason} at {when:.3f} s"
         self.latch(accusation)
         self._names.clear()
         self._commanders = 0
@@ -272,9 +271,9 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         self.told = fault
         words = fault or ("running" if self.active else "stopped")
         level = Level.ERROR if fault else Level.OK
-        statuses = [make_status(f"{contract.SIM_NODE}: rig", level, words, values)]
+        statuses = [make_status(f"{topics.SIM_NODE}: rig", level, words, values)]
         if figures is not None:
-            statuses.append(timing_status(figures))
+            statuses.append(status_message(figures))
         self.diagnostics.publish(make_array(stamp_ns, statuses))
 
     def report_news(self) -> None:
@@ -282,7 +281,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         if self.gate is not None and self.gate.fault != self.told:
             self.report()
 
-    def _on_controller(self, controller: Watch) -> None:
+    def _on_controller(self, controller: HeartbeatMonitor) -> None:
         # The torque of one that died must not outlast it.
         if controller.presence.lost:
             self.latch(controller.sentence)
@@ -293,7 +292,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         self.latch(_STOPPED)
         self.report()
         response.success = True
-        response.message = f"no torque until {contract.SIM_RESET_SERVICE} is called"
+        response.message = f"no torque until {topics.SIM_RESET_SERVICE} is called"
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

@@ -20,22 +20,25 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias, TypeVar
+from weakref import WeakSet
 
 import rclpy
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.context import Context
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from armimp_common.errors import ArmimpError, ConfigurationError
-from armimp_common.parent_watchdog import follow_lifeline
-from armimp_common.steady import WallClock, refuse_simulated_time, steady_timer
-from armimp_common.transports import avoid_shared_memory
+from armimp_common.process import follow_parent
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -51,6 +54,82 @@ NO_LOG_FILES: Final = "--disable-external-lib-logs"
 """ROS argument with which nothing is written to the log directory of ROS, nor is it made."""
 
 _RESOLUTION: Final = 0.02
+_STEP: Final = 1e-3
+"""Steps of the wall clock that matter (s); slewing makes no such ones between two readings."""
+_USE_SIM_TIME: Final = "use_sim_time"
+_REFUSAL: Final = (
+    f"parameter '{_USE_SIM_TIME}' cannot be true: watchdogs and ramps must not depend on a clock"
+    " that somebody can set or stop"
+)
+_refusing: WeakSet[Node] = WeakSet()
+
+
+class WallClock:
+    """Finds out whether somebody has set the wall clock."""
+
+    def __init__(self) -> None:
+        self._ahead = _ahead()
+
+    def was_set(self) -> bool:
+        """Whether it was since this was asked last."""
+        before, self._ahead = self._ahead, _ahead()
+        return not abs(self._ahead - before) < _STEP
+
+
+def _ahead() -> float:
+    """By how much the wall clock is ahead of the steady one (s)."""
+    # A thread may be held up between the two: the quickest of some looks counts.
+    looks = []
+    for _ in range(3):
+        begin = time.monotonic()
+        wall = time.time()
+        end = time.monotonic()
+        looks.append((end - begin, wall - begin))
+    return min(looks)[1]
+
+
+def steady_timer(
+    node: Node, period: float, callback: Callable[[], object], *, autostart: bool = True
+) -> Timer:
+    """Return a timer of `node` that no change of the wall clock or of simulated time reaches.
+
+    A node's own clock follows the wall clock, or ``/clock`` where ``use_sim_time`` is set. A timer
+    on it stops for as long as that clock was set back, and a watchdog with it.
+
+    Parameters
+    ----------
+    node
+        Its executor calls back; ``node.destroy_timer`` ends it.
+    period
+        Time between two calls (s).
+    callback
+        What is called.
+    autostart
+        Whether it runs at once; else from ``reset()`` on.
+    """
+    clock = Clock(clock_type=ClockType.STEADY_TIME)
+    return node.create_timer(period, callback, clock=clock, autostart=autostart)
+
+
+def refuse_simulated_time(node: Node) -> None:
+    """Refuse ``use_sim_time``, now and whenever it is set; calling it again does nothing.
+
+    Raises
+    ------
+    ConfigurationError
+        If the node was started with it.
+    """
+    if node in _refusing:
+        return
+    if node.get_parameter(_USE_SIM_TIME).value is True:
+        raise ConfigurationError(_REFUSAL)
+    node.add_on_set_parameters_callback(_check)
+    _refusing.add(node)
+
+
+def _check(parameters: list[Parameter]) -> SetParametersResult:
+    refused = any(item.name == _USE_SIM_TIME and item.value is True for item in parameters)
+    return SetParametersResult(successful=not refused, reason=_REFUSAL if refused else "")
 
 
 class Spinner:
@@ -75,7 +154,7 @@ class Spinner:
     ) -> None:
         self._nodes: list[Node] = []
         self._timer: Timer | None = None
-        self._gate: Future = Future()
+        self._done: Future = Future()
         self._deadline = math.inf
         self._closed = threading.Event()
         nodes = list(nodes)
@@ -137,11 +216,11 @@ class Spinner:
         return bool(future.done())
 
     def _spin_for(self, future: Future, timeout: float) -> None:
-        self._gate = gate = Future()
+        self._done = done = Future()
         self._deadline = time.monotonic() + timeout
-        future.add_done_callback(lambda _: None if gate.done() else gate.set_result(None))
+        future.add_done_callback(lambda _: None if done.done() else done.set_result(None))
         with suppress(ExternalShutdownException):  # `spin` looks at the context itself
-            self.executor.spin_until_future_complete(gate, timeout)
+            self.executor.spin_until_future_complete(done, timeout)
 
     def _keep_time(self) -> None:
         """Have the timer that ends a spin at its deadline on the first node there is."""
@@ -149,8 +228,8 @@ class Spinner:
             self._timer = steady_timer(self._nodes[0], _RESOLUTION, self._on_timer)
 
     def _on_timer(self) -> None:
-        if time.monotonic() >= self._deadline and not self._gate.done():
-            self._gate.set_result(None)
+        if time.monotonic() >= self._deadline and not self._done.done():
+            self._done.set_result(None)
 
     def _look_at_clock(self) -> None:
         clock = WallClock()
@@ -175,12 +254,7 @@ class Spinner:
     def __enter__(self) -> "Self":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -194,18 +268,6 @@ def make_executor(context: Context | None = None, kind: ExecutorKind = "events")
         else:
             return EventsExecutor(context=context)
     return SingleThreadedExecutor(context=context)
-
-
-def spin(
-    nodes: Iterable[Node],
-    should_stop: Callable[[], bool],
-    *,
-    period: float = PERIOD,
-    kind: ExecutorKind = "events",
-) -> None:
-    """Execute the callbacks of nodes until `should_stop`; see `Spinner.spin`."""
-    with Spinner(nodes, kind=kind) as spinner:
-        spinner.spin(should_stop, period=period)
 
 
 @contextmanager
@@ -270,34 +332,26 @@ def run_node(
         another `ArmimpError`, each with one line on standard error.
     """
     arguments = list(sys.argv if args is None else args)
-    avoid_shared_memory()
+    # A process that is killed while it holds a lock in shared memory holds up whatever the others
+    # publish, for a second for each lock. What the user has set takes precedence.
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
     try:
         with stop_on_signals() as stopped, _initialised(arguments) as context:
-            follow_lifeline()
-            _run(factory(context=context), stopped, until, kind)
-    except ConfigurationError as error:
-        print(f"{_program(arguments)}: {error}", file=sys.stderr)
-        return 2
+            follow_parent()
+            node = factory(context=context)
+            plain: Node = node
+            try:
+                with Spinner([plain], kind=kind) as spinner:
+                    spinner.spin(lambda: stopped() or (until is not None and until(node)))
+            finally:
+                plain.destroy_node()
     except ArmimpError as error:
-        print(f"{_program(arguments)}: {error}", file=sys.stderr)
-        return 1
+        program = arguments[0].rpartition("/")[2] if arguments else "node"
+        print(f"{program}: {error}", file=sys.stderr)
+        return 2 if isinstance(error, ConfigurationError) else 1
     except KeyboardInterrupt:
         pass
     return 0
-
-
-def _run(
-    node: NodeT,
-    stopped: Callable[[], bool],
-    until: Callable[[NodeT], bool] | None,
-    kind: ExecutorKind,
-) -> None:
-    plain: Node = node
-    try:
-        with Spinner([plain], kind=kind) as spinner:
-            spinner.spin(lambda: stopped() or (until is not None and until(node)))
-    finally:
-        plain.destroy_node()
 
 
 @contextmanager
@@ -319,7 +373,3 @@ def _initialised(arguments: list[str]) -> Iterator[Context]:
         yield context
     finally:
         context.try_shutdown()
-
-
-def _program(arguments: Sequence[str]) -> str:
-    return arguments[0].rpartition("/")[2] if arguments else "node"

@@ -1,4 +1,4 @@
-"""Signs of life: how a process hears that another one died.
+"""Heartbeats: how a process hears that another one died.
 
 Each node offers a latched topic of its own, with the identity of its process. The middleware keeps
 its publisher alive from a thread of its own as long as the process runs, so neither a busy callback
@@ -14,24 +14,24 @@ A process does not watch itself: the middleware lets the lease between two nodes
 out without a cause, and never renews it then.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from enum import Enum
-from typing import ClassVar
-from weakref import WeakKeyDictionary, WeakSet
 
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from armimp_common import contract, qos
+from armimp_common import qos, topics
+from armimp_common.executor import steady_timer
 from armimp_common.process import Life, identity, life_of
-from armimp_common.steady import steady_timer
 
-_LOOK_PERIOD = 0.02
+_CHECK_PERIOD = 0.02
 
 
 class Presence(Enum):
-    """What is known of a watched node; the value completes a sentence that begins with its name."""
+    """What is known of a node; the value completes a sentence that begins with its name."""
 
     UNKNOWN = "has never been heard of"
     ALIVE = "is alive"
@@ -50,7 +50,7 @@ class Presence(Enum):
         """Whether the node was there and gives no sign of life now, for whatever reason."""
         return self.lost or self is Presence.STALLED
 
-    def after(self, alive: int, silent: int, process_lives: bool | None = None) -> "Presence":
+    def after(self, alive: int, silent: int, process_lives: bool | None = None) -> Presence:
         """Return what follows from the latest news.
 
         Parameters
@@ -58,7 +58,7 @@ class Presence(Enum):
         alive, silent
             Numbers of publishers that give a sign of life and that do not any more.
         process_lives
-            Whether the process that told its identity last is there; None if that is not known.
+            Whether the process of the node is there; None if that is not known.
         """
         if alive or silent:
             if process_lives is False:
@@ -73,74 +73,42 @@ class Presence(Enum):
 
 
 class Heartbeat:
-    """Offers the sign of life of the process that `node` is in, for as long as the node exists.
+    """Offers the heartbeat of the process that `node` is in, for as long as the node exists.
 
     Parameters
     ----------
     node
         Its namespace counts.
     name
-        Name in the contract, which remapping of the node's own name leaves as it is.
+        Name among the topics, which remapping of the node's own name leaves as it is.
     """
 
     def __init__(self, node: Node, name: str) -> None:
-        self.publisher = node.create_publisher(String, contract.alive(name), qos.ALIVE)
+        self.publisher = node.create_publisher(String, topics.alive(name), qos.ALIVE)
         self.publisher.publish(String(data=identity()))
 
 
-class _Lookout:
-    """Has watches of a node look at their processes again and again, with one timer for all."""
-
-    _of_nodes: ClassVar["WeakKeyDictionary[Node, _Lookout]"] = WeakKeyDictionary()
-
-    def __init__(self, node: Node) -> None:
-        # Each is kept by its subscription; here it would keep its node, and that this.
-        self._watches: WeakSet[Watch] = WeakSet()
-        self._timer = steady_timer(node, _LOOK_PERIOD, self._look, autostart=False)
-
-    @classmethod
-    def of(cls, node: Node) -> "_Lookout":
-        """The one of this node."""
-        if node not in cls._of_nodes:
-            cls._of_nodes[node] = cls(node)
-        return cls._of_nodes[node]
-
-    def add(self, watch: "Watch") -> None:
-        """Have it look from now on."""
-        self._watches.add(watch)
-        if self._timer.is_canceled():
-            self._timer.reset()
-
-    def remove(self, watch: "Watch") -> None:
-        """There is nothing to see for it."""
-        self._watches.discard(watch)
-        if not self._watches:
-            self._timer.cancel()
-
-    def _look(self) -> None:
-        for watch in list(self._watches):
-            watch.look()
-
-
-class Watch:
-    """Watches the sign of life of another node, for as long as `node` exists.
+class HeartbeatMonitor:
+    """Listens to the heartbeat of another node, for as long as `node` exists.
 
     Parameters
     ----------
     node
-        Who watches; callbacks run in its executor.
+        Who listens; callbacks run in its executor.
     name
         Whom, as for `Heartbeat`.
     on_change
-        Called with the watch when `presence` has changed.
+        Called with the monitor when `presence` has changed.
 
     Attributes
     ----------
     presence : Presence
-        As last heard. It stays unknown for a node that offers no sign of life.
+        As last heard. It stays unknown for a node that offers no heartbeat.
     """
 
-    def __init__(self, node: Node, name: str, on_change: "Callable[[Watch], None]") -> None:
+    def __init__(
+        self, node: Node, name: str, on_change: Callable[[HeartbeatMonitor], None]
+    ) -> None:
         self.name = name
         self.presence = Presence.UNKNOWN
         self._on_change = on_change
@@ -148,12 +116,12 @@ class Watch:
         self._process, self._own_process = "", identity()
         self.subscription = node.create_subscription(
             String,
-            contract.alive(name),
+            topics.alive(name),
             self._on_identity,
             qos.ALIVE_WATCHED,
             event_callbacks=SubscriptionEventCallbacks(liveliness=self._on_event),
         )
-        self._lookout = _Lookout.of(node)
+        self._timer = steady_timer(node, _CHECK_PERIOD, self.check, autostart=False)
 
     @property
     def sentence(self) -> str:
@@ -167,15 +135,15 @@ class Watch:
 
     def _on_identity(self, message: String) -> None:
         self._process = message.data
-        self.look()
+        self.check()
 
     def _on_event(self, event: QoSLivelinessChangedInfo) -> None:
         # Within one process the middleware counts below zero.
         self._alive, self._silent = max(event.alive_count, 0), event.not_alive_count
-        self.look()
+        self.check()
 
-    def look(self) -> None:
-        """See what has become of the process, and tell if that is news."""
+    def check(self) -> None:
+        """Find out what has become of the process, and tell if that is news."""
         alive, silent = self._alive, self._silent
         process_lives = None
         if self._process and self._process == self._own_process:
@@ -186,10 +154,10 @@ class Watch:
             if life is Life.STOPPED:
                 alive, silent = 0, alive + silent
         presence = self.presence.after(alive, silent, process_lives)
-        if process_lives:
-            self._lookout.add(self)
-        else:
-            self._lookout.remove(self)
+        if not process_lives:
+            self._timer.cancel()
+        elif self._timer.is_canceled():
+            self._timer.reset()
         if presence is not self.presence:
             self.presence = presence
             self._on_change(self)

@@ -1,10 +1,14 @@
 """Lifecycle transitions: asking for them from outside, and reporting why one failed."""
 
+from __future__ import annotations
+
 import functools
+import math
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from typing import Any, Final, Literal, Protocol, TypeAlias, TypeVar
+from functools import partialmethod
+from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
@@ -14,9 +18,69 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from armimp_common.errors import ArmimpError, GraphError
-from armimp_common.services import POLL, SpinUntil, ask
 
 TransitionName: TypeAlias = Literal["configure", "activate", "deactivate", "cleanup", "shutdown"]
+SpinUntil: TypeAlias = Callable[[Future, float], bool]
+
+_SERVICES: Final[dict[str, Any]] = {
+    "change_state": ChangeState,
+    "get_state": GetState,
+    "get_available_transitions": GetAvailableTransitions,
+}
+_POLL: Final = 0.01
+_CHECK_PERIOD: Final = 0.05
+_REPEAT: Final = 2.0
+
+
+def ask(
+    client: Client,
+    request: Any,
+    whom: str,
+    purpose: str,
+    *,
+    spin_until: SpinUntil,
+    timeout: float,
+    repeat: bool = True,
+    check: Callable[[], None] = lambda: None,
+) -> Any:
+    """Wait for a service, call it, and return the answer.
+
+    Parameters
+    ----------
+    client, request : what is asked
+    whom, purpose : for the words of errors: ``node x did not answer to configure``
+    spin_until : as for `LifecycleManager`
+    timeout : for the service to appear, and to answer (s)
+    repeat : whether the question is asked again where no answer comes
+    check : called often; what it raises ends the waiting
+
+    Raises
+    ------
+    GraphError
+        If there is no answer in time.
+    """
+    deadline = time.monotonic() + timeout
+    while not client.service_is_ready():
+        if time.monotonic() >= deadline:
+            raise GraphError(f"{whom} is not there to {purpose}")
+        check()
+        spin_until(Future(), _POLL)
+    while True:
+        # An answer gets lost if the node has not yet discovered this side.
+        end = min(deadline, time.monotonic() + (_REPEAT if repeat else math.inf))
+        future = client.call_async(request)
+        try:
+            while not spin_until(future, _CHECK_PERIOD):
+                check()
+                if time.monotonic() >= end:
+                    break
+            else:
+                return future.result()
+        finally:
+            if not future.done():
+                client.remove_pending_request(future)
+        if time.monotonic() >= deadline:
+            raise GraphError(f"{whom} did not answer to {purpose} in {timeout} s")
 
 
 class LifecycleManager:
@@ -71,52 +135,22 @@ class LifecycleManager:
             Naming the nodes that did not appear.
         """
         deadline = time.monotonic() + (self._timeout if timeout is None else timeout)
-        while missing := [name for name in self.names if not self._is_there(name)]:
+        while missing := sorted(
+            {name for (name, _), one in self._clients.items() if not one.service_is_ready()}
+        ):
             if time.monotonic() >= deadline:
                 raise GraphError(f"node did not appear: {', '.join(missing)}")
             self._check()
-            self._spin_until(Future(), POLL)
+            self._spin_until(Future(), _POLL)
 
     def state(self, name: str) -> str:
-        """Return the state of a node: ``unconfigured``, ``inactive``, ``active``...
-
-        Raises
-        ------
-        GraphError
-            If it does not answer.
-        """
+        """Return the state of a node, such as ``inactive``; GraphError if it does not answer."""
         answer = self._ask(name, "get_state", GetState.Request(), "get_state")
         return str(answer.current_state.label)
 
     def available(self, name: str) -> tuple[str, ...]:
-        """Return the transitions that a node can make now.
-
-        Raises
-        ------
-        GraphError
-            If it does not answer.
-        """
+        """Return the transitions that a node can make now; GraphError if it does not answer."""
         return tuple(self._available(name, "get_available_transitions"))
-
-    def configure(self, name: str) -> None:
-        """Configure a node; see `change`."""
-        self.change(name, "configure")
-
-    def activate(self, name: str) -> None:
-        """Activate a node; see `change`."""
-        self.change(name, "activate")
-
-    def deactivate(self, name: str) -> None:
-        """Deactivate a node; see `change`."""
-        self.change(name, "deactivate")
-
-    def cleanup(self, name: str) -> None:
-        """Clean a node up; see `change`."""
-        self.change(name, "cleanup")
-
-    def shutdown(self, name: str) -> None:
-        """Finalise a node, whatever state it is in; see `change`."""
-        self.change(name, "shutdown")
 
     def change(self, name: str, transition: TransitionName) -> None:
         """Ask a node for a transition and wait until it is made.
@@ -140,6 +174,12 @@ class LifecycleManager:
         if not answer.success:
             raise GraphError(f"node {name} failed to {transition}; its log tells why")
 
+    configure = partialmethod(change, transition="configure")
+    activate = partialmethod(change, transition="activate")
+    deactivate = partialmethod(change, transition="deactivate")
+    cleanup = partialmethod(change, transition="cleanup")
+    shutdown = partialmethod(change, transition="shutdown")
+
     def _available(self, name: str, purpose: str) -> dict[str, int]:
         request = GetAvailableTransitions.Request()
         answer = self._ask(name, "get_available_transitions", request, purpose)
@@ -147,9 +187,6 @@ class LifecycleManager:
             str(item.transition.label): int(item.transition.id)
             for item in answer.available_transitions
         }
-
-    def _is_there(self, name: str) -> bool:
-        return all(self._clients[name, service].service_is_ready() for service in _SERVICES)
 
     def _ask(self, name: str, service: str, request: Any, purpose: str) -> Any:
         if (name, service) not in self._clients:
@@ -195,20 +232,11 @@ class ManagedNode(LifecycleNode):
             return response
 
 
-class HasTransitionError(Protocol):
-    """A lifecycle node which remembers why its last transition failed."""
-
-    transition_error: str
-
-    def get_logger(self) -> Any:
-        """Return the logger of the node."""
-
-
-NodeT = TypeVar("NodeT", bound=HasTransitionError)
+NodeT = TypeVar("NodeT", bound=ManagedNode)
 _Callback: TypeAlias = Callable[[NodeT, LifecycleState], TransitionCallbackReturn]
 
 
-def reported(callback: "_Callback[NodeT]") -> "_Callback[NodeT]":
+def reported(callback: _Callback[NodeT]) -> _Callback[NodeT]:
     """Decorate an ``on_configure``... method so that errors in it do not vanish.
 
     rclpy turns every exception in a transition into the state "error processing" and says
@@ -232,10 +260,3 @@ def reported(callback: "_Callback[NodeT]") -> "_Callback[NodeT]":
             return TransitionCallbackReturn.ERROR
 
     return wrapper
-
-
-_SERVICES: Final[dict[str, Any]] = {
-    "change_state": ChangeState,
-    "get_state": GetState,
-    "get_available_transitions": GetAvailableTransitions,
-}

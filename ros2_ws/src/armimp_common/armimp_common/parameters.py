@@ -16,9 +16,9 @@ from rclpy.parameter import Parameter
 
 from armimp_common import schema
 from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.executor import refuse_simulated_time
 from armimp_common.schema import Leaf, Schema, build, leaves, to_params_yaml
 from armimp_common.schema import flatten as to_ros_parameters
-from armimp_common.steady import refuse_simulated_time
 
 __all__ = [
     "Schema",

@@ -1,7 +1,9 @@
-"""Publishers and subscriptions that pass serialised bytes through the fast codecs."""
+"""Publishers and subscriptions that pass bytes through the fast codecs, and discovery."""
+
+from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,39 +14,47 @@ from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, UInt64
+from std_msgs.msg import Float64MultiArray, String, UInt64
 
-from armimp_common import contract, qos
-from armimp_common.cdr import (
-    CommandDecoder,
-    CommandEncoder,
-    JointStateDecoder,
-    JointStateEncoder,
-    decode_count,
-    encode_clock,
-    encode_count,
-    next_number,
-)
-from armimp_common.contract import ValueField
-from armimp_common.errors import MalformedMessageError
-from armimp_common.lean_subscription import make_lean
+from armimp_common import cdr, qos, topics
+from armimp_common.errors import GraphError, MalformedMessageError
+from armimp_common.heartbeat import HeartbeatMonitor
+from armimp_common.topics import ValueField
 
 OnMalformed = Callable[[MalformedMessageError], None]
 _POLL = 0.005
+_PATIENCE = 10.0
+"""How long the others are waited for before a node becomes active (s)."""
 
 
-class JointStatePublisher:
-    """Publisher of JointState messages of one layout.
+class RawPublisher:
+    """Publisher of serialised messages.
 
     Parameters
     ----------
     node, topic
         Where to publish.
-    names, field
-        As for `armimp_common.cdr.JointStateEncoder`.
+    message_type
+        Message class of the topic.
     profile
         Quality of service.
+
+    Attributes
+    ----------
+    send
+        Publishes bytes. `Publisher.publish` does the same after it has told them from others, and
+        protected the publisher from being destroyed by another thread meanwhile: twice the time.
     """
+
+    def __init__(
+        self, node: Node, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
+    ) -> None:
+        self.publisher: Publisher = node.create_publisher(message_type, topic, profile)
+        self.send: Callable[[bytes], None] = self.publisher.handle.publish_raw
+
+
+class JointStatePublisher(RawPublisher):
+    """Publisher of JointState messages of one layout; see `armimp_common.cdr.JointStateEncoder`."""
 
     def __init__(
         self,
@@ -52,12 +62,10 @@ class JointStatePublisher:
         topic: str,
         names: Sequence[str],
         field: ValueField,
-        *,
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
-        self.publisher: Publisher = node.create_publisher(JointState, topic, profile)
-        self._send = sender(self.publisher)
-        self._encode = JointStateEncoder(names, field).encode
+        super().__init__(node, topic, JointState, profile)
+        self._encode = cdr.JointStateEncoder(names, field).encode
 
     def publish(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
         """Publish (n,) values with this stamp (ns), and return the bytes sent.
@@ -68,17 +76,16 @@ class JointStatePublisher:
             If the number of values is wrong.
         """
         data = self._encode(stamp_ns, values)
-        self._send(data)
+        self.send(data)
         return data
 
 
-class CommandPublisher:
-    """Publisher of commands for `n` joints, numbered from 1 on; see `JointStatePublisher`."""
+class CommandPublisher(RawPublisher):
+    """Publisher of commands for `n` joints, numbered from 1 on."""
 
-    def __init__(self, node: Node, topic: str, n: int, *, profile: QoSProfile = qos.SAMPLE) -> None:
-        self.publisher: Publisher = node.create_publisher(Float64MultiArray, topic, profile)
-        self._send = sender(self.publisher)
-        self._encode = CommandEncoder(n).encode
+    def __init__(self, node: Node, topic: str, n: int, profile: QoSProfile = qos.SAMPLE) -> None:
+        super().__init__(node, topic, Float64MultiArray, profile)
+        self._encode = cdr.CommandEncoder(n).encode
         self._number = 0
 
     def publish(self, values: Sequence[float] | NDArray[np.float64]) -> bytes:
@@ -89,45 +96,33 @@ class CommandPublisher:
         MalformedMessageError
             If the number of values is wrong.
         """
-        number = next_number(self._number)
+        number = cdr.next_number(self._number)
         data = self._encode(values, number)
         self._number = number
-        self._send(data)
+        self.send(data)
         return data
 
 
-class CountPublisher:
+class CountPublisher(RawPublisher):
     """Publisher of counts, of which the last one is kept for whoever joins late."""
 
-    def __init__(self, node: Node, topic: str, *, profile: QoSProfile = qos.LATCHED) -> None:
-        self.publisher: Publisher = node.create_publisher(UInt64, topic, profile)
-        self._send = sender(self.publisher)
+    def __init__(self, node: Node, topic: str) -> None:
+        super().__init__(node, topic, UInt64, qos.LATCHED)
 
     def publish(self, count: int) -> None:
         """Publish a count from 0 to 2⁶⁴ − 1."""
-        self._send(encode_count(count))
+        self.send(cdr.encode_count(count))
 
 
-class ClockPublisher:
+class ClockPublisher(RawPublisher):
     """Publisher of simulated time."""
 
     def __init__(self, node: Node) -> None:
-        self.publisher: Publisher = node.create_publisher(Clock, contract.CLOCK, qos.CLOCK)
-        self._send = sender(self.publisher)
+        super().__init__(node, topics.CLOCK, Clock, qos.CLOCK)
 
     def publish(self, stamp_ns: int) -> None:
         """Publish a time (ns)."""
-        self._send(encode_clock(stamp_ns))
-
-
-def sender(publisher: Publisher) -> Callable[[bytes], None]:
-    """Return what publishes serialised messages.
-
-    `Publisher.publish` does the same after it has told them from others, and protected the
-    publisher from being destroyed by another thread meanwhile: twice the time of the rest.
-    """
-    send: Callable[[bytes], None] = publisher.handle.publish_raw
-    return send
+        self.send(cdr.encode_clock(stamp_ns))
 
 
 class RawSubscription:
@@ -151,13 +146,11 @@ class RawSubscription:
         topic: str,
         message_type: type[Any],
         callback: Callable[[bytes], None],
-        *,
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
         self.subscription: Subscription = node.create_subscription(
             message_type, topic, callback, profile, raw=True
         )
-        make_lean(self.subscription)
 
 
 class JointStateSubscription(RawSubscription):
@@ -165,7 +158,7 @@ class JointStateSubscription(RawSubscription):
 
     Parameters
     ----------
-    node, topic
+    node, topic, profile
         Where to listen.
     names, field
         As for `armimp_common.cdr.JointStateDecoder`.
@@ -174,8 +167,6 @@ class JointStateSubscription(RawSubscription):
     on_malformed
         Called instead for a message that cannot be decoded. Without it the error is raised and
         arrives at whoever spins, since dropping such a message silently would not be safe.
-    profile
-        Quality of service.
     """
 
     def __init__(
@@ -189,7 +180,7 @@ class JointStateSubscription(RawSubscription):
         on_malformed: OnMalformed | None = None,
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
-        decode = JointStateDecoder(names, field).decode
+        decode = cdr.JointStateDecoder(names, field).decode
 
         def on_message(data: bytes) -> None:
             try:
@@ -201,7 +192,7 @@ class JointStateSubscription(RawSubscription):
             else:
                 callback(stamp_ns, values)
 
-        super().__init__(node, topic, JointState, on_message, profile=profile)
+        super().__init__(node, topic, JointState, on_message, profile)
 
 
 class CommandSubscription(RawSubscription):
@@ -224,7 +215,7 @@ class CommandSubscription(RawSubscription):
         on_malformed: OnMalformed | None = None,
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
-        decode = CommandDecoder(n).decode_numbered
+        decode = cdr.CommandDecoder(n).decode_numbered
 
         def on_message(data: bytes) -> None:
             try:
@@ -237,29 +228,83 @@ class CommandSubscription(RawSubscription):
                 on_number(number)
                 callback(values)
 
-        super().__init__(node, topic, Float64MultiArray, on_message, profile=profile)
+        super().__init__(node, topic, Float64MultiArray, on_message, profile)
 
 
 class CountSubscription(RawSubscription):
     """Subscription to counts; one that cannot be decoded is logged and dropped."""
 
-    def __init__(
-        self,
-        node: Node,
-        topic: str,
-        callback: Callable[[int], None],
-        *,
-        profile: QoSProfile = qos.LATCHED,
-    ) -> None:
+    def __init__(self, node: Node, topic: str, callback: Callable[[int], None]) -> None:
         def on_message(data: bytes) -> None:
             try:
-                count = decode_count(data)
+                count = cdr.decode_count(data)
             except MalformedMessageError as error:
                 node.get_logger().warning(f"{topic}: {error}")
             else:
                 callback(count)
 
-        super().__init__(node, topic, UInt64, on_message, profile=profile)
+        super().__init__(node, topic, UInt64, on_message, qos.LATCHED)
+
+
+class _Unattended(Subscription):
+    """A subscription that executors are not told of."""
+
+
+class PollingNode(Node):
+    """Base of a node that has polled subscriptions: hides them from its executor."""
+
+    @property
+    def subscriptions(self) -> Iterator[Subscription]:
+        """The subscriptions that an executor attends to."""
+        return (one for one in super().subscriptions if not isinstance(one, _Unattended))
+
+
+class PolledSubscription(RawSubscription):
+    """Subscription whose messages wait in the middleware until somebody takes them.
+
+    For every message that comes, an executor is told, wakes up, looks for the subscription that it
+    is meant for, and calls back: several times the cost of the message itself. Who wants the
+    messages of several streams together, or many at once, need not be told of each.
+
+    Beyond the depth of its profile, the oldest are lost. To be made in the thread of the executor,
+    which might attend to it otherwise before it is hidden.
+    """
+
+    def __init__(
+        self,
+        node: PollingNode,
+        topic: str,
+        message_type: type[Any],
+        profile: QoSProfile = qos.SAMPLE,
+    ) -> None:
+        super().__init__(node, topic, message_type, _nobody, profile)
+        self.subscription.__class__ = _Unattended
+
+    def take(self) -> list[bytes]:
+        """Take all messages that have come, as bytes in their order."""
+        return take_all(self.subscription)
+
+
+def take_all(subscription: Subscription) -> list[bytes]:
+    """Take all messages that have come to a subscription, as bytes in their order.
+
+    An executor that attends to it finds none of them any more.
+
+    Raises
+    ------
+    rclpy.exceptions.InvalidHandle
+        If the subscription was destroyed.
+    """
+    handle: Any = subscription.handle
+    taken: list[bytes] = []
+    with handle:
+        while (found := handle.take_message(subscription.msg_type, True)) is not None:
+            taken.append(found[0])
+    return taken
+
+
+def _nobody(message: bytes) -> None:
+    raise AssertionError("nobody is to be told of this message")
 
 
 class HasPublisher(Protocol):
@@ -274,22 +319,12 @@ class HasSubscription(Protocol):
     subscription: Subscription
 
 
-def unmatched(
-    node: Node,
-    publishers: Iterable[Publisher | HasPublisher] = (),
-    subscriptions: Iterable[Subscription | HasSubscription] = (),
-) -> tuple[str, ...]:
-    """Return the topic names of those publishers and subscriptions that have no peer yet."""
-    lonely: list[str] = []
-    for item in publishers:
-        publisher = item if isinstance(item, Publisher) else item.publisher
-        if publisher.get_subscription_count() == 0:
-            lonely.append(publisher.topic_name)
-    for entry in subscriptions:
-        subscription = entry if isinstance(entry, Subscription) else entry.subscription
-        if publisher_count(node, subscription) == 0:
-            lonely.append(subscription.topic_name)
-    return tuple(lonely)
+def publisher_count(node: Node, subscription: Subscription) -> int:
+    """Return how many publish to a subscription."""
+    # Counting the matched ones came to rclpy late; the graph's count may run ahead of matching.
+    if hasattr(subscription, "get_publisher_count"):
+        return int(subscription.get_publisher_count())
+    return int(node.count_publishers(subscription.topic_name))
 
 
 def wait_until_matched(
@@ -310,19 +345,93 @@ def wait_until_matched(
     tuple of str
         Topic names of those still without a peer after `timeout_s`; empty on success.
     """
-    publishers = list(publishers)
-    subscriptions = list(subscriptions)
+    sending = [one if isinstance(one, Publisher) else one.publisher for one in publishers]
+    listening = [
+        one if isinstance(one, Subscription) else one.subscription for one in subscriptions
+    ]
     deadline = time.monotonic() + timeout_s
-    while lonely := unmatched(node, publishers, subscriptions):
-        if time.monotonic() >= deadline:
-            return lonely
+    while True:
+        lonely = [one.topic_name for one in sending if not one.get_subscription_count()]
+        lonely += [one.topic_name for one in listening if not publisher_count(node, one)]
+        if not lonely or time.monotonic() >= deadline:
+            return tuple(lonely)
         time.sleep(_POLL)
-    return ()
 
 
-def publisher_count(node: Node, subscription: Subscription) -> int:
-    """Return how many publish to a subscription."""
-    # Counting the matched ones came to rclpy late; the graph's count may run ahead of matching.
-    if hasattr(subscription, "get_publisher_count"):
-        return int(subscription.get_publisher_count())
-    return int(node.count_publishers(subscription.topic_name))
+def wait_until_known_to(node: Node, names: Iterable[str], *, timeout_s: float) -> None:
+    """Wait until these nodes know of every subscription that `node` has made so far.
+
+    Discovery has two directions. A subscription that has found its publisher may still be unknown
+    to that publisher, for up to some seconds between processes that were started apart from one
+    another, and what is published meanwhile on a volatile topic never reaches it. A process learns
+    of the subscriptions of another one in the order in which they were made. So once a latched
+    message, the heartbeat, has come back to a subscription made just now, the older ones are known
+    too.
+
+    To be called in a callback of `node`, or while it is not spun.
+
+    Parameters
+    ----------
+    node
+        Whose subscriptions are to be known.
+    names
+        Nodes by their names among the topics. Those that offer no heartbeat, as drivers of others
+        may not, are not waited for.
+    timeout_s
+        How long to wait (s).
+
+    Raises
+    ------
+    GraphError
+        If one of them gives no answer.
+    """
+    deadline = time.monotonic() + timeout_s
+    probes = {
+        name: node.create_subscription(String, topic, lambda _: None, qos.LATCHED, raw=True)
+        for name in names
+        if node.count_publishers(topic := topics.alive(name))
+    }
+    awaited = dict(probes)
+    try:
+        while awaited := {name: probe for name, probe in awaited.items() if not take_all(probe)}:
+            if time.monotonic() >= deadline:
+                raise GraphError(f"no answer from {', '.join(awaited)}")
+            time.sleep(_POLL)
+    finally:
+        for probe in probes.values():
+            node.destroy_subscription(probe)
+
+
+def wait_for_partners(
+    node: Node,
+    *,
+    publishers: Iterable[Publisher | HasPublisher] = (),
+    subscriptions: Iterable[Subscription | HasSubscription] = (),
+    monitors: Iterable[HeartbeatMonitor] = (),
+) -> None:
+    """Wait until a node that is activated and those which it needs know of one another.
+
+    Parameters
+    ----------
+    node
+        The node; to be called in a callback of it.
+    publishers, subscriptions
+        What has to have a peer.
+    monitors
+        Nodes that have to know of this one, if they offer a heartbeat; see `wait_until_known_to`.
+
+    Raises
+    ------
+    GraphError
+        If somebody does not turn up within 10 s, or is lost but still listed.
+    """
+    lonely = wait_until_matched(
+        node, publishers=publishers, subscriptions=subscriptions, timeout_s=_PATIENCE
+    )
+    if lonely:
+        raise GraphError(f"nobody at the other end of {', '.join(lonely)}")
+    monitors = list(monitors)
+    for monitor in monitors:
+        if monitor.ghost:
+            raise GraphError(monitor.sentence)
+    wait_until_known_to(node, [monitor.name for monitor in monitors], timeout_s=_PATIENCE)

@@ -11,7 +11,7 @@ from rclpy.qos import (
     ReliabilityPolicy,
 )
 
-from armimp_common import contract
+from armimp_common import topics
 
 
 def _profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
@@ -65,13 +65,13 @@ ALIVE_WATCHED: Final = _alive(WATCHED_LEASE_MS)
 """The same for the subscription that watches it."""
 
 PROFILES: Final[dict[str, QoSProfile]] = {
-    **dict.fromkeys(contract.DATA_STREAMS, SAMPLE),
-    contract.TRIAL: LATCHED,
-    contract.RESULT: LATCHED,
-    contract.RECEIVED: LATCHED,
-    contract.JUDGEMENT: LATCHED,
-    contract.PROGRESS: PROGRESS,
-    contract.CLOCK: CLOCK,
-    contract.DIAGNOSTICS: DIAGNOSTICS,
+    **dict.fromkeys(topics.DATA_STREAMS, SAMPLE),
+    topics.TRIAL: LATCHED,
+    topics.RESULT: LATCHED,
+    topics.RECEIVED: LATCHED,
+    topics.STOPPING: LATCHED,
+    topics.PROGRESS: PROGRESS,
+    topics.CLOCK: CLOCK,
+    topics.DIAGNOSTICS: DIAGNOSTICS,
 }
 """The profile of every topic of the contract."""

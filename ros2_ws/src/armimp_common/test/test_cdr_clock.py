@@ -7,9 +7,9 @@ from rclpy.serialization import serialize_message
 from rosgraph_msgs.msg import Clock
 
 from armimp_common.cdr import encode_clock
-from armimp_common.contract import NS_PER_S
 from armimp_common.errors import ConfigurationError
-from armimp_common.stamps import to_time
+from armimp_common.status import to_time
+from armimp_common.topics import NS_PER_S
 
 
 @given(st.integers(-(2**31) * NS_PER_S, 2**31 * NS_PER_S - 1))

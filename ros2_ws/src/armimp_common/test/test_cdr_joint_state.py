@@ -13,8 +13,8 @@ from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
 from armimp_common.cdr import JointStateDecoder, JointStateEncoder, joint_names_of, stamp_of
-from armimp_common.contract import ValueField
 from armimp_common.errors import ConfigurationError, MalformedMessageError
+from armimp_common.topics import ValueField
 
 STAMP = 1_234_567_890_123_456_789
 NAMES = ["shoulder", "elbow"]

@@ -13,11 +13,10 @@ import pytest
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from armimp_common import contract, qos
-from armimp_common.discovery import wait_until_known_to
+from armimp_common import qos, topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import wait_until_matched
+from armimp_common.pubsub import wait_until_known_to, wait_until_matched
 from support.graph import PATIENCE, eventually
 
 ROUNDS = 20
@@ -82,7 +81,7 @@ def test_a_node_without_a_sign_of_life_is_not_waited_for(node: Node) -> None:
 def test_when_a_node_gives_no_answer_expect_it_named_and_nothing_left_behind(
     node: Node, other: "subprocess.Popen[bytes]"
 ) -> None:
-    sign = node.create_subscription(String, contract.alive("other"), print, qos.LATCHED)
+    sign = node.create_subscription(String, topics.alive("other"), print, qos.LATCHED)
     assert not wait_until_matched(node, subscriptions=[sign], timeout_s=PATIENCE)
     before = len(list(node.subscriptions))
     other.send_signal(signal.SIGSTOP)

@@ -24,7 +24,6 @@ from armimp_common.executor import (
     Spinner,
     make_executor,
     run_node,
-    spin,
     stop_on_signals,
 )
 
@@ -36,6 +35,11 @@ both_kinds = pytest.mark.parametrize("kind", KINDS)
 def deadline(seconds: float = PATIENCE) -> Callable[[], bool]:
     end = time.monotonic() + seconds
     return lambda: time.monotonic() > end
+
+
+def spin(node: Node, should_stop: Callable[[], bool], *, period: float, kind: ExecutorKind) -> None:
+    with Spinner([node], kind=kind) as spinner:
+        spinner.spin(should_stop, period=period)
 
 
 class CallbackError(RuntimeError):
@@ -69,7 +73,7 @@ def test_spin_ends_when_told_to(node: Node, kind: ExecutorKind) -> None:
     node.create_timer(0.005, lambda: ticks.append(1))
     late = deadline()
 
-    spin([node], lambda: len(ticks) >= 3 or late(), period=0.01, kind=kind)
+    spin(node, lambda: len(ticks) >= 3 or late(), period=0.01, kind=kind)
 
     assert len(ticks) >= 3
     assert not late()
@@ -83,7 +87,7 @@ def test_spin_ends_when_the_context_is_shut_down(
     timer = threading.Timer(0.1, context.try_shutdown)
     timer.start()
 
-    spin([node], late, period=0.05, kind=kind)
+    spin(node, late, period=0.05, kind=kind)
     timer.join()
 
     assert not late()
@@ -99,7 +103,7 @@ def test_when_a_callback_raises_expect_it_at_the_caller(
     arrange(node)
 
     with pytest.raises(CallbackError, match="in a callback"):
-        spin([node], deadline(), period=0.01, kind=kind)
+        spin(node, deadline(), period=0.01, kind=kind)
 
 
 @both_kinds
@@ -170,7 +174,7 @@ while True:
     late = deadline(20.0)
     other = subprocess.Popen([sys.executable, "-c", script])
     try:
-        spin([node], lambda: len(received) >= 3 or late(), period=0.05, kind=kind)
+        spin(node, lambda: len(received) >= 3 or late(), period=0.05, kind=kind)
     finally:
         other.kill()
         other.wait()
@@ -366,7 +370,7 @@ def test_when_there_is_always_another_event_expect_stop_conditions_to_be_looked_
         asked.append(time.monotonic())
         return len(asked) > 3 or late()
 
-    spin([node], should_stop, period=0.05, kind=kind)
+    spin(node, should_stop, period=0.05, kind=kind)
 
     assert not late()
 
@@ -382,3 +386,39 @@ def test_when_there_is_always_another_event_expect_spin_until_to_keep_its_timeou
 
     assert not done
     assert not late()
+
+
+WATCHED = """
+import pathlib, sys
+from rclpy.node import Node
+from armimp_common.executor import run_node
+class Watched(Node):
+    def __init__(self, **kwargs):
+        super().__init__("watched", **kwargs)
+        print(pathlib.Path("/proc/self/maps").read_text())
+sys.exit(run_node(Watched, until=lambda _: True))
+"""
+
+
+@pytest.mark.parametrize(("chosen", "shared"), [(None, False), ("UDPv4", False), ("DEFAULT", True)])
+def test_a_node_shares_no_memory_unless_the_user_wants_it(
+    domain_id: int, chosen: str | None, shared: bool
+) -> None:
+    kept = {
+        name: value
+        for name, value in os.environ.items()
+        if name not in {"FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"}
+    }
+    choice = {} if chosen is None else {"FASTDDS_BUILTIN_TRANSPORTS": chosen}
+
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED],
+        capture_output=True,
+        text=True,
+        check=False,
+        env=kept | choice | {"ROS_DOMAIN_ID": str(domain_id)},
+    )
+
+    assert done.returncode == 0, done.stderr
+    assert "libfastrtps" in done.stdout
+    assert ("/dev/shm/fastrtps" in done.stdout) == shared

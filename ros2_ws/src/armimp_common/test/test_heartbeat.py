@@ -14,9 +14,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 
-from armimp_common import contract, qos
+from armimp_common import qos, topics
 from armimp_common.executor import Spinner
-from armimp_common.heartbeat import Heartbeat, Presence, Watch
+from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
 from armimp_common.process import Life
 from armimp_common.pubsub import wait_until_matched
 from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, set_clock
@@ -50,7 +50,7 @@ def other_process(*arguments: str) -> "Iterator[subprocess.Popen[bytes]]":
         process.wait()
 
 
-def introduced(watch: Watch, changes: list[Presence]) -> bool:
+def introduced(watch: HeartbeatMonitor, changes: list[Presence]) -> bool:
     """Whether the other node is known to live, and its process by name."""
     known = watch.presence is Presence.ALIVE and watch._process != ""
     if known:
@@ -65,10 +65,10 @@ def changes() -> list[Presence]:
 
 
 @pytest.fixture
-def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) -> Watch:
+def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) -> HeartbeatMonitor:
     # What is to be heard before the lease runs out takes as long as a busy machine needs.
     monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
-    return Watch(node, "other", lambda watch: changes.append(watch.presence))
+    return HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ def test_only_a_node_that_was_there_can_be_lost() -> None:
 
 
 def test_when_a_process_is_killed_expect_its_death_to_be_heard(
-    watch: Watch, spinner: Spinner, changes: list[Presence]
+    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
     assert watch.sentence == "other has never been heard of"
     with other_process() as process:
@@ -143,10 +143,10 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard(
 
 
 def test_when_one_of_two_watched_processes_has_left_expect_the_other_to_be_looked_at_still(
-    node: Node, watch: Watch, spinner: Spinner, changes: list[Presence]
+    node: Node, watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
     gone: list[Presence] = []
-    second = Watch(node, "another", lambda watch: gone.append(watch.presence))
+    second = HeartbeatMonitor(node, "another", lambda watch: gone.append(watch.presence))
     with other_process() as process, other_process("another") as leaving:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         eventually(spinner, lambda: introduced(second, gone), "a sign of life of the other one")
@@ -166,7 +166,7 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_
     clock_step: float | None,
 ) -> None:
     monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
-    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
+    watch = HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         if clock_step is not None:
@@ -178,7 +178,7 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_
 
 
 def test_when_a_stopped_process_is_killed_expect_its_death_to_be_heard(
-    watch: Watch, spinner: Spinner, changes: list[Presence]
+    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
@@ -193,7 +193,7 @@ def test_when_a_stopped_process_is_killed_expect_its_death_to_be_heard(
 def test_when_the_process_cannot_be_looked_up_expect_silence(
     node: Node, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
+    watch = HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
     monkeypatch.setattr("armimp_common.heartbeat.life_of", lambda _: Life.UNKNOWN)
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
@@ -205,7 +205,7 @@ def test_when_the_process_cannot_be_looked_up_expect_silence(
 
 
 def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(
-    watch: Watch, spinner: Spinner, changes: list[Presence]
+    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
@@ -218,7 +218,7 @@ def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_agai
 
 
 def test_when_a_process_ends_in_order_expect_that_it_left(
-    watch: Watch, spinner: Spinner, changes: list[Presence]
+    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
@@ -233,7 +233,7 @@ def test_when_a_process_ends_in_order_expect_that_it_left(
 def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
     node: Node, spinner: Spinner, changes: list[Presence]
 ) -> None:
-    watch = Watch(node, "other", lambda watch: changes.append(watch.presence))
+    watch = HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
     with other_process("busy"):
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         before = list(changes)
@@ -242,7 +242,7 @@ def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
 
 
 def test_when_the_lease_of_a_node_of_the_same_process_runs_out_expect_it_to_stay_alive(
-    node: Node, watch: Watch, spinner: Spinner, changes: list[Presence]
+    node: Node, watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
     sign = Heartbeat(node, "other")
     eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
@@ -259,7 +259,7 @@ def test_ordinary_subscriptions_hear_a_sign_of_life_too(context: Context, node: 
     # Like `ros2 topic info` or a recorder of all topics, which ask for no lease.
     sign = Heartbeat(node, "other")
     plain = node.create_subscription(
-        String, contract.alive("other"), lambda _: None, QoSProfile(depth=1)
+        String, topics.alive("other"), lambda _: None, QoSProfile(depth=1)
     )
 
     assert not wait_until_matched(

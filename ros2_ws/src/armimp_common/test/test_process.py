@@ -1,14 +1,25 @@
-"""Whether a process of this machine lives is told from its identity."""
+"""Processes: whether one lives, where it can be reached, and how children follow their parent."""
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 
 import pytest
 
-from armimp_common.process import Life, identity, life_of, waited_ns
+from armimp_common.process import (
+    Life,
+    ParentWatchdog,
+    endpoints,
+    follow_parent,
+    identity,
+    life_of,
+    reachable_from_outside,
+    waited_ns,
+)
 
 TELL = "import time; from armimp_common.process import identity; print(identity(), flush=True)"
 
@@ -86,3 +97,131 @@ def test_age_is_the_time_since_the_process_was_started() -> None:
     first, second = map(float, told.split())
     assert 0.0 < first < second <= took + 0.02
     assert second - first >= 0.5
+
+
+LISTENER = """
+import socket, sys
+made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+made.bind(("127.0.0.1", 0))
+print(made.getsockname()[1], flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.parametrize("kind", [socket.SOCK_DGRAM, socket.SOCK_STREAM])
+@pytest.mark.parametrize(
+    ("family", "address", "outside"),
+    [
+        (socket.AF_INET, "127.0.0.1", False),
+        (socket.AF_INET, "0.0.0.0", True),
+        (socket.AF_INET6, "::1", False),
+        (socket.AF_INET6, "::", True),
+    ],
+)
+def test_own_socket_is_found_as_long_as_it_is_open(
+    kind: socket.SocketKind, family: socket.AddressFamily, address: str, outside: bool
+) -> None:
+    with socket.socket(family, kind) as made:
+        try:
+            made.bind((address, 0))
+        except OSError:
+            pytest.skip("this machine has no IPv6")
+        expected = (address, made.getsockname()[1])
+        if kind is socket.SOCK_STREAM:
+            assert expected not in endpoints()
+            made.listen()
+        assert expected in endpoints()
+        assert (expected in reachable_from_outside()) is outside
+    assert expected not in endpoints()
+
+
+def test_sockets_of_another_process_are_its_own() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", LISTENER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout is not None
+        port = int(other.stdout.readline())
+        assert [one.port for one in endpoints(other.pid)] == [port]
+        assert port not in [one.port for one in endpoints()]
+        other.communicate()
+
+
+def test_when_there_is_no_such_process_expect_an_error() -> None:
+    with pytest.raises(OSError, match="999999999"):
+        endpoints(999999999)
+
+
+CHILD = """
+import sys, time
+from armimp_common.process import follow_parent
+from armimp_common.executor import stop_on_signals
+
+with stop_on_signals() as stopped:
+    follow_parent()
+    print("ready", flush=True)
+    while not stopped():
+        time.sleep(0.01)
+print("ended in order", flush=True)
+"""
+PARENT = f"""
+import subprocess, sys, time
+from armimp_common.process import ParentWatchdog
+
+watchdog = ParentWatchdog()
+subprocess.Popen(
+    [sys.executable, "-c", {CHILD!r}],
+    pass_fds=[watchdog.child_end],
+    env=watchdog.environment(),
+    start_new_session=True,
+)
+time.sleep(1000)
+"""
+
+
+@pytest.fixture
+def parent() -> "Iterator[subprocess.Popen[str]]":
+    process = subprocess.Popen([sys.executable, "-c", PARENT], stdout=subprocess.PIPE, text=True)
+    yield process
+    process.kill()
+    process.communicate()
+
+
+def test_when_the_parent_is_killed_expect_the_child_to_end_in_order(
+    parent: "subprocess.Popen[str]",
+) -> None:
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == "ready\n"
+
+    parent.kill()
+
+    # The child inherited the output, which ends only with it.
+    assert parent.stdout.read() == "ended in order\n"
+
+
+def test_when_the_parent_lets_go_expect_the_child_to_end_in_order() -> None:
+    watchdog = ParentWatchdog()
+    with subprocess.Popen(
+        [sys.executable, "-c", CHILD],
+        stdout=subprocess.PIPE,
+        text=True,
+        pass_fds=[watchdog.child_end],
+        env=watchdog.environment(),
+    ) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        watchdog.close()
+        assert child.stdout.read() == "ended in order\n"
+    assert child.returncode == 0
+
+
+@pytest.mark.parametrize("value", [None, "", "rubbish", "9999"])
+def test_without_a_pipe_nothing_is_followed(
+    monkeypatch: pytest.MonkeyPatch, value: str | None
+) -> None:
+    if value is not None:
+        monkeypatch.setenv("ARMIMP_PARENT_PIPE", value)
+
+    follow_parent()
+
+    # Children of this process have no part in it.
+    assert "ARMIMP_PARENT_PIPE" not in os.environ

@@ -9,14 +9,14 @@ import pytest
 from rclpy.context import Context
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, UInt64
 
-from armimp_common import contract, qos
-from armimp_common.cdr import encode_count
+from armimp_common import qos
+from armimp_common.cdr import decode_count, encode_count
 from armimp_common.errors import MalformedMessageError
-from armimp_common.executor import Spinner
+from armimp_common.executor import ExecutorKind, Spinner
 from armimp_common.pubsub import (
     CommandPublisher,
     CommandSubscription,
@@ -24,13 +24,16 @@ from armimp_common.pubsub import (
     CountSubscription,
     JointStatePublisher,
     JointStateSubscription,
+    PolledSubscription,
+    PollingNode,
     RawSubscription,
-    unmatched,
     wait_until_matched,
 )
+from support.graph import eventually
 
 NAMES = ["shoulder", "elbow"]
 PATIENCE = 10.0
+PROFILE = QoSProfile(depth=10)
 
 
 class Spin:
@@ -158,13 +161,13 @@ def test_typed_subscription_understands_raw_messages(node: Node, spin: Spin) -> 
 
 def test_a_count_that_cannot_be_read_is_dropped(node: Node, spin: Spin) -> None:
     good: list[int] = []
-    publisher = CountPublisher(node, "topic", profile=qos.SAMPLE)
-    subscription = CountSubscription(node, "topic", good.append, profile=qos.SAMPLE)
+    publisher = CountPublisher(node, "topic")
+    subscription = CountSubscription(node, "topic", good.append)
     assert not wait_until_matched(
         node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
     )
     for size in (0, 3, 4, 11):
-        publisher.publisher.publish(encode_count(7)[:size])
+        publisher.send(encode_count(7)[:size])
     publisher.publish(8)
     spin.until(lambda: bool(good))
     assert good == [8]
@@ -200,8 +203,8 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
     )
 
     for size in (0, 3, 4, len(data) // 2, len(data) - 1):
-        publisher.publisher.publish(data[:size])
-    publisher.publisher.publish(data)
+        publisher.send(data[:size])
+    publisher.send(data)
     spin.until(lambda: len(good) + len(errors) == 6)
 
     assert len(good) == 1
@@ -297,7 +300,14 @@ rclpy.shutdown()
         )
         other.communicate(b"\n", timeout=PATIENCE)
         end = time.monotonic() + PATIENCE
-        while len(unmatched(node, [publisher], [subscription])) < 2:
+        while (
+            len(
+                wait_until_matched(
+                    node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.0
+                )
+            )
+            < 2
+        ):
             assert time.monotonic() < end
             time.sleep(0.01)
     finally:
@@ -322,18 +332,6 @@ def test_burst_of_two_thousand_samples_is_kept(node: Node, spin: Spin) -> None:
     assert received == list(range(2000))
 
 
-def test_every_topic_of_the_contract_has_a_profile() -> None:
-    assert set(qos.PROFILES) == set(contract.MESSAGE_TYPES)
-    for topic in contract.DATA_STREAMS:
-        profile = qos.PROFILES[topic]
-        assert profile.reliability is ReliabilityPolicy.RELIABLE
-        assert profile.history is HistoryPolicy.KEEP_LAST
-        assert profile.depth == 2000
-        assert profile.durability is DurabilityPolicy.VOLATILE
-    for topic in (contract.TRIAL, contract.RESULT):
-        assert qos.PROFILES[topic].durability is DurabilityPolicy.TRANSIENT_LOCAL
-
-
 def test_when_a_listener_is_late_expect_the_latched_message(node: Node, spin: Spin) -> None:
     received: list[Float64MultiArray] = []
     publisher = node.create_publisher(Float64MultiArray, "topic", qos.LATCHED)
@@ -343,3 +341,65 @@ def test_when_a_listener_is_late_expect_the_latched_message(node: Node, spin: Sp
     spin.until(lambda: len(received) == 1)
 
     assert list(received[0].data) == [7.0]
+
+
+@pytest.fixture
+def poller(context: Context) -> Iterator[PollingNode]:
+    made = PollingNode("poller", context=context)
+    yield made
+    made.destroy_node()
+
+
+def numbers(messages: list[bytes]) -> list[int]:
+    return [decode_count(message) for message in messages]
+
+
+@pytest.mark.parametrize("kind", ["events", "single"])
+def test_messages_wait_in_their_order_while_the_node_is_spun(
+    poller: PollingNode, kind: ExecutorKind
+) -> None:
+    heard: list[int] = []
+    polled = PolledSubscription(poller, "number", UInt64, profile=PROFILE)
+
+    def on_message(message: UInt64) -> None:
+        heard.append(message.data)
+
+    poller.create_subscription(UInt64, "number", on_message, PROFILE)
+    publisher = poller.create_publisher(UInt64, "number", PROFILE)
+    assert not wait_until_matched(
+        poller, publishers=[publisher], subscriptions=[polled], timeout_s=PATIENCE
+    )
+
+    with Spinner([poller], kind=kind) as spinner:
+        for number in range(3):
+            publisher.publish(UInt64(data=number))
+        eventually(spinner, lambda: heard == [0, 1, 2], "messages of the other subscription")
+        first = polled.take()
+        publisher.publish(UInt64(data=3))
+        eventually(spinner, lambda: heard == [0, 1, 2, 3], "one more")
+        second = polled.take()
+
+    assert numbers(first) == [0, 1, 2]
+    assert numbers(second) == [3]
+    assert polled.take() == []
+
+
+def test_beyond_the_depth_the_newest_are_kept(poller: PollingNode) -> None:
+    polled = PolledSubscription(poller, "number", UInt64, profile=PROFILE)
+    publisher = poller.create_publisher(UInt64, "number", PROFILE)
+    assert not wait_until_matched(
+        poller, publishers=[publisher], subscriptions=[polled], timeout_s=PATIENCE
+    )
+
+    for number in range(25):
+        publisher.publish(UInt64(data=number))
+    taken: list[int] = []
+
+    def arrived() -> bool:
+        taken.extend(numbers(polled.take()))
+        return 24 in taken
+
+    with Spinner([poller]) as spinner:
+        eventually(spinner, arrived, "the last message")
+
+    assert taken == list(range(25 - PROFILE.depth, 25))

@@ -15,10 +15,9 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.executor import ExecutorKind, Spinner
+from armimp_common.executor import ExecutorKind, Spinner, refuse_simulated_time, steady_timer
 from armimp_common.parameters import declare
 from armimp_common.schema import Schema
-from armimp_common.steady import refuse_simulated_time, steady_timer
 from support.graph import CLOCK_STEPS, PATIENCE, eventually, set_clock
 
 SOURCES = Path(__file__).parents[2]
@@ -44,8 +43,8 @@ WALL_CLOCK = {
 """What reads a clock that can be set, or waits by one."""
 
 PERMITTED = {
-    ("armimp_common/steady.py", "create_timer"): "on the steady clock",
-    ("armimp_common/steady.py", "time.time"): "to find out that it was set",
+    ("armimp_common/executor.py", "create_timer"): "on the steady clock",
+    ("armimp_common/executor.py", "time.time"): "to find out that it was set",
     ("armimp_common/driver_base.py", "get_clock"): "stamps of reports, for people",
     ("armimp_bringup/cli.py", "datetime.now"): "name of the output directory",
     ("armimp_estimation/results.py", "datetime.now"): "date of a result, for people",

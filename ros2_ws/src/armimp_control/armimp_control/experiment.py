@@ -10,9 +10,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS, clock_step
-from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
+from armimp_common.topics import PERIOD_NS, clock_step
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import PERIOD, ControllerParameters
 from armimp_control.perturbation import perturbation

@@ -12,19 +12,10 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from std_srvs.srv import Trigger
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import (
-    GATE_STATUS,
-    Level,
-    make_array,
-    make_status,
-    trial_status_message,
-    values_of,
-)
-from armimp_common.discovery import wait_for_partners
+from armimp_common import qos, topics
 from armimp_common.errors import ArmimpError, GraphError, MalformedMessageError
-from armimp_common.executor import run_node
-from armimp_common.heartbeat import Heartbeat, Presence, Watch
+from armimp_common.executor import run_node, steady_timer
+from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.pubsub import (
@@ -32,11 +23,20 @@ from armimp_common.pubsub import (
     CountSubscription,
     JointStatePublisher,
     JointStateSubscription,
+    wait_for_partners,
 )
-from armimp_common.realtime_scheduling import RealtimeScheduling
-from armimp_common.steady import steady_timer
-from armimp_common.stopping_rule import StoppingDecision
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.realtime import RealtimeScheduling
+from armimp_common.status import (
+    LIMITER_STATUS,
+    Level,
+    Phase,
+    StoppingDecision,
+    TrialStatus,
+    make_array,
+    make_status,
+    status_message,
+    values_of,
+)
 from armimp_control.experiment import Experiment
 from armimp_control.pairs import Reading, SamplePairs, first_bad
 from armimp_control.parameters import PERIOD, ControllerParameters
@@ -57,14 +57,14 @@ class ImbicControllerNode(ManagedNode):
     """Answers each sample with one command and one perturbation message."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(contract.CONTROLLER_NODE, **kwargs)
+        super().__init__(topics.CONTROLLER_NODE, **kwargs)
         self._active = self._lockstep = False
         self._experiment: Experiment | None = None
-        self._sign = Heartbeat(self, contract.CONTROLLER_NODE)
+        self._sign = Heartbeat(self, topics.CONTROLLER_NODE)
         self._watches = [
-            Watch(self, contract.SIM_NODE, self._on_presence),
-            Watch(self, contract.SUPERVISOR_NODE, self._on_supervisor_presence),
-            Watch(self, contract.ESTIMATOR_NODE, self._on_recorder_presence),
+            HeartbeatMonitor(self, topics.SIM_NODE, self._on_presence),
+            HeartbeatMonitor(self, topics.SUPERVISOR_NODE, self._on_supervisor_presence),
+            HeartbeatMonitor(self, topics.ESTIMATOR_NODE, self._on_recorder_presence),
         ]
         self._recorded = False
         self._fault = ""
@@ -72,12 +72,10 @@ class ImbicControllerNode(ManagedNode):
         self._clips_told = 0
         self._stamp_ns = 0
         self._diagnostics: Publisher | None = None
-        self.create_service(Trigger, contract.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
-        self.create_service(Trigger, contract.CONTROLLER_RESET_SERVICE, self._on_reset)
-        CountSubscription(self, contract.RECEIVED, self._on_received)
-        self.create_subscription(
-            DiagnosticStatus, contract.JUDGEMENT, self._on_judgement, qos.LATCHED
-        )
+        self.create_service(Trigger, topics.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
+        self.create_service(Trigger, topics.CONTROLLER_RESET_SERVICE, self._on_reset)
+        CountSubscription(self, topics.RECEIVED, self._on_received)
+        self.create_subscription(DiagnosticStatus, topics.STOPPING, self._on_judgement, qos.LATCHED)
         declare(self, ControllerParameters)
         guard(self, lambda: "a trial is running" if self._active else None)
 
@@ -88,15 +86,15 @@ class ImbicControllerNode(ManagedNode):
         names = parameters.joints
         for warning in self._prepare().margins.warnings:
             self.get_logger().warning(warning)
-        self._commands = CommandPublisher(self, contract.COMMANDS, len(names))
-        self._perturbation = JointStatePublisher(self, contract.PERTURBATION, names, "effort")
-        self._trial = self.create_publisher(DiagnosticStatus, contract.TRIAL, qos.LATCHED)
+        self._commands = CommandPublisher(self, topics.COMMANDS, len(names))
+        self._perturbation = JointStatePublisher(self, topics.PERTURBATION, names, "effort")
+        self._trial = self.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
         self._diagnostics = self.create_publisher(
-            DiagnosticArray, contract.DIAGNOSTICS, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
         self._joint_states = JointStateSubscription(
             self,
-            contract.JOINT_STATES,
+            topics.JOINT_STATES,
             names,
             "position",
             self._on_position,
@@ -104,7 +102,7 @@ class ImbicControllerNode(ManagedNode):
         )
         self._torque_sensors = JointStateSubscription(
             self,
-            contract.TORQUE_SENSORS,
+            topics.TORQUE_SENSORS,
             names,
             "effort",
             self._on_torque,
@@ -121,13 +119,13 @@ class ImbicControllerNode(ManagedNode):
         require_unchanged(self)
         if self._fault:
             raise GraphError(
-                f"a fault is latched: {self._fault}; call {contract.CONTROLLER_RESET_SERVICE} first"
+                f"a fault is latched: {self._fault}; call {topics.CONTROLLER_RESET_SERVICE} first"
             )
         wait_for_partners(
             self,
             publishers=[self._commands],
             subscriptions=[self._joint_states, self._torque_sensors],
-            watches=[watch for watch in self._watches if watch.name != contract.SUPERVISOR_NODE],
+            monitors=[watch for watch in self._watches if watch.name != topics.SUPERVISOR_NODE],
         )
         if self._experiment is None:
             self._prepare()
@@ -205,7 +203,7 @@ class ImbicControllerNode(ManagedNode):
             self._commands.publish(self._experiment.command)
 
     def _announce(self, status: TrialStatus) -> None:
-        self._trial.publish(trial_status_message(status))
+        self._trial.publish(status_message(status))
         if status.phase is Phase.ABORTED:
             self._held = None  # answered by the command that ends the experiment
         # Without being active: the node was told to end the experiment, which is no fault.
@@ -275,19 +273,19 @@ class ImbicControllerNode(ManagedNode):
         experiment.abort(self._garbled)
         self._commands.publish(experiment.command)
 
-    def _on_presence(self, watch: Watch) -> None:
+    def _on_presence(self, watch: HeartbeatMonitor) -> None:
         # In lockstep time stands still with a simulator that is stalled; a rig goes on. Before
         # the first sample there is no torque to take away from one that is only slow to start.
         begun = self._experiment is not None and self._experiment.tick > 0
         if watch.presence.lost or (watch.presence.mute and not self._lockstep and begun):
             self._take_away(watch.sentence)
 
-    def _on_supervisor_presence(self, watch: Watch) -> None:
+    def _on_supervisor_presence(self, watch: HeartbeatMonitor) -> None:
         # Silence alone is no danger: the other nodes still watch one another.
         if watch.presence in (Presence.GONE, Presence.LEFT):
             self._take_away(watch.sentence)
 
-    def _on_recorder_presence(self, watch: Watch) -> None:
+    def _on_recorder_presence(self, watch: HeartbeatMonitor) -> None:
         # In lockstep the simulator waits for a recorder which is only stopped; a rig cannot wait.
         waits = self._lockstep and watch.presence in (Presence.STALLED, Presence.SILENT)
         if watch.presence.mute and not waits:
@@ -295,7 +293,7 @@ class ImbicControllerNode(ManagedNode):
 
     def _on_received(self, samples: int) -> None:
         """Hear from the recorder; without one a trial is of no use to anybody."""
-        recorded, self._recorded = self._recorded, samples != contract.RECORDER_GONE
+        recorded, self._recorded = self._recorded, samples != topics.RECORDER_GONE
         if recorded and not self._recorded:
             self._take_away("nothing is recorded any more")
 
@@ -305,10 +303,10 @@ class ImbicControllerNode(ManagedNode):
         if not self._active or experiment is None:
             return
         if not self._settings.sequence.may_end_early:
-            self.get_logger().warning(f"{contract.JUDGEMENT}: refused, as nobody asked for it")
+            self.get_logger().warning(f"{topics.STOPPING}: refused, as nobody asked for it")
             return
-        if (publishers := self.count_publishers(contract.JUDGEMENT)) > 1:
-            self._take_away(f"{contract.JUDGEMENT} has {publishers} publishers")
+        if (publishers := self.count_publishers(topics.STOPPING)) > 1:
+            self._take_away(f"{topics.STOPPING} has {publishers} publishers")
             return
         try:
             experiment.judge(StoppingDecision.from_values(values_of(message)))
@@ -358,7 +356,7 @@ class ImbicControllerNode(ManagedNode):
             self._commands.publish(experiment.command)
         self._latch(_STOPPED)
         response.success = True
-        response.message = f"no torque until {contract.CONTROLLER_RESET_SERVICE} is called"
+        response.message = f"no torque until {topics.CONTROLLER_RESET_SERVICE} is called"
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -396,7 +394,7 @@ class ImbicControllerNode(ManagedNode):
         told, self._clips_told = self._clips_told, sum(clips.values())
         level = Level.WARN if self._clips_told > told else Level.OK
         status = make_status(
-            GATE_STATUS,
+            LIMITER_STATUS,
             Level.ERROR if self._fault else level,
             self._fault or ("commands were clipped" if level is Level.WARN else "no fault"),
             {

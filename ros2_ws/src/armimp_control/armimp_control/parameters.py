@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
-from armimp_common.realtime_scheduling import UrgencyParameters
+from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control import presets
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import LawConfig
@@ -186,7 +186,7 @@ class ControllerParameters(Schema):
         default="lockstep",
         description="lockstep: time waits for commands; realtime: it does not, as on every rig",
     )
-    realtime: UrgencyParameters = UrgencyParameters()
+    realtime: SchedulingParameters = SchedulingParameters()
     target: TargetParameters
     law: LawParameters
     known: KnownParameters

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_control.tare import TareConfig
 
 

@@ -11,12 +11,10 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import judgement_message
+from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.schema import Value
-from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
-from armimp_common.trial_status import Phase
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, status_message
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
 from armimp_control.watchdog import Watchdog
@@ -64,7 +62,7 @@ def driver(node: Node) -> ScriptedDriver:
 
 @pytest.fixture
 def judge(node: Node) -> Publisher:
-    return node.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
+    return node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
 
 
 @pytest.fixture
@@ -87,7 +85,7 @@ def start(
         eventually(spinner, lambda: judge.get_subscription_count() == 1, "somebody who is judged")
         feed(driver, SETTLE + 1)
         eventually(spinner, lambda: driver.has_said(Phase.PERTURB), "the perturbation")
-        judge.publish(judgement_message(ANNOUNCED))
+        judge.publish(status_message(ANNOUNCED))
         a_moment(spinner)
         return controller
 
@@ -122,7 +120,7 @@ def test_in_lockstep_the_sample_on_which_a_judgement_decides_is_answered_after_i
     a_moment(spinner)
     assert len(driver.commands) == len(driver.perturbations) == SETTLE + END
 
-    judge.publish(judgement_message(judgement))
+    judge.publish(status_message(judgement))
     eventually(spinner, lambda: len(driver.commands) == SETTLE + END + 1, "the answer")
     feed(driver, PERTURB)
     eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")
@@ -147,7 +145,7 @@ def test_on_a_rig_nothing_waits_and_a_late_judgement_ends_the_trial_later(
     eventually(spinner, lambda: driver.answered, "an answer to every sample")
     assert not driver.has_said(Phase.REST)
 
-    judge.publish(judgement_message(ENOUGH))
+    judge.publish(status_message(ENOUGH))
     eventually(spinner, lambda: len(driver.statuses) == 3, "the announcement of the end")
     feed(driver, PERTURB)
     eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")
@@ -186,7 +184,7 @@ def test_a_judgement_that_cannot_be_read_changes_nothing(
     start()
     judge.publish(DiagnosticStatus(name="rubbish"))
     feed_up_to_the_decision(driver, spinner)
-    judge.publish(judgement_message(ENOUGH))
+    judge.publish(status_message(ENOUGH))
     a_moment(spinner)
     feed(driver, 1)
     eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")

@@ -15,15 +15,13 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from armimp_common import contract, qos
-from armimp_common.contract import PERIOD_NS
-from armimp_common.diagnostics import Level, values_of
+from armimp_common import qos, topics
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import Spinner, run_node
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value, build, flatten
-from armimp_common.stamps import to_time
-from armimp_common.trial_status import Phase
+from armimp_common.status import Level, Phase, to_time, values_of
+from armimp_common.topics import PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
@@ -180,7 +178,7 @@ class TestAnswers:
     ) -> None:
         bring_up(make(), driver)
         feed_still(driver, 20)
-        driver.channels[contract.JOINT_STATES].publish(driver.stamp_ns, POSTURE)
+        driver.channels[topics.JOINT_STATES].publish(driver.stamp_ns, POSTURE)
         driver.tick += 1
         feed_still(driver, SETTLE + PERTURB)
 
@@ -249,7 +247,7 @@ class TestFaults:
         eventually(spinner, lambda: driver.answered, "an answer to every sample")
         assert driver.commands[-1] != (0.0, 0.0)
 
-    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+    @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
     @pytest.mark.parametrize("message", MALFORMED.values(), ids=MALFORMED.keys())
     def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
         self,
@@ -259,7 +257,7 @@ class TestFaults:
         topic: str,
         message: bytes,
     ) -> None:
-        if message == MALFORMED["no values"] and topic == contract.TORQUE_SENSORS:
+        if message == MALFORMED["no values"] and topic == topics.TORQUE_SENSORS:
             message = encoded(NAMES, (0.0, 0.0))
         self.start(make(), driver, spinner)
 
@@ -295,7 +293,7 @@ class TestFaults:
 
     @pytest.mark.parametrize(
         ("topic", "what"),
-        [(contract.JOINT_STATES, "position"), (contract.TORQUE_SENSORS, "torque reading")],
+        [(topics.JOINT_STATES, "position"), (topics.TORQUE_SENSORS, "torque reading")],
     )
     def test_when_a_reading_without_a_partner_is_not_finite_expect_zero_torque_at_once(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, topic: str, what: str
@@ -396,12 +394,12 @@ class Service:
 
 @pytest.fixture
 def emergency_stop(node: Node, spinner: Spinner) -> Service:
-    return Service(node, spinner, contract.CONTROLLER_STOP_SERVICE)
+    return Service(node, spinner, topics.CONTROLLER_STOP_SERVICE)
 
 
 @pytest.fixture
 def reset(node: Node, spinner: Spinner) -> Service:
-    return Service(node, spinner, contract.CONTROLLER_RESET_SERVICE)
+    return Service(node, spinner, topics.CONTROLLER_RESET_SERVICE)
 
 
 class TestServices:
@@ -523,7 +521,7 @@ class TestServices:
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
     ) -> None:
         self.start(make(), driver, spinner)
-        driver.channels[contract.JOINT_STATES].publisher.publish(b"rubbish")
+        driver.channels[topics.JOINT_STATES].publisher.publish(b"rubbish")
         eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
 
         success, message = reset()
@@ -566,7 +564,7 @@ class TestDiagnostics:
         def hear(message: DiagnosticArray) -> None:
             heard.extend(message.status)
 
-        node.create_subscription(DiagnosticArray, contract.DIAGNOSTICS, hear, qos.DIAGNOSTICS)
+        node.create_subscription(DiagnosticArray, topics.DIAGNOSTICS, hear, qos.DIAGNOSTICS)
         bring_up(make({"safety.torque_limit": 1e-3, "sequence.duration": 2.0}), driver)
         samples = wobble(1010)
         for start in range(0, 1010, 101):
@@ -636,22 +634,22 @@ class TestParameters:
         controller = make(changes)
         manager = LifecycleManager(
             node,
-            [contract.CONTROLLER_NODE],
+            [topics.CONTROLLER_NODE],
             spin_until=spinner.spin_until,
             timeout=PATIENCE,
         )
 
         with pytest.raises(GraphError, match="imbic_controller failed to configure"):
-            manager.configure(contract.CONTROLLER_NODE)
+            manager.configure(topics.CONTROLLER_NODE)
 
         assert reason in controller.transition_error
         log = capfd.readouterr().err
         assert log.count("\n") == 1
         assert reason in log
-        assert manager.state(contract.CONTROLLER_NODE) == "unconfigured"
+        assert manager.state(topics.CONTROLLER_NODE) == "unconfigured"
         good = {parameter.name: parameter for parameter in overrides(PARAMETERS)}
         controller.set_parameters([good[name] for name in changes])
-        manager.configure(contract.CONTROLLER_NODE)
+        manager.configure(topics.CONTROLLER_NODE)
         assert controller.transition_error == ""
 
     @pytest.mark.parametrize(
@@ -749,7 +747,7 @@ class TestLife:
         driver.wait_for_controller()
 
         feed_still(driver, 10)
-        driver.channels[contract.JOINT_STATES].publisher.publish(b"rubbish")
+        driver.channels[topics.JOINT_STATES].publisher.publish(b"rubbish")
         a_moment(spinner)
 
         assert (driver.commands, driver.perturbations, driver.messages) == ([], [], [])
@@ -757,7 +755,7 @@ class TestLife:
     def test_when_there_is_no_rig_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeController, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("armimp_common.discovery._PATIENCE", 0.05)
+        monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
         controller = make()
         controller.trigger_configure()
 

@@ -11,10 +11,10 @@ from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 
-from armimp_common.contract import PERIOD_NS
 from armimp_common.executor import Spinner
 from armimp_common.schema import Value, build, flatten
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
+from armimp_common.topics import PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import PERIOD, ControllerParameters

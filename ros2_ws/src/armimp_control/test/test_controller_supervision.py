@@ -11,12 +11,12 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import UInt64
 
-from armimp_common import contract, heartbeat, qos
-from armimp_common.contract import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
+from armimp_common import heartbeat, qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.process import Life
 from armimp_common.schema import Value
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
+from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
 from support.graph import ScriptedDriver, a_moment, eventually, overrides
@@ -39,7 +39,7 @@ class Surroundings:
     def __init__(self, context: Context, node: Node, spinner: Spinner, mode: str) -> None:
         self.spinner = spinner
         self.driver = ScriptedDriver(node, NAMES)
-        self.received: Publisher = node.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        self.received: Publisher = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         # So patient in lockstep that no test sees the watchdog.
         changes: dict[str, Value] = {
             "mode": mode,
@@ -172,7 +172,7 @@ def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) 
     a_moment(around.spinner)
     assert not around.aborted()
 
-    around.received.publish(UInt64(data=contract.RECORDER_GONE))
+    around.received.publish(UInt64(data=topics.RECORDER_GONE))
 
     around.assert_aborted("nothing is recorded any more")
 
@@ -180,7 +180,7 @@ def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) 
 def test_when_a_recorder_took_leave_before_the_experiment_expect_it_to_run(
     around: Surroundings,
 ) -> None:
-    for data in (0, contract.RECORDER_GONE):
+    for data in (0, topics.RECORDER_GONE):
         around.received.publish(UInt64(data=data))
     a_moment(around.spinner)
 

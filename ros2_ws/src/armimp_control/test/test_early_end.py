@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armimp_common.contract import PERIOD_NS
-from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
+from armimp_common.topics import PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_control.parameters import ControllerParameters, SequenceParameters
 from armimp_control.perturbation import perturbation

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import (

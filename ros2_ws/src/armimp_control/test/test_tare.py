@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_control.parameters import (
     ControllerParameters,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_control.sequence import SequenceConfig, timetable
 
 

@@ -7,8 +7,8 @@ import threading
 from collections import deque
 from collections.abc import Sequence
 
-from armimp_common.contract import PERIOD_NS
-from armimp_common.pacing import Pacer
+from armimp_common.realtime import Pacer
+from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import BITS, Calibration, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters

@@ -15,18 +15,17 @@ from typing import Any
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from std_msgs.msg import UInt64
 
-from armimp_common import contract, qos
-from armimp_common.contract import PERIOD_NS
-from armimp_common.discovery import wait_for_partners
+from armimp_common import qos, topics
 from armimp_common.driver_base import DriverBase
 from armimp_common.errors import ArmimpError, GraphError
-from armimp_common.executor import run_node
-from armimp_common.jitter import TimingFigures, TimingLedger
+from armimp_common.executor import run_node, steady_timer
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
-from armimp_common.realtime_scheduling import wake_up_exactly
-from armimp_common.steady import steady_timer
+from armimp_common.pubsub import wait_for_partners
+from armimp_common.realtime import TimingMeter, wake_up_exactly
+from armimp_common.status import TimingFigures
+from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Device, Frame
 from armimp_driver_template.mock import MockDevice
@@ -72,7 +71,7 @@ class ExoDriver(DriverBase[Protection]):
         self.open_gate(protection, names, self._on_command, self._on_malformed)
         self._backlog = FlowControl()
         self.own(
-            self.create_subscription(UInt64, contract.RECEIVED, self._on_received, qos.LATCHED),
+            self.create_subscription(UInt64, topics.RECEIVED, self._on_received, qos.LATCHED),
             steady_timer(self, _REPORT_PERIOD, self.report),
         )
         return TransitionCallbackReturn.SUCCESS
@@ -86,11 +85,11 @@ class ExoDriver(DriverBase[Protection]):
             self,
             publishers=[self.joint_states, self.torque_sensors],
             subscriptions=[self.commands],
-            watches=[self.controller],
+            monitors=[self.controller],
         )
         self._encoders = Encoders(self._settings.encoders())
         self._transducers = Transducers(self._settings.transducers())
-        self._ledger = TimingLedger()
+        self._ledger = TimingMeter()
         self._begin_ns = self._sent_ns = 0
         self._lost = 0
         self._device.open()

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_common.contract import PERIOD_NS
-from armimp_common.pacing import Pacer
+from armimp_common.realtime import Pacer
+from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import Encoders, Transducers, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.mock import MockDevice

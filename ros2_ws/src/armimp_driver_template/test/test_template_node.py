@@ -8,11 +8,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.node import Node
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import Level
+from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import CommandPublisher, JointStateSubscription
+from armimp_common.status import Level
 from armimp_driver_template import node as template
 from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver
@@ -62,18 +62,18 @@ class World:
         self.spinner, self.device = spinner, device
         self.torque = ZERO
         self.faults: list[str] = []
-        self._commands = CommandPublisher(node, contract.COMMANDS, 2)
+        self._commands = CommandPublisher(node, topics.COMMANDS, 2)
         self._listeners = [
             JointStateSubscription(
-                node, topic, ("shoulder", "elbow"), contract.VALUE_FIELD[topic], answer
+                node, topic, ("shoulder", "elbow"), topics.VALUE_FIELD[topic], answer
             )
             for topic, answer in (
-                (contract.JOINT_STATES, lambda *_: None),
-                (contract.TORQUE_SENSORS, self._answer),
+                (topics.JOINT_STATES, lambda *_: None),
+                (topics.TORQUE_SENSORS, self._answer),
             )
         ]
         self._listener = node.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
 
     def _answer(self, stamp_ns: int, values: tuple[float, ...]) -> None:
@@ -98,11 +98,11 @@ def world(context: Context, node: Node, monkeypatch: pytest.MonkeyPatch) -> Iter
     with Spinner([node, driver]) as spinner:
         world = World(node, spinner, device)
         manager = LifecycleManager(
-            node, [contract.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+            node, [topics.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
         )
         manager.wait_for_nodes()
-        manager.configure(contract.SIM_NODE)
-        manager.activate(contract.SIM_NODE)
+        manager.configure(topics.SIM_NODE)
+        manager.activate(topics.SIM_NODE)
         yield world
     driver.destroy_node()
     assert device.closed

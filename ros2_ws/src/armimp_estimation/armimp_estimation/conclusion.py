@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
+from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.alignment.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.estimators.estimate import Estimator

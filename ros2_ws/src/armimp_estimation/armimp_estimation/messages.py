@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from armimp_common.contract import ESTIMATOR_NODE
-from armimp_common.diagnostics import Level, make_status
-from armimp_common.trial_status import TrialStatus
+from armimp_common.status import Level, TrialStatus, make_status
+from armimp_common.topics import ESTIMATOR_NODE
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.conclusion import Conclusion
 from armimp_estimation.estimators.estimate import ImpedanceColumn

@@ -18,24 +18,27 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import judgement_message, values_of
-from armimp_common.discovery import wait_for_partners
+from armimp_common import qos, topics
 from armimp_common.errors import (
     ArmimpError,
     ConfigurationError,
     DataError,
     MalformedMessageError,
 )
-from armimp_common.executor import run_node
-from armimp_common.heartbeat import Heartbeat, Watch
-from armimp_common.jitter import TIMING_NAME, TimingFigures
+from armimp_common.executor import run_node, steady_timer
+from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard, load, require_unchanged
-from armimp_common.polled_subscription import PolledSubscription, PollingNode, take_all
-from armimp_common.pubsub import CountPublisher, HasSubscription, RawSubscription
-from armimp_common.steady import steady_timer
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.pubsub import (
+    CountPublisher,
+    HasSubscription,
+    PolledSubscription,
+    PollingNode,
+    RawSubscription,
+    take_all,
+    wait_for_partners,
+)
+from armimp_common.status import Phase, TimingFigures, TrialStatus, status_message, values_of
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.alignment.gaps import segments_for
 from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
@@ -62,21 +65,21 @@ _MESSAGE_CLASSES = {
     "sensor_msgs/msg/JointState": JointState,
     "std_msgs/msg/Float64MultiArray": Float64MultiArray,
 }
-_RECORDED_BESIDE = {contract.CLOCK: Clock, contract.DIAGNOSTICS: DiagnosticArray}
+_RECORDED_BESIDE = {topics.CLOCK: Clock, topics.DIAGNOSTICS: DiagnosticArray}
 
 
 class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     """Records every trial, estimates each as it ends, and the whole matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
-        super().__init__(contract.ESTIMATOR_NODE, **kwargs)
+        super().__init__(topics.ESTIMATOR_NODE, **kwargs)
         self._active = False
-        self._sign = Heartbeat(self, contract.ESTIMATOR_NODE)
-        self._rig = Watch(self, contract.SIM_NODE, lambda _: None)
-        self._controller = Watch(self, contract.CONTROLLER_NODE, self._on_controller)
+        self._sign = Heartbeat(self, topics.ESTIMATOR_NODE)
+        self._rig = HeartbeatMonitor(self, topics.SIM_NODE, lambda _: None)
+        self._controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
         # Not at configuration: a new subscription gets the last experiment's statuses again.
         self._trial = self.create_subscription(
-            DiagnosticStatus, contract.TRIAL, self._on_trial, qos.LATCHED
+            DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED
         )
         declare(self, EstimatorParameters)
         guard(self, lambda: "a trial is being recorded" if self._active else None)
@@ -86,16 +89,16 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Make the topics."""
         self._settings = load(self, EstimatorParameters)
         # Judgements are made from what is recorded.
-        self._together = contract.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
+        self._together = topics.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
         self._metadata = self._settings.bag_metadata()
         self._reset()
         self._check_metadata()
-        self._progress = self.create_publisher(DiagnosticStatus, contract.PROGRESS, qos.PROGRESS)
-        self._result = self.create_publisher(DiagnosticStatus, contract.RESULT, qos.LATCHED)
-        self._received = CountPublisher(self, contract.RECEIVED)
-        self._judgement = self.create_publisher(DiagnosticStatus, contract.JUDGEMENT, qos.LATCHED)
+        self._progress = self.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
+        self._result = self.create_publisher(DiagnosticStatus, topics.RESULT, qos.LATCHED)
+        self._received = CountPublisher(self, topics.RECEIVED)
+        self._judgement = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
         fetched = {
-            topic: PolledSubscription(self, topic, _MESSAGE_CLASSES[contract.MESSAGE_TYPES[topic]])
+            topic: PolledSubscription(self, topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
             for topic in FETCHED
         }
         self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
@@ -105,9 +108,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._late.reset,
         )
         self._inbox.close()
-        self._leading = RawSubscription(
-            self, contract.PERTURBATION, JointState, self._inbox.receive
-        )
+        self._leading = RawSubscription(self, topics.PERTURBATION, JointState, self._inbox.receive)
         self._streams: list[HasSubscription] = [*fetched.values(), self._leading]
         self._beside = [
             RawSubscription(
@@ -131,7 +132,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         wait_for_partners(
             self,
             subscriptions=[*self._streams, self._trial],
-            watches=[self._rig, self._controller],
+            monitors=[self._rig, self._controller],
         )
         self._active = True
         # What has come so far goes with what the inbox does not take either.
@@ -207,7 +208,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _stop(self, reason: str) -> None:
         self._active = False
         self._inbox.close()
-        self._received.publish(contract.RECORDER_GONE)
+        self._received.publish(topics.RECORDER_GONE)
         self._timer.cancel()
         if not self._concluded:
             # Before the trial is finished, which may be the last one that was awaited.
@@ -232,7 +233,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             # First, so that in lockstep the judgement is there before the samples go on.
             if (judgement := self._recording.judge()) is not None:
                 self._announced.note(judgement)
-                self._judgement.publish(judgement_message(judgement))
+                self._judgement.publish(status_message(judgement))
             self._acknowledged = samples
             self._received.publish(samples)
 
@@ -256,7 +257,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
             return
-        if topic == contract.DIAGNOSTICS:
+        if topic == topics.DIAGNOSTICS:
             self._note_timing(message)
         try:
             self._recording.add_beside(topic, message, self._inbox.newest_ns)
@@ -265,16 +266,16 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _note_timing(self, message: bytes) -> None:
         """Keep what the rig tells of its timing in realtime."""
-        if TIMING_NAME.encode() not in message:
+        if TimingFigures.STATUS_NAME.encode() not in message:
             return
         limits = self._settings.realtime.limits()
         try:
             for status in deserialize_message(message, DiagnosticArray).status:
-                if status.name == TIMING_NAME:
+                if status.name == TimingFigures.STATUS_NAME:
                     figures = TimingFigures.from_values(values_of(status))
                     self._recording.timing = TimingRecord(figures=figures, limits=limits)
         except (MalformedMessageError, RuntimeError, ValueError) as error:
-            self._note(f"{contract.DIAGNOSTICS}: {error}")
+            self._note(f"{topics.DIAGNOSTICS}: {error}")
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         if not self._active:
@@ -282,7 +283,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         try:
             status = TrialStatus.from_values(values_of(message))
             if reason := self._announced.contradiction(status):
-                self._note(f"{contract.TRIAL}: {reason}")
+                self._note(f"{topics.TRIAL}: {reason}")
                 return
             healed = self._settings.allow_gaps and only_missed_samples(status)
             if status.reason and not healed:
@@ -292,7 +293,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
                 return
             self._recording.add_status(status)
         except MalformedMessageError as error:
-            self._note(f"{contract.TRIAL}: {error}")
+            self._note(f"{topics.TRIAL}: {error}")
             return
         except ArmimpError as error:
             self._give_up(str(error))
@@ -305,7 +306,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             if self._recording.status is None:
                 self._conclude()
 
-    def _on_controller(self, controller: Watch) -> None:
+    def _on_controller(self, controller: HeartbeatMonitor) -> None:
         """Close the bag when the controller is lost: nobody else would say that it is over."""
         if controller.presence.lost and self._active and not self._concluded:
             if self._done_at == math.inf:
@@ -370,7 +371,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._note(problem)
         self._active = False
         self._inbox.close()
-        self._received.publish(contract.RECORDER_GONE)
+        self._received.publish(topics.RECORDER_GONE)
         self._timer.cancel()
         with suppress(ArmimpError):
             self._add(self._inbox.take())  # goes into the bag as that is closed

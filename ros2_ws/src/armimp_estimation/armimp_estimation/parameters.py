@@ -7,7 +7,7 @@ import json
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.jitter import TimingLimits
+from armimp_common.realtime import TimingLimits
 from armimp_common.schema import Schema
 from armimp_estimation.alignment.gaps import GapConfig
 from armimp_estimation.conclusion import READING_KEYS

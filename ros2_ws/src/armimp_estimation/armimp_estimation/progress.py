@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.cdr import CommandDecoder, JointStateDecoder
-from armimp_common.contract import (
+from armimp_common.errors import DataError, MalformedMessageError
+from armimp_common.topics import (
     COMMANDS,
     JOINT_STATES,
     PERIOD_NS,
@@ -16,7 +17,6 @@ from armimp_common.contract import (
     TORQUE_SENSORS,
     VALUE_FIELD,
 )
-from armimp_common.errors import DataError, MalformedMessageError
 from armimp_estimation.alignment.trial_streams import Stream, TrialStreams, numbers_of
 from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
 from armimp_estimation.record import TrialRecord

@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 from pydantic import ValidationError
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_common.jitter import TimingFigures, TimingLimits, judge_timing
+from armimp_common.realtime import TimingLimits, judge_timing
+from armimp_common.status import TimingFigures
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.results import TimingSummary
 

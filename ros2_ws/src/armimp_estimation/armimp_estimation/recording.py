@@ -6,10 +6,9 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS, TRIAL
 from armimp_common.errors import ArmimpError, DataError
-from armimp_common.stopping_rule import StoppingDecision
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, StoppingDecision, TrialStatus
+from armimp_common.topics import NS_PER_S, PERIOD_NS, TRIAL
 from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.alignment.sample_batch import SampleBatch
 from armimp_estimation.alignment.trial_segmenter import CollectedTrial, TrialSegmenter

@@ -226,7 +226,7 @@ class TruthSummary(JsonModel):
 
 
 class TimingSummary(JsonModel):
-    """Timing of a run in real time, and its limits; see `armimp_common.jitter`."""
+    """Timing of a run in real time, and its limits; see `armimp_common.realtime`."""
 
     ticks: int
     late: int

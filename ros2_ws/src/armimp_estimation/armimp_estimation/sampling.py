@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import DataError
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.problems import Problem, ProblemCode
 
 Stamps = NDArray[np.int64]

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import JOINT_STATES, TORQUE_SENSORS
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
+from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
 
 _GROWTH = 10

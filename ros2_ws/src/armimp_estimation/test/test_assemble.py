@@ -7,11 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common import contract
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+)
 from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trial, assemble_trials
 from armimp_estimation.alignment.trial_streams import decode_streams
 from armimp_estimation.alignment.trial_windows import (
@@ -23,7 +30,7 @@ from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
-STAMPED = (contract.JOINT_STATES, contract.TORQUE_SENSORS, contract.PERTURBATION)
+STAMPED = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION)
 TICKS = 40
 RECORDING = synthetic_recording(ticks=TICKS, settle=10, rest=10)
 FIRST = 10
@@ -33,7 +40,7 @@ Topics = dict[str, list[bytes]]
 
 
 def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
-    statuses, problem = decode_trial_statuses(recording.by_topic()[contract.TRIAL])
+    statuses, problem = decode_trial_statuses(recording.by_topic()[TRIAL])
     assert not problem
     return statuses
 
@@ -70,7 +77,7 @@ class TestWholeTrials:
         assert trial.segments == (record,)
         assert trial.problem == trial.note == ""
         assert trial.ledger.clean
-        for topic in contract.DATA_STREAMS:
+        for topic in DATA_STREAMS:
             count = trial.ledger.to_dict()[topic]
             assert count == {
                 "expected": TICKS,
@@ -90,7 +97,7 @@ class TestWholeTrials:
         for number, trial in enumerate(together, 1):
             first = (number - 1) * (TICKS + 12) + 7
             alone = {
-                topic: raws[first : first + TICKS] if topic != contract.TRIAL else raws
+                topic: raws[first : first + TICKS] if topic != TRIAL else raws
                 for topic, raws in several.by_topic().items()
             }
             own = [status for status in statuses if status.trial == number]
@@ -110,9 +117,9 @@ class TestWholeTrials:
         raws = [effort(stamp, (1.0, 0.0)) for stamp in stamps]
         states = [JointStateEncoder(NAMES, "position").encode(stamp, (0, 0)) for stamp in stamps]
         topics = {
-            contract.JOINT_STATES: states,
-            contract.TORQUE_SENSORS: raws,
-            contract.PERTURBATION: raws,
+            JOINT_STATES: states,
+            TORQUE_SENSORS: raws,
+            PERTURBATION: raws,
         }
         window = replace(windows_from_statuses(statuses_of(RECORDING))[0], start_ns=stamps[0])
         trial = assemble_trial(window, decode_streams(NAMES, topics))
@@ -179,14 +186,14 @@ class TestLedger:
 
     def test_late_repetition_is_duplicated_and_not_reordered(self) -> None:
         topics = RECORDING.by_topic()
-        raws = topics[contract.TORQUE_SENSORS]
+        raws = topics[TORQUE_SENSORS]
         raws.insert(FIRST + 20, raws[FIRST + 3])
-        count = assemble(topics).ledger.streams[contract.TORQUE_SENSORS]
+        count = assemble(topics).ledger.streams[TORQUE_SENSORS]
         assert (count.received, count.duplicated, count.reordered) == (TICKS + 1, 1, 0)
 
     def test_a_message_that_came_twice_is_used_once(self) -> None:
         topics = RECORDING.by_topic()
-        raws = topics[contract.TORQUE_SENSORS]
+        raws = topics[TORQUE_SENSORS]
         raws.insert(FIRST + 4, raws[FIRST + 3])
         trial = assemble(topics)
         assert trial.ledger.total("contradictory") == 0
@@ -200,12 +207,12 @@ class TestLedger:
     ) -> None:
         topics = RECORDING.by_topic()
         other = effort(START + 3 * PERIOD_NS, (99.0, value))
-        topics[contract.TORQUE_SENSORS].insert(FIRST + 3 + after, other)
+        topics[TORQUE_SENSORS].insert(FIRST + 3 + after, other)
         trial = assemble(topics)
         assert trial.record is None
         assert [segment.samples for segment in trial.segments] == [3, TICKS - 4]
         assert_part(trial.segments[1], RECORDING.records[0], 4, TICKS)
-        count = trial.ledger.streams[contract.TORQUE_SENSORS]
+        count = trial.ledger.streams[TORQUE_SENSORS]
         assert (count.lost, count.duplicated, count.contradictory) == (0, 1, 1)
         assert trial.ledger.excluded == 1
         assert "1 sample of torque_sensors contradicts itself at 0.003 s" in trial.problem
@@ -238,9 +245,9 @@ class TestLedger:
     def test_fewer_commands_than_samples_are_a_problem_that_gaps_may_heal(self) -> None:
         recording = synthetic_recording(ticks=TICKS)
         topics = recording.by_topic()
-        del topics[contract.COMMANDS][7:9]
+        del topics[COMMANDS][7:9]
         trial = assemble(topics, statuses_of(recording))
-        assert trial.ledger.streams[contract.COMMANDS].lost == 2
+        assert trial.ledger.streams[COMMANDS].lost == 2
         assert trial.ledger.lost == 2
         assert (trial.problem, trial.fault) == ("2 commands fewer than samples", "")
         assert_part(trial.intact(allow_gaps=True)[0], recording.records[0], 0, TICKS)
@@ -248,7 +255,7 @@ class TestLedger:
     def test_more_commands_than_samples_are_a_problem_that_nothing_heals(self) -> None:
         recording = synthetic_recording(ticks=TICKS)
         topics = recording.by_topic()
-        topics[contract.COMMANDS][7:7] = topics[contract.COMMANDS][:3]
+        topics[COMMANDS][7:7] = topics[COMMANDS][:3]
         trial = assemble(topics, statuses_of(recording))
         assert trial.fault == trial.problem
         assert "of effort_controller/commands too many" in trial.fault
@@ -263,19 +270,19 @@ class TestLedger:
         topics = recording.by_topic()
         encode = CommandEncoder(len(recording.records[0].joint_names)).encode
         commands = [encode((0.0, 0.0), one) for one in range(1, TICKS + 1)]
-        topics[contract.COMMANDS] = commands
+        topics[COMMANDS] = commands
         assert not assemble(topics, statuses_of(recording)).problem
-        topics[contract.COMMANDS] = [*commands[:7], encode((0.0, 0.0), number), *commands[7:-1]]
+        topics[COMMANDS] = [*commands[:7], encode((0.0, 0.0), number), *commands[7:-1]]
         assert "somebody else commanded" in assemble(topics, statuses_of(recording)).fault
 
     @pytest.mark.parametrize("number", [0, 1, FIRST, 2 * TICKS])
     def test_a_command_of_somebody_else_before_the_trial_is_found_too(self, number: int) -> None:
         topics = RECORDING.by_topic()
         encode = CommandEncoder(len(RECORDING.records[0].joint_names)).encode
-        count = len(topics[contract.COMMANDS])
+        count = len(topics[COMMANDS])
         commands = [encode((0.0, 0.0), one) for one in range(1, count + 1)]
         stray = encode((0.0, 0.0), number)
-        topics[contract.COMMANDS] = [*commands[: FIRST - 1], stray, *commands[FIRST - 1 :]]
+        topics[COMMANDS] = [*commands[: FIRST - 1], stray, *commands[FIRST - 1 :]]
         assert "somebody else commanded" in assemble(topics).fault
 
     @pytest.mark.parametrize("stray", [0, FIRST - 1, -1])
@@ -283,7 +290,7 @@ class TestLedger:
         self, stray: int
     ) -> None:
         topics = RECORDING.by_topic()
-        perturbations = topics[contract.PERTURBATION]
+        perturbations = topics[PERTURBATION]
         perturbations.insert(FIRST - 1, perturbations[stray])
         assert "cannot be matched: somebody else published" in assemble(topics).fault
 
@@ -292,34 +299,34 @@ class TestLedger:
         topics = recording.by_topic()
         encode = CommandEncoder(len(recording.records[0].joint_names)).encode
         commands = [encode((0.0, 0.0), one) for one in range(1, TICKS + 1)]
-        topics[contract.COMMANDS] = [*commands[:7], *commands[9:]]
+        topics[COMMANDS] = [*commands[:7], *commands[9:]]
         trial = assemble(topics, statuses_of(recording))
         assert (trial.problem, trial.fault) == ("2 commands fewer than samples", "")
 
     def test_malformed_messages_count_as_lost_and_are_named(self) -> None:
         topics = RECORDING.by_topic()
-        topics[contract.JOINT_STATES][FIRST + 2] = b"\0\1\0\0rubbish"
-        topics[contract.JOINT_STATES][FIRST + 3] = b""
+        topics[JOINT_STATES][FIRST + 2] = b"\0\1\0\0rubbish"
+        topics[JOINT_STATES][FIRST + 3] = b""
         trial = assemble(topics)
-        assert trial.ledger.streams[contract.JOINT_STATES].lost == 2
+        assert trial.ledger.streams[JOINT_STATES].lost == 2
         assert "2 malformed of joint_states: JointState is truncated" in trial.problem
 
     def test_stream_without_any_good_message_is_an_error(self) -> None:
         topics = RECORDING.by_topic()
-        topics[contract.JOINT_STATES] = [b"rubbish"] * 3
+        topics[JOINT_STATES] = [b"rubbish"] * 3
         with pytest.raises(DataError, match="joint_states: none of 3 messages can be decoded"):
             assemble(topics)
 
     def test_missing_stream_is_an_error(self) -> None:
         topics = RECORDING.by_topic()
-        del topics[contract.TORQUE_SENSORS]
+        del topics[TORQUE_SENSORS]
         with pytest.raises(DataError, match="no messages of torque_sensors"):
             assemble(topics)
 
     def test_samples_that_are_not_finite_divide_the_record(self) -> None:
         topics = RECORDING.by_topic()
         for tick in (9, 20):
-            topics[contract.TORQUE_SENSORS][FIRST + tick] = effort(
+            topics[TORQUE_SENSORS][FIRST + tick] = effort(
                 START + tick * PERIOD_NS, (float("inf"), 0.0)
             )
         trial = assemble(topics)
@@ -332,7 +339,7 @@ class TestLedger:
 
     def test_streams_with_clocks_of_their_own_are_refused(self) -> None:
         topics = RECORDING.by_topic()
-        topics[contract.TORQUE_SENSORS] = [
+        topics[TORQUE_SENSORS] = [
             effort(START + (k - FIRST) * PERIOD_NS + 70, (0.0, 0.0)) for k in range(TICKS + 20)
         ]
         trial = assemble(topics)
@@ -348,7 +355,7 @@ class TestLedger:
 
     def test_perturbation_of_zero_is_refused(self) -> None:
         topics = RECORDING.by_topic()
-        topics[contract.PERTURBATION] = [
+        topics[PERTURBATION] = [
             effort(START + (k - FIRST) * PERIOD_NS, (0.0, 0.0)) for k in range(TICKS + 20)
         ]
         assert assemble(topics).problem == "the perturbation is zero throughout"
@@ -363,7 +370,7 @@ class TestLedger:
 
     def test_source_is_named(self) -> None:
         topics = RECORDING.by_topic()
-        del topics[contract.JOINT_STATES][FIRST]
+        del topics[JOINT_STATES][FIRST]
         (trial,) = assemble_trials(NAMES, topics, statuses_of(RECORDING), source="some.bag")
         with pytest.raises(DataError, match=r"^some\.bag: trial 1: 1 sample of joint_states"):
             trial.require()
@@ -378,8 +385,8 @@ class TestEarlyEnds:
         topics: Topics = {}
         for topic, _, raw in messages:
             topics.setdefault(topic, []).append(raw)
-        statuses, _ = decode_trial_statuses(topics.get(contract.TRIAL, []))
-        trials = assemble_trials(NAMES, topics, statuses) if contract.PERTURBATION in topics else ()
+        statuses, _ = decode_trial_statuses(topics.get(TRIAL, []))
+        trials = assemble_trials(NAMES, topics, statuses) if PERTURBATION in topics else ()
         if not any(status.phase is Phase.PERTURB for status in statuses):
             assert trials == ()
             return
@@ -399,9 +406,7 @@ class TestEarlyEnds:
         )
         topics = RECORDING.by_topic()
         for tick in range(25, TICKS):
-            topics[contract.PERTURBATION][FIRST + tick] = effort(
-                START + tick * PERIOD_NS, (0.0, 0.0)
-            )
+            topics[PERTURBATION][FIRST + tick] = effort(START + tick * PERIOD_NS, (0.0, 0.0))
         trial = assemble(topics, statuses)
         assert trial.problem == "aborted: no sensor sample"
         assert trial.shortfall == TICKS - 25
@@ -422,14 +427,14 @@ class TestEarlyEnds:
         # A latched topic repeats the statuses of trials that are over.
         several = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=10, rest=10)
         topics = several.by_topic()
-        for topic in contract.DATA_STREAMS:
+        for topic in DATA_STREAMS:
             del topics[topic][: TICKS + 15]
         (trial,) = assemble_trials(NAMES, topics, statuses_of(several))
         assert_part(trial.require(), several.records[1], 0, TICKS)
 
     def test_trial_whose_beginning_was_not_recorded_is_refused(self) -> None:
         topics = RECORDING.by_topic()
-        for topic in contract.DATA_STREAMS:
+        for topic in DATA_STREAMS:
             del topics[topic][: FIRST + 15]
         trial = assemble(topics)
         assert [trial.ledger.streams[topic].lost for topic in STAMPED] == [15] * 3

@@ -7,9 +7,9 @@ import pytest
 import zstandard
 from rosbags.typesys import Stores, get_typestore
 
-from armimp_common import contract
-from armimp_common.contract import PERIOD_NS
+from armimp_common import topics
 from armimp_common.errors import BagError, DataError
+from armimp_common.topics import PERIOD_NS
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import Message, synthetic_recording
@@ -89,11 +89,11 @@ class TestForeignMessages:
             order = [1, 0] if tick % 3 else [0, 1]
             named = [names[k] for k in order]
             for topic, values, filled in (
-                (contract.JOINT_STATES, record.position, {"velocity": (1, 2), "effort": (3, 4)}),
-                (contract.TORQUE_SENSORS, record.torque, {"position": (5, 6)}),
-                (contract.PERTURBATION, record.perturbation, {}),
+                (topics.JOINT_STATES, record.position, {"velocity": (1, 2), "effort": (3, 4)}),
+                (topics.TORQUE_SENSORS, record.torque, {"position": (5, 6)}),
+                (topics.PERTURBATION, record.perturbation, {}),
             ):
-                field = contract.VALUE_FIELD[topic]
+                field = topics.VALUE_FIELD[topic]
                 raw = joint_state(
                     stamp,
                     named,
@@ -124,14 +124,14 @@ class TestForeignMessages:
         assert read_bag(path).joint_names == ("shoulder", "elbow")
 
     def test_commands_are_not_needed(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "bag", without(contract.COMMANDS))
+        path = write(tmp_path / "bag", without(topics.COMMANDS))
         content = read_bag(path)
         assert_same(content.records()[1], RECORDING.records[1])
-        assert content.trials[0].ledger.streams[contract.COMMANDS].lost == 120
+        assert content.trials[0].ledger.streams[topics.COMMANDS].lost == 120
 
     def test_trials_are_inferred_without_statuses(self, tmp_path: Path) -> None:
         recording = synthetic_recording(perturbed=(1, 0, 0), ticks=80, settle=200, rest=100)
-        messages = [message for message in recording.messages if message[0] != contract.TRIAL]
+        messages = [message for message in recording.messages if message[0] != topics.TRIAL]
         path = write(tmp_path / "bag", messages)
         records = read_bag(path).records()
         assert len(records) == 3
@@ -142,7 +142,7 @@ class TestForeignMessages:
 
 class TestReplay:
     def test_messages_of_any_content_can_be_iterated(self, tmp_path: Path) -> None:
-        messages = [(contract.CLOCK, 3, b"\0\1\0\0a"), (contract.DIAGNOSTICS, 4, b"\0\1\0\0b")]
+        messages = [(topics.CLOCK, 3, b"\0\1\0\0a"), (topics.DIAGNOSTICS, 4, b"\0\1\0\0b")]
         path = write(tmp_path / "bag", messages)
         assert list(iterate_messages(path)) == messages
 
@@ -249,9 +249,9 @@ class TestRefusals:
     @pytest.mark.parametrize(
         ("topic", "content"),
         [
-            (contract.JOINT_STATES, "joint positions"),
-            (contract.TORQUE_SENSORS, "torque readings"),
-            (contract.PERTURBATION, "perturbation"),
+            (topics.JOINT_STATES, "joint positions"),
+            (topics.TORQUE_SENSORS, "torque readings"),
+            (topics.PERTURBATION, "perturbation"),
         ],
     )
     def test_missing_stream(self, tmp_path: Path, topic: str, content: str) -> None:
@@ -284,13 +284,13 @@ class TestRefusals:
         for tick in range(20):
             stamp = 10**9 + tick * PERIOD_NS
             raw = joint_state(stamp, ("a", "b"), effort=(0.5, 0.5), position=(1.0, 1.0))
-            messages += [(topic, stamp, raw) for topic in contract.VALUE_FIELD]
+            messages += [(topic, stamp, raw) for topic in topics.VALUE_FIELD]
         path = write(tmp_path / "bag", messages)
         assert "joints 1, 2 are perturbed at once" in error_of(path)
 
     def test_damaged_statuses_alone_make_no_trial(self, tmp_path: Path) -> None:
         messages = [
-            (topic, time, raw[:40] if topic == contract.TRIAL and time > 10**9 else raw)
+            (topic, time, raw[:40] if topic == topics.TRIAL and time > 10**9 else raw)
             for topic, time, raw in synthetic_recording(ticks=30, settle=10).messages
         ]
         path = write(tmp_path / "bag", messages)
@@ -314,9 +314,9 @@ class TestSpoiledTrials:
     def test_nan_is_named(self, tmp_path: Path) -> None:
         recording = synthetic_recording(ticks=50)
         messages = list(recording.messages)
-        number = next(i for i, m in enumerate(messages) if m[0] == contract.TORQUE_SENSORS)
+        number = next(i for i, m in enumerate(messages) if m[0] == topics.TORQUE_SENSORS)
         raw = joint_state(10**9, ("shoulder", "elbow"), effort=(1.0, float("nan")))
-        messages[number] = (contract.TORQUE_SENSORS, messages[number][1], raw)
+        messages[number] = (topics.TORQUE_SENSORS, messages[number][1], raw)
         path = write(tmp_path / "bag", messages)
         assert error_of(path) == (
             f"{path}: trial 1: 1 sample of torque_sensors is not finite at 0.000 s"
@@ -336,12 +336,12 @@ class TestSpoiledTrials:
     def test_damaged_status_is_noted(self, tmp_path: Path) -> None:
         recording = synthetic_recording(ticks=50)
         topic, time, raw = recording.messages[-1]
-        assert topic == contract.TRIAL
+        assert topic == topics.TRIAL
         path = write(tmp_path / "bag", (*recording.messages[:-1], (topic, time, raw[:40])))
         content = read_bag(path)
         assert_same(content.records()[0], recording.records[0])
         (note,) = content.notes
-        assert note.startswith(f"{path}: damaged messages of {contract.TRIAL}: DiagnosticStatus")
+        assert note.startswith(f"{path}: damaged messages of {topics.TRIAL}: DiagnosticStatus")
 
     def test_metadata_is_plain_text_even_where_yaml_sees_numbers(self, tmp_path: Path) -> None:
         path = write(tmp_path / "bag", schema="1")

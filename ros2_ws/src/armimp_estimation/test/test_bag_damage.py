@@ -14,7 +14,7 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.errors import BagError, DataError
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.record import TrialRecord
@@ -41,9 +41,7 @@ def foreign(path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
     writer.set_compression(mode, CompressionFormat.ZSTD)
     with writer:
         connections = {
-            topic: writer.add_connection(
-                "/" + topic, contract.MESSAGE_TYPES[topic], typestore=store
-            )
+            topic: writer.add_connection("/" + topic, topics.MESSAGE_TYPES[topic], typestore=store)
             for topic in {topic for topic, _, _ in MESSAGES}
         }
         for topic, log_time_ns, raw in MESSAGES:

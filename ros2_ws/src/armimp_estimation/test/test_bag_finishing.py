@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader, AnyReaderError
 
-from armimp_common import contract
-from armimp_common.contract import CLOCK, DATA_STREAMS, PERIOD_NS
+from armimp_common import topics
 from armimp_common.errors import BagError
+from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS
 from armimp_estimation.alignment.sample_batch import block_of
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
@@ -246,4 +246,4 @@ def test_what_is_known_only_after_recording_is_added_to_the_metadata(tmp_path: P
     assert read_bag(tmp_path / "bag").metadata == expected
     # The storage file alone has it, too.
     assert read_bag(tmp_path / "bag" / "bag_0.mcap").metadata == expected
-    assert contract.TRIAL in read_bag(tmp_path / "bag").topics
+    assert topics.TRIAL in read_bag(tmp_path / "bag").topics

@@ -12,8 +12,16 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from armimp_common import contract
 from armimp_common.errors import BagError
+from armimp_common.topics import (
+    CLOCK,
+    COMMANDS,
+    JOINT_STATES,
+    MESSAGE_TYPES,
+    TORQUE_SENSORS,
+    TRIAL,
+    VALUE_FIELD,
+)
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.definitions import message_definition
 from armimp_estimation.record import TrialRecord
@@ -54,7 +62,7 @@ def write_rosbags(
             writer.set_custom_data(key, value)
         connections = {}
         for topic in dict.fromkeys(topic for topic, _, _ in messages):
-            kind = contract.MESSAGE_TYPES.get(topic, "std_msgs/msg/String")
+            kind = MESSAGE_TYPES.get(topic, "std_msgs/msg/String")
             connections[topic] = writer.add_connection(rename(topic), kind, typestore=STORE)
         for topic, log_time_ns, raw in messages:
             writer.write(connections[topic], log_time_ns, raw)
@@ -82,7 +90,7 @@ def write_mcap(
         writer.start("ros2")
         channels = {}
         for topic in dict.fromkeys(topic for topic, _, _ in messages):
-            definition = message_definition(contract.MESSAGE_TYPES[topic])
+            definition = message_definition(MESSAGE_TYPES[topic])
             schema = writer.register_schema(definition.type, "ros2msg", definition.text.encode())
             channels[topic] = writer.register_channel(rename(topic), encoding, schema)
         for topic, log_time_ns, raw in messages:
@@ -277,7 +285,7 @@ class TestTopics:
     def test_namespace_is_found(self, tmp_path: Path, prefix: str) -> None:
         path = write_rosbags(tmp_path / "bag", rename=lambda topic: prefix + absolute(topic))
         assert_reads(path)
-        assert read_bag(path).topics[contract.TRIAL] == f"{prefix}/imbic_controller/trial"
+        assert read_bag(path).topics[TRIAL] == f"{prefix}/imbic_controller/trial"
 
     def test_two_rigs_need_a_choice(self, tmp_path: Path) -> None:
         other = synthetic_recording(ticks=20, seed=5)
@@ -286,7 +294,7 @@ class TestTopics:
             for rig, recording in (("", RECORDING), ("/left", other)):
                 connections = {
                     topic: writer.add_connection(
-                        rig + absolute(topic), contract.MESSAGE_TYPES[topic], typestore=STORE
+                        rig + absolute(topic), MESSAGE_TYPES[topic], typestore=STORE
                     )
                     for topic in {topic for topic, _, _ in recording.messages}
                 }
@@ -303,12 +311,12 @@ class TestTopics:
         assert "has no joint positions" in refusal(path, namespace="right")
 
     def test_needed_topics_decide_between_namesakes(self, tmp_path: Path) -> None:
-        stray = (contract.JOINT_STATES, 2**40, b"\0\1\0\0 not of this rig")
+        stray = (JOINT_STATES, 2**40, b"\0\1\0\0 not of this rig")
         path = tmp_path / "bag"
         with Writer(path, version=9) as writer:
             connections = {
                 topic: writer.add_connection(
-                    "/rig" + absolute(topic), contract.MESSAGE_TYPES[topic], typestore=STORE
+                    "/rig" + absolute(topic), MESSAGE_TYPES[topic], typestore=STORE
                 )
                 for topic in {topic for topic, _, _ in RECORDING.messages}
             }
@@ -327,7 +335,7 @@ class TestTopics:
         assert_reads(write_rosbags(tmp_path / "bag", rename=rename))
 
     def test_namesake_without_a_complete_rig_is_ambiguous(self, tmp_path: Path) -> None:
-        names = {contract.JOINT_STATES: "/a/joint_states", contract.CLOCK: "/b/joint_states"}
+        names = {JOINT_STATES: "/a/joint_states", CLOCK: "/b/joint_states"}
         path = tmp_path / "bag"
         with Writer(path, version=9) as writer:
             connections = {
@@ -336,9 +344,9 @@ class TestTopics:
                     "sensor_msgs/msg/JointState",
                     typestore=STORE,
                 )
-                for topic in (*contract.VALUE_FIELD, contract.CLOCK)
+                for topic in (*VALUE_FIELD, CLOCK)
             }
-            for topic, log_time_ns, raw in without(contract.TRIAL):
+            for topic, log_time_ns, raw in without(TRIAL):
                 if topic in connections:
                     writer.write(connections[topic], log_time_ns, raw)
         assert refusal(path) == (
@@ -348,7 +356,7 @@ class TestTopics:
     def test_similar_names_do_not_match(self, tmp_path: Path) -> None:
         path = write_rosbags(
             tmp_path / "bag",
-            rename=lambda t: "/my_joint_states" if t == contract.JOINT_STATES else absolute(t),
+            rename=lambda t: "/my_joint_states" if t == JOINT_STATES else absolute(t),
         )
         assert refusal(path) == f"{path}: has no joint positions: no topic joint_states"
 
@@ -361,11 +369,9 @@ class TestTopics:
 
     def test_wrong_type_is_named(self, tmp_path: Path) -> None:
         def rename(topic: str) -> str:
-            return "/torque_sensors" if topic == contract.COMMANDS else "/x" + absolute(topic)
+            return "/torque_sensors" if topic == COMMANDS else "/x" + absolute(topic)
 
-        path = write_rosbags(
-            tmp_path / "bag", without(contract.TORQUE_SENSORS), rename=rename, custom=False
-        )
+        path = write_rosbags(tmp_path / "bag", without(TORQUE_SENSORS), rename=rename, custom=False)
         assert refusal(path) == (
             f"{path}: topic /torque_sensors is of type std_msgs/msg/Float64MultiArray, "
             "not sensor_msgs/msg/JointState"
@@ -377,14 +383,12 @@ class TestTopics:
             f"{path}: topic /imbic_controller/trial is encoded as 'json', not as cdr"
         )
 
-    @pytest.mark.parametrize("topic", contract.VALUE_FIELD)
+    @pytest.mark.parametrize("topic", VALUE_FIELD)
     def test_stream_without_messages(self, tmp_path: Path, topic: str) -> None:
         path = tmp_path / "bag"
         with Writer(path, version=9) as writer:
             connections = {
-                name: writer.add_connection(
-                    absolute(name), contract.MESSAGE_TYPES[name], typestore=STORE
-                )
+                name: writer.add_connection(absolute(name), MESSAGE_TYPES[name], typestore=STORE)
                 for name in {name for name, _, _ in RECORDING.messages}
             }
             for name, log_time_ns, raw in without(topic):

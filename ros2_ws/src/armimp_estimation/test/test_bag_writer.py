@@ -20,8 +20,16 @@ from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosReliability
 
-from armimp_common import contract
 from armimp_common.errors import BagError, ConfigurationError
+from armimp_common.topics import (
+    CLOCK,
+    COMMANDS,
+    DATA_STREAMS,
+    MESSAGE_TYPES,
+    PERIOD_NS,
+    TORQUE_SENSORS,
+    TRIAL,
+)
 from armimp_estimation.bags import (
     BagWriter,
     expected_bytes,
@@ -70,7 +78,7 @@ class TestFormat:
             joint_state = next(data for c, _, data in reader.messages() if "joint" in c.topic)
             message = reader.deserialize(joint_state, "sensor_msgs/msg/JointState")
         assert read == [
-            ("/" + topic, contract.MESSAGE_TYPES[topic], time, raw) for topic, time, raw in messages
+            ("/" + topic, MESSAGE_TYPES[topic], time, raw) for topic, time, raw in messages
         ]
         assert message.name == ["shoulder", "elbow"]  # type: ignore[attr-defined]
 
@@ -163,7 +171,7 @@ class TestFormat:
         inner = yaml.safe_load(records[1].metadata["serialized_metadata"])
         assert inner["message_count"] == len(messages)
         assert indexed == [("/" + topic, time, raw) for topic, time, raw in messages]
-        assert only == [raw for topic, _, raw in messages if topic == contract.TORQUE_SENSORS]
+        assert only == [raw for topic, _, raw in messages if topic == TORQUE_SENSORS]
 
     def test_mcap_file_passes_all_checksums(self, tmp_path: Path) -> None:
         path = write(tmp_path / "bag", synthetic_recording(ticks=100).messages)
@@ -180,7 +188,7 @@ class TestFormat:
             assert (files[0] / name).read_bytes() == (files[1] / name).read_bytes()
 
     def test_namespace_is_put_before_relative_topics_only(self, tmp_path: Path) -> None:
-        messages = (*synthetic_recording(ticks=2).messages, (contract.CLOCK, 2**40, b"\0\1\0\0abc"))
+        messages = (*synthetic_recording(ticks=2).messages, (CLOCK, 2**40, b"\0\1\0\0abc"))
         path = write(tmp_path / "bag", messages, namespace="/lab/rig")
         with AnyReader([path]) as reader:
             topics = {c.topic for c in reader.connections}
@@ -189,7 +197,7 @@ class TestFormat:
         assert list(iterate_messages(path)) == list(messages)
 
     def test_only_recorded_topics_are_listed(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "bag", ((contract.CLOCK, 5, b"\0\1\0\0"),))
+        path = write(tmp_path / "bag", ((CLOCK, 5, b"\0\1\0\0"),))
         document = yaml.safe_load((path / "metadata.yaml").read_text())
         topics = document["rosbag2_bagfile_information"]["topics_with_message_count"]
         assert [topic["topic_metadata"]["name"] for topic in topics] == ["/clock"]
@@ -201,7 +209,7 @@ class TestFormat:
 
     def test_qos_is_that_of_the_nodes(self) -> None:
         qos = pytest.importorskip("armimp_common.qos")
-        for topic in contract.MESSAGE_TYPES:
+        for topic in MESSAGE_TYPES:
             profile = qos.PROFILES[topic]
             (written,) = qos_profiles(topic)
             assert written["depth"] == profile.depth
@@ -266,13 +274,13 @@ class TestRefusals:
 
     def test_writing_after_close_is_refused(self, tmp_path: Path) -> None:
         writer = BagWriter(tmp_path / "bag", metadata={})
-        writer.write(contract.CLOCK, b"\0\1\0\0", 0)
+        writer.write(CLOCK, b"\0\1\0\0", 0)
         writer.close()
         writer.close()
         with pytest.raises(BagError, match="the bag is closed"):
-            writer.write(contract.CLOCK, b"\0\1\0\0", 0)
+            writer.write(CLOCK, b"\0\1\0\0", 0)
         with pytest.raises(BagError, match="the bag is closed"):
-            writer.write(contract.TRIAL, b"\0\1\0\0", 0)
+            writer.write(TRIAL, b"\0\1\0\0", 0)
 
 
 class TestFullDisk:
@@ -332,12 +340,12 @@ class TestBlocks:
     @pytest.fixture
     def recording(self) -> dict[str, list[bytes]]:
         topics = synthetic_recording(ticks=self.TICKS).by_topic()
-        return {topic: topics[topic] for topic in contract.DATA_STREAMS}
+        return {topic: topics[topic] for topic in DATA_STREAMS}
 
     def write_blocks(
         self, writer: BagWriter, topics: dict[str, list[bytes]], size: int, first: int = 0
     ) -> None:
-        times = [tick * contract.PERIOD_NS for tick in range(self.TICKS)]
+        times = [tick * PERIOD_NS for tick in range(self.TICKS)]
         for start in range(first, self.TICKS, size):
             part = slice(start, start + size)
             writer.write_block(times[part], {topic: raws[part] for topic, raws in topics.items()})
@@ -346,12 +354,12 @@ class TestBlocks:
     def test_messages_and_times_are_those_of_messages_written_one_by_one(
         self, tmp_path: Path, recording: dict[str, list[bytes]], size: int
     ) -> None:
-        clock = (contract.CLOCK, b"\0\1\0\0abcdefgh", 3 * contract.PERIOD_NS)
+        clock = (CLOCK, b"\0\1\0\0abcdefgh", 3 * PERIOD_NS)
         with BagWriter(tmp_path / "one", metadata=METADATA) as writer:
             writer.write(*clock)
             for tick in range(self.TICKS):
                 for topic, raws in recording.items():
-                    writer.write(topic, raws[tick], tick * contract.PERIOD_NS)
+                    writer.write(topic, raws[tick], tick * PERIOD_NS)
         with BagWriter(tmp_path / "blocks", metadata=METADATA) as writer:
             writer.write(*clock)
             self.write_blocks(writer, recording, size)
@@ -373,15 +381,15 @@ class TestBlocks:
         for start in range(0, self.TICKS, size):
             part = {topic: raws[start : start + size] for topic, raws in recording.items()}
             ticks = range(start, min(start + size, self.TICKS))
-            times = [tick * contract.PERIOD_NS for tick in ticks]
+            times = [tick * PERIOD_NS for tick in ticks]
             writer.write_block(times, part)
             try:
                 last_ns = max(time for _, time, _ in iterate_messages(tmp_path / "bag"))
             except BagError:
-                last_ns = -contract.PERIOD_NS
+                last_ns = -PERIOD_NS
             most = max(most, times[-1] - last_ns)
         writer.close()
-        assert most + size * contract.PERIOD_NS <= FLUSH_INTERVAL_NS
+        assert most + size * PERIOD_NS <= FLUSH_INTERVAL_NS
 
     def test_single_messages_and_blocks_can_take_turns(
         self, tmp_path: Path, recording: dict[str, list[bytes]]
@@ -412,7 +420,7 @@ class TestBlocks:
     ) -> None:
         with BagWriter(tmp_path / "bag", metadata={}) as writer:
             with pytest.raises(BagError, match="not all of 36 bytes") as error:
-                writer.write_block([0, 1], {contract.COMMANDS: [bytes(36), bytes(37)]})
+                writer.write_block([0, 1], {COMMANDS: [bytes(36), bytes(37)]})
             one_line(error)
             self.write_blocks(writer, recording, 50)
         assert len(list(iterate_messages(tmp_path / "bag"))) == 4 * self.TICKS
@@ -462,7 +470,7 @@ class TestKilledWriter:
             times.sort()
         writer = BagWriter(path, metadata={})
         for number, time in enumerate(times, 1):
-            writer.write(contract.CLOCK, b"\0\1\0\0" + bytes(entries[number - 1][1]), time)
+            writer.write(CLOCK, b"\0\1\0\0" + bytes(entries[number - 1][1]), time)
         try:
             read = [time for _, time, _ in iterate_messages(path)]
         except BagError:
@@ -495,7 +503,7 @@ class TestKilledWriter:
         topics = [
             entry["topic_metadata"]["name"] for entry in information["topics_with_message_count"]
         ]
-        assert len(topics) == len(contract.MESSAGE_TYPES)
+        assert len(topics) == len(MESSAGE_TYPES)
         assert "/clock" in topics
         writer.close()
         assert {entry.name for entry in writer.path.iterdir()} == {"bag_0.mcap", "metadata.yaml"}

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armimp_common.contract import DATA_STREAMS, TRIAL
 from armimp_common.errors import DataError
+from armimp_common.topics import DATA_STREAMS, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of

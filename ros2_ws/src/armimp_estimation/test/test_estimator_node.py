@@ -19,15 +19,14 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from armimp_common import contract, qos
-from armimp_common.contract import COMMANDS, DATA_STREAMS, RESULT, TRIAL
-from armimp_common.diagnostics import Level, values_of
+from armimp_common import qos, topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import CountSubscription, RawSubscription, wait_until_matched
 from armimp_common.schema import Value
-from armimp_common.trial_status import Phase
+from armimp_common.status import Level, Phase, values_of
+from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
 from armimp_estimation.conclusion import FinishedTrial, conclude
@@ -64,7 +63,7 @@ class Script:
         self.results: list[DiagnosticStatus] = []
         self.progress: list[DiagnosticStatus] = []
         kinds: dict[str, type[Any]] = {
-            **dict.fromkeys(contract.VALUE_FIELD, JointState),
+            **dict.fromkeys(topics.VALUE_FIELD, JointState),
             COMMANDS: Float64MultiArray,
             TRIAL: DiagnosticStatus,
         }
@@ -78,7 +77,7 @@ class Script:
         ]
         self.people = [
             node.create_subscription(DiagnosticStatus, topic, kept.append, qos.PROFILES[topic])
-            for topic, kept in ((RESULT, self.results), (contract.PROGRESS, self.progress))
+            for topic, kept in ((RESULT, self.results), (topics.PROGRESS, self.progress))
         ]
 
     def on_echo(self, message: bytes) -> None:
@@ -305,7 +304,7 @@ class TestFaults:
         assert script.columns[0].message == problem
         assert values_of(script.columns[0])["lost"] == "1"
 
-    @pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.PERTURBATION])
+    @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.PERTURBATION])
     def test_when_a_message_is_malformed_expect_it_named_and_the_node_alive(
         self,
         make: MakeEstimator,
@@ -334,15 +333,15 @@ class TestFaults:
     ) -> None:
         """As after a halt of the process, when all of one stream comes before the others."""
         told: list[int] = []
-        CountSubscription(script.node, contract.RECEIVED, told.append)
+        CountSubscription(script.node, topics.RECEIVED, told.append)
         bring_up(make(), script)
         eventually(spinner, lambda: told == [0], "the first count")
-        ticks = 5 * contract.RECEIVED_EVERY - 1
+        ticks = 5 * topics.RECEIVED_EVERY - 1
 
         for topic in order:
             stream = [message for message in MADE_UP if message[0] == topic]
             script.play(spinner, stream[:ticks])
-        eventually(spinner, lambda: told[-1] == ticks + 1 - contract.RECEIVED_EVERY, "the count")
+        eventually(spinner, lambda: told[-1] == ticks + 1 - topics.RECEIVED_EVERY, "the count")
         for topic in order:
             script.play(spinner, [m for m in MADE_UP if m[0] == topic][ticks : ticks + 1])
         eventually(spinner, lambda: told[-1] == ticks + 1, "the last count")
@@ -493,20 +492,20 @@ class TestParameters:
     ) -> None:
         estimator = make(changes)
         manager = LifecycleManager(
-            node, [contract.ESTIMATOR_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+            node, [topics.ESTIMATOR_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
         )
 
         with pytest.raises(GraphError, match="impedance_estimator failed to configure"):
-            manager.configure(contract.ESTIMATOR_NODE)
+            manager.configure(topics.ESTIMATOR_NODE)
 
         assert reason in estimator.transition_error
         log = capfd.readouterr().err
         assert log.count("\n") == 1
         assert reason in log
-        assert manager.state(contract.ESTIMATOR_NODE) == "unconfigured"
+        assert manager.state(topics.ESTIMATOR_NODE) == "unconfigured"
         good = {parameter.name: parameter for parameter in overrides(EstimatorParameters())}
         estimator.set_parameters([good[name] for name in changes])
-        manager.configure(contract.ESTIMATOR_NODE)
+        manager.configure(topics.ESTIMATOR_NODE)
 
 
 class TestLife:
@@ -565,7 +564,7 @@ class TestLife:
         script.wait_for_estimator()
 
         script.play(spinner, MADE_UP)
-        script.publishers[contract.JOINT_STATES].publish(b"rubbish")
+        script.publishers[topics.JOINT_STATES].publish(b"rubbish")
         a_moment(spinner)
 
         assert script.results == []
@@ -595,7 +594,7 @@ class TestLife:
     def test_when_nobody_publishes_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeEstimator, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("armimp_common.discovery._PATIENCE", 0.05)
+        monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
         estimator = make()
         estimator.trigger_configure()
 

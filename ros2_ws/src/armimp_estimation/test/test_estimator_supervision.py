@@ -13,11 +13,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import trial_status_message
+from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import wait_until_matched
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus, status_message
 from armimp_estimation.messages import CONCLUSION_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
@@ -35,13 +34,13 @@ class Surroundings:
         self.conclusions = 0
         self.streams = [
             node.create_publisher(
-                Float64MultiArray if topic == contract.COMMANDS else JointState, topic, qos.SAMPLE
+                Float64MultiArray if topic == topics.COMMANDS else JointState, topic, qos.SAMPLE
             )
-            for topic in contract.DATA_STREAMS
+            for topic in topics.DATA_STREAMS
         ]
-        self.trial = node.create_publisher(DiagnosticStatus, contract.TRIAL, qos.LATCHED)
+        self.trial = node.create_publisher(DiagnosticStatus, topics.TRIAL, qos.LATCHED)
         self.results = node.create_subscription(
-            DiagnosticStatus, contract.RESULT, self.on_result, qos.LATCHED
+            DiagnosticStatus, topics.RESULT, self.on_result, qos.LATCHED
         )
         settings = EstimatorParameters(directory=str(out or ""))
         self.estimator = ImpedanceEstimatorNode(
@@ -81,7 +80,7 @@ class Surroundings:
             seed=1,
             valid=True,
         )
-        self.trial.publish(trial_status_message(status))
+        self.trial.publish(status_message(status))
 
     def heard(self, *, alive: int, silent: int) -> None:
         self.estimator._controller._on_event(

@@ -9,10 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armimp_common import contract
-from armimp_common.contract import PERIOD_NS, TRIAL
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Cause, Phase, TrialStatus
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+    VALUE_FIELD,
+)
 from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.alignment.gaps import GapConfig, judge_gaps, segments_for
 from armimp_estimation.alignment.trial_windows import windows_from_statuses
@@ -49,7 +57,11 @@ def without(
 
 
 def recorded(
-    messages: Iterable[Message], directory: Path | None = None, *, reason: str = ""
+    messages: Iterable[Message],
+    directory: Path | None = None,
+    *,
+    reason: str = "",
+    cause: Cause = Cause.OTHER,
 ) -> list[FinishedTrial]:
     """The trials as a recorder hands them over; with a reason the controller finds them invalid."""
     trials: list[FinishedTrial] = []
@@ -63,7 +75,7 @@ def recorded(
         if topic == TRIAL:
             status = decode_trial_status(raw)
             if reason and status.phase is Phase.REST:
-                status = replace(status, valid=False, reason=reason)
+                status = replace(status, valid=False, reason=reason, cause=cause)
             recording.add_status(status)
         else:
             recording.add(topic, raw)
@@ -90,7 +102,7 @@ def curves(conclusion: Conclusion) -> list[bytes]:
     return [one.estimate.Z.tobytes() for one in conclusion.identification.estimators.values()]
 
 
-GAP = without(RECORDING.messages, contract.JOINT_STATES, 2, range(4000, 4037))
+GAP = without(RECORDING.messages, JOINT_STATES, 2, range(4000, 4037))
 
 
 class TestRefusal:
@@ -108,14 +120,14 @@ class TestRefusal:
         assert summary.problems == ["trial 1: not valid: torque limit exceeded"]
 
     def test_samples_that_did_not_reach_the_controller_are_a_gap_like_any_other(self) -> None:
-        trials = recorded(GAP, reason="37 samples did not arrive")
+        trials = recorded(GAP, reason="37 samples did not arrive", cause=Cause.SAMPLES_LOST)
         assert conclusion_of(trials).summary.problems == [
             "trial 1: not valid: 37 samples did not arrive; --allow-gaps uses the intact parts"
         ]
         assert conclusion_of(trials, ALLOWED).summary.valid
 
     def test_parts_that_are_too_short_are_refused(self) -> None:
-        messages = without(RECORDING.messages, contract.JOINT_STATES, 1, range(0, SAMPLES, 900))
+        messages = without(RECORDING.messages, JOINT_STATES, 1, range(0, SAMPLES, 900))
         summary = conclusion_of(recorded(messages), ALLOWED).summary
         assert not summary.valid
         assert re.fullmatch(
@@ -123,7 +135,7 @@ class TestRefusal:
         )
 
     def test_a_trial_without_any_usable_sample_is_refused(self) -> None:
-        messages = without(RECORDING.messages, contract.JOINT_STATES, 1, range(1, SAMPLES, 2))
+        messages = without(RECORDING.messages, JOINT_STATES, 1, range(1, SAMPLES, 2))
         (first, _) = recorded(messages)
         with pytest.raises(DataError, match=r"^trial 1: 5000 samples of joint_states are missing"):
             first.assembled.intact(allow_gaps=True)
@@ -144,8 +156,8 @@ class TestIntactParts:
         first, second = summary.trials
         assert (first.lost, first.excluded, first.stretches) == (0, 0.0, 1)
         assert (second.lost, second.excluded, second.stretches) == (37, 37 / SAMPLES, 2)
-        assert second.streams[contract.JOINT_STATES].lost == 37
-        assert second.streams[contract.TORQUE_SENSORS].lost == 0
+        assert second.streams[JOINT_STATES].lost == 37
+        assert second.streams[TORQUE_SENSORS].lost == 0
         for estimator in summary.estimators.values():
             assert estimator.vaf is not None
             assert np.min(estimator.vaf) > 99.0
@@ -213,7 +225,7 @@ class TestIntactParts:
         self, tmp_path: Path
     ) -> None:
         messages = list(RECORDING.messages)
-        torque = [i for i, m in enumerate(messages) if m[0] == contract.TORQUE_SENSORS]
+        torque = [i for i, m in enumerate(messages) if m[0] == TORQUE_SENSORS]
         i, j = torque[SETTLE + 50], torque[SETTLE + 51]
         messages[i], messages[j] = messages[j], messages[i]
         messages.insert(torque[SETTLE + 90], messages[torque[SETTLE + 80]])
@@ -231,7 +243,7 @@ class TestIntactParts:
 
 class TestExcludedShare:
     def test_a_result_from_too_little_of_a_trial_is_not_valid(self) -> None:
-        messages = without(RECORDING.messages, contract.TORQUE_SENSORS, 1, range(600))
+        messages = without(RECORDING.messages, TORQUE_SENSORS, 1, range(600))
         summary = conclusion_of(recorded(messages), ALLOWED).summary
         assert summary.problems == ["trial 1: 6 % of its samples are excluded (limit 5 %)"]
         assert summary.estimators
@@ -312,18 +324,18 @@ def test_samples_taken_late_are_counted_but_no_gap() -> None:
     made_up = synthetic_recording(ticks=50)
     shifted = synthetic_recording(ticks=50, start_ns=10**9 + 300_000)
     topics, late = made_up.by_topic(), shifted.by_topic()
-    for topic in contract.VALUE_FIELD:
+    for topic in VALUE_FIELD:
         topics[topic][20] = late[topic][20]
     statuses = [decode_trial_status(raw) for raw in topics[TRIAL]]
     (trial,) = assemble_trials(("shoulder", "elbow"), topics, statuses)
     assert trial.problem == ""
     assert trial.require().samples == 50
     counts = trial.ledger.streams
-    assert {topic: counts[topic].late for topic in contract.DATA_STREAMS} == {
-        contract.JOINT_STATES: 1,
-        contract.TORQUE_SENSORS: 1,
-        contract.PERTURBATION: 1,
-        contract.COMMANDS: 0,
+    assert {topic: counts[topic].late for topic in DATA_STREAMS} == {
+        JOINT_STATES: 1,
+        TORQUE_SENSORS: 1,
+        PERTURBATION: 1,
+        COMMANDS: 0,
     }
     assert trial.ledger.total("late") == 3
     assert trial.ledger.clean

@@ -8,8 +8,8 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy import signal
 
-from armimp_common import contract
 from armimp_common.errors import DataError
+from armimp_common.topics import COMMANDS, TRIAL
 from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
@@ -194,7 +194,7 @@ class TestCommandsOfRecords:
     def assembled(
         self, topics: dict[str, list[bytes]], recording: SyntheticRecording = RECORDING
     ) -> list[TrialRecord]:
-        statuses, problem = decode_trial_statuses(recording.by_topic()[contract.TRIAL])
+        statuses, problem = decode_trial_statuses(recording.by_topic()[TRIAL])
         assert not problem
         return [t.require() for t in assemble_trials(self.NAMES, topics, statuses)]
 
@@ -208,25 +208,25 @@ class TestCommandsOfRecords:
 
     def test_a_recording_that_is_cut_within_a_tick_keeps_them(self) -> None:
         topics = self.RECORDING.by_topic()
-        del topics[contract.COMMANDS][-1]
+        del topics[COMMANDS][-1]
         assert all(record.command is not None for record in self.assembled(topics))
 
     @pytest.mark.parametrize("left", [slice(0, 0), slice(0, 60), slice(2, None)])
     def test_when_commands_are_missing_expect_a_record_without(self, left: slice) -> None:
         topics = self.RECORDING.by_topic()
-        topics[contract.COMMANDS] = topics[contract.COMMANDS][left]
+        topics[COMMANDS] = topics[COMMANDS][left]
         assert [record.command for record in self.assembled(topics)] == [None, None]
 
     def test_when_a_command_is_malformed_expect_records_without(self) -> None:
         topics = self.RECORDING.by_topic()
-        topics[contract.COMMANDS][3] = b"rubbish"
+        topics[COMMANDS][3] = b"rubbish"
         assert [record.command for record in self.assembled(topics)] == [None, None]
 
     def test_when_a_command_is_not_finite_expect_that_record_without(self) -> None:
         topics = self.RECORDING.by_topic()
-        raw = bytearray(topics[contract.COMMANDS][20])
+        raw = bytearray(topics[COMMANDS][20])
         raw[-8:] = np.array([np.nan]).tobytes()
-        topics[contract.COMMANDS][20] = bytes(raw)
+        topics[COMMANDS][20] = bytes(raw)
         first, second = self.assembled(topics)
         assert first.command is None
         assert second.command is not None

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.contract import COMMANDS, JOINT_STATES, PERIOD_NS, PERTURBATION, TORQUE_SENSORS
+from armimp_common.topics import COMMANDS, JOINT_STATES, PERIOD_NS, PERTURBATION, TORQUE_SENSORS
 from armimp_estimation import scores
 from armimp_estimation.alignment.trial_streams import decode_streams
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
@@ -38,7 +38,7 @@ def messages_of(joint: int, names: tuple[str, ...] = NAMES) -> Messages:
     return {
         topic: [encoder.encode(k * PERIOD_NS, values[:, k]) for k in range(SAMPLES)]
         for topic, values, encoder in (
-            (topic, values, JointStateEncoder(names, contract.VALUE_FIELD[topic]))
+            (topic, values, JointStateEncoder(names, topics.VALUE_FIELD[topic]))
             for topic, values in zip(STREAMS, rows, strict=True)
         )
     }

@@ -8,11 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armimp_common import contract
-from armimp_common.contract import DATA_STREAMS, PERTURBATION, TRIAL
 from armimp_common.errors import BagError, MalformedMessageError
-from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
-from armimp_common.trial_status import Phase
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision
+from armimp_common.topics import DATA_STREAMS, JOINT_STATES, PERTURBATION, TORQUE_SENSORS, TRIAL
 from armimp_estimation.alignment.synchronizer import HandedInbox
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
@@ -212,7 +210,7 @@ def test_when_aborted_expect_the_reason_in_the_trial_and_in_the_bag(tmp_path: Pa
 def test_lost_samples_are_in_the_ledger_of_the_trial_and_of_its_bag(tmp_path: Path) -> None:
     desk = Desk(tmp_path)
     messages = list(MADE_UP.messages)
-    lost = [i for i, (topic, _, _) in enumerate(messages) if topic == contract.TORQUE_SENSORS]
+    lost = [i for i, (topic, _, _) in enumerate(messages) if topic == TORQUE_SENSORS]
     for i in reversed(lost[SETTLE + 20 : SETTLE + 23]):
         del messages[i]
 
@@ -230,7 +228,7 @@ def test_when_nothing_of_a_stream_can_be_used_expect_the_reason_instead_of_a_tri
 ) -> None:
     desk = Desk(tmp_path)
 
-    desk.feed(message for message in MADE_UP.messages if message[0] != contract.JOINT_STATES)
+    desk.feed(message for message in MADE_UP.messages if message[0] != JOINT_STATES)
     desk.recording.stop()
 
     assert desk.finished == []

@@ -11,8 +11,8 @@ from string import Formatter
 import numpy as np
 import pytest
 
-from armimp_common import contract
 from armimp_common.errors import BagError, DataError
+from armimp_common.topics import TORQUE_SENSORS, TRIAL
 from armimp_estimation import verdict
 from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.alignment.gaps import GapConfig, judge_gaps
@@ -73,7 +73,7 @@ def assembled_problem(messages: Sequence[Message]) -> str:
     topics: dict[str, list[bytes]] = {}
     for topic, _, raw in messages:
         topics.setdefault(topic, []).append(raw)
-    statuses = [decode_trial_status(raw) for raw in topics.pop(contract.TRIAL)]
+    statuses = [decode_trial_status(raw) for raw in topics.pop(TRIAL)]
     (trial,) = assemble_trials(NAMES, topics, statuses)
     with pytest.raises(DataError) as caught:
         trial.require()
@@ -82,7 +82,7 @@ def assembled_problem(messages: Sequence[Message]) -> str:
 
 def test_problems_with_samples() -> None:
     messages = list(synthetic_recording(ticks=100).messages)
-    torques = [i for i, (topic, *_) in enumerate(messages) if topic == contract.TORQUE_SENSORS]
+    torques = [i for i, (topic, *_) in enumerate(messages) if topic == TORQUE_SENSORS]
     lost = messages[: torques[50]] + messages[torques[50] + 1 :]
     twice = messages[: torques[50]] + messages[torques[50] :][:1] + messages[torques[50] :]
     for spoiled in (lost, twice):
@@ -98,7 +98,7 @@ def test_problems_with_the_disk_and_with_what_is_left_out() -> None:
     topics: dict[str, list[bytes]] = {}
     for topic, _, raw in synthetic_recording(ticks=100).messages:
         topics.setdefault(topic, []).append(raw)
-    statuses = [decode_trial_status(raw) for raw in topics.pop(contract.TRIAL)]
+    statuses = [decode_trial_status(raw) for raw in topics.pop(TRIAL)]
     for intervals in ("", "10-40"):
         statuses[-1] = replace(statuses[-1], clipped=31, clipped_intervals=intervals)
         (trial,) = assemble_trials(NAMES, topics, statuses)

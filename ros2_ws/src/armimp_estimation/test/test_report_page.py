@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.errors import DataError
-from armimp_common.trial_status import Phase
+from armimp_common.status import Phase
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
 from armimp_estimation.report import REPORT_FILE, Result, load_result, report_page, write_report
 from armimp_estimation.report.formats import difference, number, uncertain
@@ -247,7 +247,7 @@ def test_an_invalid_result_says_why_and_what_to_do(directory: Path, tmp_path: Pa
 def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None:
     messages = list(recorded_arm().messages)
     # The torque sensor falls silent in the second trial.
-    torques = [i for i, (topic, *_) in enumerate(messages) if topic == contract.TORQUE_SENSORS]
+    torques = [i for i, (topic, *_) in enumerate(messages) if topic == topics.TORQUE_SENSORS]
     gone = set(torques[-3000:-2000])
     kept = [message for i, message in enumerate(messages) if i not in gone]
     result = load_result(make_result(tmp_path / "gap", messages=kept))
@@ -311,7 +311,7 @@ def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> No
     messages: list[Message] = []
     for topic, time_ns, raw in recorded_arm().messages:
         told = raw
-        if topic == contract.TRIAL and (status := decode_trial_status(raw)).phase is Phase.PERTURB:
+        if topic == topics.TRIAL and (status := decode_trial_status(raw)).phase is Phase.PERTURB:
             told = encode_trial_status(replace(status, ticks=25_000))
         messages.append((topic, time_ns, told))
     result = load_result(make_result(tmp_path / "out", messages=messages))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.stopping_rule import NOTICE_TICKS, StoppingDecision
+from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.stopping import Judge, PrecisionGoal, largest_error
 

@@ -3,7 +3,7 @@
 import pytest
 
 from armimp_common.cdr import JointStateEncoder
-from armimp_common.contract import COMMANDS, DATA_STREAMS, JOINT_STATES, PERTURBATION
+from armimp_common.topics import COMMANDS, DATA_STREAMS, JOINT_STATES, PERTURBATION
 from armimp_estimation.alignment.synchronizer import FETCHED, HandedInbox
 
 

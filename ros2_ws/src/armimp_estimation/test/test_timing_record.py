@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from armimp_common.errors import DataError
-from armimp_common.jitter import TimingFigures, TimingLimits, judge_timing
+from armimp_common.realtime import TimingLimits, judge_timing
+from armimp_common.status import TimingFigures
 from armimp_estimation.conclusion import conclude
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord, latest_metadata

@@ -7,11 +7,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common import contract
 from armimp_common.cdr import CommandEncoder, JointStateEncoder, stamp_of
-from armimp_common.contract import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATION, TRIAL
 from armimp_common.errors import MalformedMessageError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+)
 from armimp_estimation.alignment.sample_batch import ORDER, SampleBatch
 from armimp_estimation.alignment.synchronizer import HandedInbox
 from armimp_estimation.alignment.trial_segmenter import CollectedTrial, TrialSegmenter
@@ -22,7 +29,7 @@ SETTLE, TICKS, REST = 4, 30, 5
 LENGTH = SETTLE + TICKS + REST
 RECORDING = synthetic_recording(perturbed=(0, 1, 0), ticks=TICKS, settle=SETTLE, rest=REST)
 TOPICS = (*DATA_STREAMS, TRIAL)
-STAMPED = (contract.JOINT_STATES, contract.TORQUE_SENSORS, PERTURBATION)
+STAMPED = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION)
 
 Messages = dict[str, list[bytes]]
 Turns = Sequence[tuple[str, int]]
@@ -109,7 +116,7 @@ def natural_turns() -> list[tuple[str, int]]:
     """The order of the graph, with each status before the command that it concerns."""
     turns: list[tuple[str, int]] = []
     for tick in range(3 * LENGTH):
-        turns += [(contract.JOINT_STATES, 1), (contract.TORQUE_SENSORS, 1)]
+        turns += [(JOINT_STATES, 1), (TORQUE_SENSORS, 1)]
         if tick % LENGTH in (0, SETTLE, SETTLE + TICKS):
             turns.append((TRIAL, 1))
         turns += [(COMMANDS, 1), (PERTURBATION, 1)]
@@ -195,8 +202,8 @@ def test_in_natural_order_a_trial_is_complete_with_its_first_sample_of_rest() ->
     data = {topic: iter(topics[topic]) for topic in DATA_STREAMS}
     statuses = iter(statuses_of(RECORDING))
     for tick in range(LENGTH):
-        desk.feed_one(contract.JOINT_STATES, data)
-        desk.feed_one(contract.TORQUE_SENSORS, data)
+        desk.feed_one(JOINT_STATES, data)
+        desk.feed_one(TORQUE_SENSORS, data)
         if tick in (0, SETTLE, SETTLE + TICKS):
             desk.feed_status(statuses)
         desk.feed_one(COMMANDS, data)
@@ -211,7 +218,7 @@ def test_in_natural_order_a_trial_is_complete_with_its_first_sample_of_rest() ->
     assert [(topic, stamp_ns) for topic, _, stamp_ns in desk.sunk[:8]] == [
         (topic, first_ns + k * PERIOD_NS)
         for k in range(2)
-        for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS, PERTURBATION, COMMANDS)
+        for topic in (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
     ]
 
 
@@ -263,7 +270,7 @@ def test_when_anything_is_unusual_expect_each_message_looked_at_for_itself() -> 
 
 def test_malformed_messages_among_others_are_refused_by_name() -> None:
     topics = {topic: list(raws) for topic, raws in RECORDING.by_topic().items()}
-    topics[contract.TORQUE_SENSORS][SETTLE + 3] = b"\0\1"
+    topics[TORQUE_SENSORS][SETTLE + 3] = b"\0\1"
     refused: list[str] = []
     desk = Desk()
     for status in statuses_of(RECORDING)[:2]:
@@ -276,7 +283,7 @@ def test_malformed_messages_among_others_are_refused_by_name() -> None:
 
     (told,) = refused
     assert told.startswith("torque_sensors: message has 2 bytes")
-    assert len(desk.collector.messages[contract.JOINT_STATES]) == TICKS
+    assert len(desk.collector.messages[JOINT_STATES]) == TICKS
 
 
 lost_ticks = st.sets(st.integers(0, 3 * LENGTH - 1), max_size=12)
@@ -335,15 +342,15 @@ def test_when_a_stream_falls_silent_expect_the_trial_without_it_once_it_is_overd
 ) -> None:
     recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=2050)
     topics = recording.by_topic()
-    del topics[contract.TORQUE_SENSORS][25:]
+    del topics[TORQUE_SENSORS][25:]
     desk = Desk(together)
     turns = [(topic, 1) for _ in range(2 * 2105) for topic in DATA_STREAMS]
 
     desk.feed(topics, statuses_of(recording), [(TRIAL, 10), *turns])
 
     desk.assert_orderly(2)
-    assert [len(trial.messages[contract.TORQUE_SENSORS]) for trial in desk.trials] == [20, 0]
-    assert [len(trial.messages[contract.JOINT_STATES]) for trial in desk.trials] == [50, 50]
+    assert [len(trial.messages[TORQUE_SENSORS]) for trial in desk.trials] == [20, 0]
+    assert [len(trial.messages[JOINT_STATES]) for trial in desk.trials] == [50, 50]
 
 
 def test_an_abort_completes_the_trial_with_what_there_is() -> None:
@@ -426,8 +433,8 @@ def test_clock_of_a_driver_may_drift(drift: float) -> None:
     stamps = [round(k * PERIOD_NS * (1 + drift)) for k in range(ticks + 20)]
     states, efforts = (JointStateEncoder(("a",), field) for field in ("position", "effort"))
     topics = {
-        contract.JOINT_STATES: [states.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
-        contract.TORQUE_SENSORS: [efforts.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
+        JOINT_STATES: [states.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
+        TORQUE_SENSORS: [efforts.encode(stamp_ns, (0.0,)) for stamp_ns in stamps],
         COMMANDS: [CommandEncoder(1).encode((0.0,))] * len(stamps),
         PERTURBATION: [efforts.encode(stamp_ns, (1.0,)) for stamp_ns in stamps],
     }
@@ -454,7 +461,7 @@ def test_without_statuses_there_is_no_trial() -> None:
 
 def test_message_without_a_stamp_is_refused() -> None:
     with pytest.raises(MalformedMessageError):
-        TrialSegmenter(print, print).add(contract.JOINT_STATES, b"\0\1\0\0")
+        TrialSegmenter(print, print).add(JOINT_STATES, b"\0\1\0\0")
 
 
 def fed_in_turn(spoil: Mapping[str, list[bytes]]) -> list[CollectedTrial]:
@@ -468,7 +475,7 @@ def fed_in_turn(spoil: Mapping[str, list[bytes]]) -> list[CollectedTrial]:
     return desk.trials
 
 
-@pytest.mark.parametrize("topic", [contract.JOINT_STATES, contract.TORQUE_SENSORS])
+@pytest.mark.parametrize("topic", [JOINT_STATES, TORQUE_SENSORS])
 @pytest.mark.parametrize("tick", [0, 5, TICKS - 2])
 def test_samples_out_of_order_are_kept_in_the_order_of_their_arrival(topic: str, tick: int) -> None:
     stream = list(RECORDING.by_topic()[topic])
@@ -481,21 +488,21 @@ def test_samples_out_of_order_are_kept_in_the_order_of_their_arrival(topic: str,
 
 
 def test_a_stamp_far_in_the_future_holds_nothing_up() -> None:
-    stream = list(RECORDING.by_topic()[contract.JOINT_STATES])
+    stream = list(RECORDING.by_topic()[JOINT_STATES])
     wrong = JointStateEncoder(("shoulder", "elbow"), "position").encode(10**15, (0.0, 0.0))
     stream.insert(SETTLE + 5, wrong)
 
-    first = fed_in_turn({contract.JOINT_STATES: stream})[0].messages[contract.JOINT_STATES]
+    first = fed_in_turn({JOINT_STATES: stream})[0].messages[JOINT_STATES]
 
-    assert first == RECORDING.by_topic()[contract.JOINT_STATES][SETTLE : SETTLE + TICKS]
+    assert first == RECORDING.by_topic()[JOINT_STATES][SETTLE : SETTLE + TICKS]
 
 
 @pytest.mark.parametrize("stray", [0, SETTLE])
 def test_a_perturbation_of_somebody_else_between_trials_displaces_no_command(stray: int) -> None:
-    stream = list(RECORDING.by_topic()[contract.PERTURBATION])
+    stream = list(RECORDING.by_topic()[PERTURBATION])
     stream.insert(SETTLE + TICKS + 1, stream[stray])
 
-    spoiled, sound = fed_in_turn({contract.PERTURBATION: stream}), fed_in_turn({})
+    spoiled, sound = fed_in_turn({PERTURBATION: stream}), fed_in_turn({})
 
     assert len(sound) > 1
     assert [one.messages for one in spoiled] == [one.messages for one in sound]

@@ -4,10 +4,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armimp_common import contract
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import JOINT_STATES, PERIOD_NS, PERTURBATION, TORQUE_SENSORS, TRIAL
 from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
@@ -21,7 +20,7 @@ from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
-STAMPED = (contract.JOINT_STATES, contract.TORQUE_SENSORS, contract.PERTURBATION)
+STAMPED = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION)
 TICKS = 40
 RECORDING = synthetic_recording(ticks=TICKS, settle=10, rest=10)
 FIRST = 10
@@ -31,7 +30,7 @@ Topics = dict[str, list[bytes]]
 
 
 def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
-    statuses, problem = decode_trial_statuses(recording.by_topic()[contract.TRIAL])
+    statuses, problem = decode_trial_statuses(recording.by_topic()[TRIAL])
     assert not problem
     return statuses
 
@@ -136,7 +135,7 @@ class TestWindows:
     def test_inferred_windows_are_those_of_the_statuses(self) -> None:
         several = synthetic_recording(perturbed=(0, 1, 1), ticks=50, settle=200, rest=60)
         topics = several.by_topic()
-        del topics[contract.TRIAL]
+        del topics[TRIAL]
         trials = assemble_trials(NAMES, topics, [])
         assert [trial.trial for trial in trials] == [1, 2, 3]
         for trial, expected in zip(trials, several.records, strict=True):
@@ -164,15 +163,15 @@ class TestWindows:
     def test_loss_inside_an_inferred_window_is_found(self) -> None:
         recording = synthetic_recording(ticks=50, settle=5, rest=5)
         topics = recording.by_topic()
-        del topics[contract.TRIAL], topics[contract.PERTURBATION][20:23]
+        del topics[TRIAL], topics[PERTURBATION][20:23]
         trial = assemble(topics, [])
-        assert trial.ledger.streams[contract.PERTURBATION].lost == 3
+        assert trial.ledger.streams[PERTURBATION].lost == 3
         assert trial.window.ticks == 50
 
     def test_inferred_trial_may_be_cut_within_its_last_period(self) -> None:
         recording = synthetic_recording(ticks=50)
         topics = recording.by_topic()
-        del topics[contract.TRIAL], topics[contract.TORQUE_SENSORS][-1]
+        del topics[TRIAL], topics[TORQUE_SENSORS][-1]
         trial = assemble(topics, [])
         assert_part(trial.require(), recording.records[0], 0, 49)
         assert trial.ledger.lost == 0

@@ -10,17 +10,15 @@ from typing import Any
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 
-from armimp_common.discovery import wait_for_partners
 from armimp_common.driver_base import DriverBase
 from armimp_common.errors import ArmimpError, MalformedMessageError
-from armimp_common.executor import run_node
-from armimp_common.jitter import TimingFigures, TimingLedger
+from armimp_common.executor import run_node, steady_timer
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
-from armimp_common.pubsub import CommandPublisher, RawSubscription
-from armimp_common.realtime_scheduling import RealtimeScheduling
-from armimp_common.steady import steady_timer
+from armimp_common.pubsub import CommandPublisher, RawSubscription, wait_for_partners
+from armimp_common.realtime import RealtimeScheduling, TimingMeter
+from armimp_common.status import TimingFigures
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
 
@@ -65,10 +63,10 @@ class Ros2ControlBridge(DriverBase[Protection]):
             self,
             publishers=[self.joint_states, self.torque_sensors, self._efforts],
             subscriptions=[self._states, self.commands],
-            watches=[self.controller],
+            monitors=[self.controller],
         )
         self._urgency = RealtimeScheduling(self._settings.realtime)
-        self._stamps, self._ledger = Stamps(), TimingLedger()
+        self._stamps, self._ledger = Stamps(), TimingMeter()
         self._heard = self._looked_at = self._sent_ns = 0
         self._begin_ns: int | None = None
         # Last, as robots publish always: what piled up meanwhile would come as one burst.

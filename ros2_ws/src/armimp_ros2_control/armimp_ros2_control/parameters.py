@@ -8,7 +8,7 @@ from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.protection import ProtectionLimits
-from armimp_common.realtime_scheduling import UrgencyParameters
+from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema
 
 
@@ -34,7 +34,7 @@ class BridgeParameters(Schema):
         description="1, or -1 where effort is the torque of the arm on the robot instead",
     )
     limits: ProtectionLimits = ProtectionLimits()
-    realtime: UrgencyParameters = UrgencyParameters()
+    realtime: SchedulingParameters = SchedulingParameters()
 
     def checked(self) -> BridgeParameters:
         """Return the same with nothing left empty.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from armimp_common.cdr import JointStateDecoder
-from armimp_common.contract import PERIOD_NS, clock_step
 from armimp_common.errors import MalformedMessageError
+from armimp_common.topics import PERIOD_NS, clock_step
 from armimp_ros2_control.parameters import BridgeParameters
 
 _CROWD, _THIN = 5.0, 50.0

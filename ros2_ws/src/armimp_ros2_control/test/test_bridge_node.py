@@ -13,13 +13,12 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
-from armimp_common import contract, qos
-from armimp_common.contract import PERIOD_NS
-from armimp_common.diagnostics import Level
+from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
-from armimp_common.stamps import to_time
+from armimp_common.status import Level, to_time
+from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control import node as node_module
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
@@ -50,25 +49,21 @@ class World:
         self.torques: list[Sample] = []
         self.faults: list[str] = []
         self.states = node.create_publisher(JointState, STATES, qos_profile_system_default)
-        self.commands = CommandPublisher(node, contract.COMMANDS, 2)
+        self.commands = CommandPublisher(node, topics.COMMANDS, 2)
         # Kept, as they would end with the last reference.
         self.listeners = [
             node.create_subscription(
                 Float64MultiArray, EFFORTS, self._on_efforts, qos_profile_system_default
             ),
-            JointStateSubscription(
-                node, contract.JOINT_STATES, JOINTS, "position", self._on_angles
-            ),
-            JointStateSubscription(
-                node, contract.TORQUE_SENSORS, JOINTS, "effort", self._on_torques
-            ),
+            JointStateSubscription(node, topics.JOINT_STATES, JOINTS, "position", self._on_angles),
+            JointStateSubscription(node, topics.TORQUE_SENSORS, JOINTS, "effort", self._on_torques),
             node.create_subscription(
-                DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+                DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
             ),
         ]
         self.services = {
             name: node.create_client(Trigger, name)
-            for name in (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE)
+            for name in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE)
         }
 
     def _on_efforts(self, message: Float64MultiArray) -> None:
@@ -138,16 +133,16 @@ def waiting(node: Node, bridge: Ros2ControlBridge) -> Iterator[World]:
     with Spinner([node, bridge]) as spinner:
         world = World(node, spinner)
         world.manager = LifecycleManager(
-            node, [contract.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+            node, [topics.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
         )
         world.manager.wait_for_nodes()
-        world.manager.configure(contract.SIM_NODE)
+        world.manager.configure(topics.SIM_NODE)
         yield world
 
 
 @pytest.fixture
 def world(waiting: World, node: Node, bridge: Ros2ControlBridge) -> World:
-    waiting.manager.activate(contract.SIM_NODE)
+    waiting.manager.activate(topics.SIM_NODE)
     eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
     assert not wait_until_matched(node, publishers=[waiting.states], timeout_s=PATIENCE)
     assert not wait_until_matched(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
@@ -164,7 +159,7 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
         time.sleep(0.1)
 
     monkeypatch.setattr(node_module, "wait_for_partners", wait)
-    waiting.manager.activate(contract.SIM_NODE)
+    waiting.manager.activate(topics.SIM_NODE)
     a_moment(waiting.spinner)
     assert waiting.angles == []
 
@@ -270,25 +265,25 @@ def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under
     world: World,
 ) -> None:
     world.push()
-    assert world.call(contract.SIM_STOP_SERVICE).success
+    assert world.call(topics.SIM_STOP_SERVICE).success
     world.until_told(*ZERO)
     world.until_fault("emergency stop")
     # Torque is commanded further.
     a_moment(world.spinner)
     assert world.told[-1] == ZERO
-    refused = world.call(contract.SIM_RESET_SERVICE)
+    refused = world.call(topics.SIM_RESET_SERVICE)
     assert not refused.success
     assert "not zero torque" in refused.message
     world.torque = ZERO
     # Commands and services are not heard in the order in which they were sent.
     a_moment(world.spinner)
-    assert world.call(contract.SIM_RESET_SERVICE).success
+    assert world.call(topics.SIM_RESET_SERVICE).success
     world.torque = PUSH
     world.until_told(*PUSH)
 
 
 def test_the_fault_is_repeated_and_zero_torque_is_told_again_and_again(world: World) -> None:
-    assert world.call(contract.SIM_STOP_SERVICE).success
+    assert world.call(topics.SIM_STOP_SERVICE).success
     before = len(world.told)
     eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
     assert set(world.told[before:]) == {ZERO}

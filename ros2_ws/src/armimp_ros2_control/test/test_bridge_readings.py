@@ -6,9 +6,9 @@ import pytest
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError, MalformedMessageError
-from armimp_common.stamps import to_time
+from armimp_common.status import to_time
+from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
 

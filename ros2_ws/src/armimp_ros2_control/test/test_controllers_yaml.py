@@ -5,8 +5,8 @@ from typing import Any
 
 import yaml
 
-from armimp_common import contract
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common import topics
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES
 from armimp_ros2_control.parameters import BridgeParameters
 
@@ -41,7 +41,7 @@ def test_names_of_the_controllers_make_the_topics_of_the_bridge_and_no_loop() ->
     forward, _, commands = EFFORTS.partition("/")
     assert commands == "commands"
     assert parameters(forward)["interface_name"] == "effort"
-    assert {STATES, EFFORTS}.isdisjoint(contract.MESSAGE_TYPES)
+    assert {STATES, EFFORTS}.isdisjoint(topics.MESSAGE_TYPES)
 
 
 def test_joints_are_in_the_order_of_the_bridge_and_effort_is_what_the_transducers_say() -> None:

@@ -6,7 +6,7 @@ lose samples once the queues are full.
 
 from __future__ import annotations
 
-from armimp_common.contract import RECORDER_GONE
+from armimp_common.topics import RECORDER_GONE
 
 LIMIT = 45
 """Samples that may be under way to the recorder.
@@ -22,7 +22,7 @@ class FlowControl:
     """Number of samples that a recorder has still to receive.
 
     A recorder tells how many samples it has received since it began; 0 announces it, and
-    :data:`armimp_common.contract.RECORDER_GONE` takes leave. Without a recorder nothing waits.
+    :data:`armimp_common.topics.RECORDER_GONE` takes leave. Without a recorder nothing waits.
 
     Attributes
     ----------

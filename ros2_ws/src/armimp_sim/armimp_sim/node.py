@@ -8,19 +8,16 @@ from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from armimp_common import contract
-from armimp_common.diagnostics import make_array, timing_status
-from armimp_common.discovery import wait_for_partners
+from armimp_common import topics
 from armimp_common.driver_base import DriverBase
 from armimp_common.errors import ArmimpError, GraphError
-from armimp_common.executor import run_node
-from armimp_common.heartbeat import Presence, Watch
+from armimp_common.executor import run_node, steady_timer
+from armimp_common.heartbeat import HeartbeatMonitor, Presence
 from armimp_common.lifecycle import reported
-from armimp_common.pacing import Pacer
 from armimp_common.parameters import load, require_unchanged
-from armimp_common.pubsub import ClockPublisher, CountSubscription
-from armimp_common.realtime_scheduling import RealtimeScheduling
-from armimp_common.steady import steady_timer
+from armimp_common.pubsub import ClockPublisher, CountSubscription, wait_for_partners
+from armimp_common.realtime import Pacer, RealtimeScheduling
+from armimp_common.status import make_array, status_message
 from armimp_sim.flow_control import FlowControl
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.realtime_simulator import RealtimeSimulator
@@ -44,7 +41,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
         self._told_tick = self._told_timing = 0
         self._backlog = FlowControl()
         super().__init__(SimulatorParameters.preset(), "the simulation is running", **kwargs)
-        self._recorder = Watch(self, contract.ESTIMATOR_NODE, self._on_recorder)
+        self._recorder = HeartbeatMonitor(self, topics.ESTIMATOR_NODE, self._on_recorder)
 
     @reported
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -56,7 +53,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
         self._backlog = FlowControl()
         self._backlog.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
-        received = CountSubscription(self, contract.RECEIVED, self._on_received)
+        received = CountSubscription(self, topics.RECEIVED, self._on_received)
         self.own(self._clock_publisher.publisher, received.subscription)
         self.own(steady_timer(self, _FAULT_PERIOD, self._on_fault_timer))
         return TransitionCallbackReturn.SUCCESS
@@ -69,7 +66,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
             self,
             publishers=[self.joint_states, self.torque_sensors],
             subscriptions=[self.commands],
-            watches=[self.controller, self._recorder],
+            monitors=[self.controller, self._recorder],
         )
         self.active = True
         self._holding = False
@@ -84,7 +81,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
 
     def _pace(self, rig: SimulatedRig) -> None:
         realtime = self._settings.realtime
-        pacer = Pacer(contract.PERIOD_NS, spin_ns=round(realtime.spin * contract.NS_PER_S))
+        pacer = Pacer(topics.PERIOD_NS, spin_ns=round(realtime.spin * topics.NS_PER_S))
         patience = self._settings.watchdog_ticks
         self._paced = RealtimeSimulator(rig, self._send, pacer, watchdog_ticks=patience)
         try:
@@ -165,13 +162,13 @@ class ArmSimNode(DriverBase[SimulatedRig]):
         self.latch(f"malformed command: {error}")
         self._step(rig, (0.0,) * rig.position.size)
 
-    def _on_recorder(self, recorder: Watch) -> None:
+    def _on_recorder(self, recorder: HeartbeatMonitor) -> None:
         """Wait for a recorder that is silent: it may only be stopped. There is no trial without."""
         self._backlog.silent = recorder.presence in (Presence.STALLED, Presence.SILENT)
         if recorder.presence in (Presence.GONE, Presence.LEFT) and self._backlog.recorded:
             self.latch(f"{recorder.sentence}, and a trial without recorder is of no use")
             self.report_news()
-            self._backlog.acknowledge(contract.RECORDER_GONE)
+            self._backlog.acknowledge(topics.RECORDER_GONE)
         self._go_on()
 
     def _on_fault_timer(self) -> None:
@@ -227,7 +224,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
         with paced.lock:
             stamp_ns, self._told_timing = rig.stamp_ns, rig.tick
             figures = paced.figures()
-        self.diagnostics.publish(make_array(stamp_ns, [timing_status(figures)]))
+        self.diagnostics.publish(make_array(stamp_ns, [status_message(figures)]))
 
 
 def main() -> int:

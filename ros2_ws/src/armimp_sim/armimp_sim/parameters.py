@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS
 from armimp_common.errors import ConfigurationError
-from armimp_common.realtime_scheduling import UrgencyParameters
+from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_sim import presets
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
@@ -107,7 +107,7 @@ class VoluntaryParameters(Schema):
     cutoff: float = Field(default=2.0, gt=0.0, description="cut-off frequency (Hz)")
 
 
-class RealtimeParameters(UrgencyParameters):
+class RealtimeParameters(SchedulingParameters):
     """What counts in mode realtime only."""
 
     spin: float = Field(

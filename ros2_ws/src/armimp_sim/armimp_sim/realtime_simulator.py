@@ -6,9 +6,8 @@ import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from armimp_common.jitter import TimingFigures, TimingLedger
-from armimp_common.pacing import Pacer
-from armimp_common.realtime_scheduling import wake_up_exactly
+from armimp_common.realtime import Pacer, TimingMeter, wake_up_exactly
+from armimp_common.status import TimingFigures
 from armimp_sim.parameters import WATCHDOG_TICKS
 from armimp_sim.simulator import SimulatedRig
 
@@ -55,7 +54,7 @@ class RealtimeSimulator:
         self._rig, self._send, self._pacer = rig, send, pacer
         self._patience = watchdog_ticks
         self._command: tuple[float, ...] = (0.0,) * rig.position.size
-        self._ledger = TimingLedger()
+        self._ledger = TimingMeter()
         self._unanswered: deque[int] = deque(maxlen=10_000)
         self._began = self._arrived = self._stepped = self._in_step = False
         self._silent = self._spare = 0

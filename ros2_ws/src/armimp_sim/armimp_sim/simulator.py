@@ -9,8 +9,8 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import GraphError
+from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import VoluntaryTorque

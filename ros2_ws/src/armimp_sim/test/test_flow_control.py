@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_common.contract import RECORDER_GONE
+from armimp_common.topics import RECORDER_GONE
 from armimp_sim.flow_control import LIMIT, FlowControl
 
 

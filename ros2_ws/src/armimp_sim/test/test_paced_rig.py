@@ -9,9 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from armimp_common.contract import PERIOD_NS
-from armimp_common.jitter import LATE_NS
-from armimp_common.pacing import Pacer
+from armimp_common.realtime import LATE_NS, Pacer
+from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.realtime_simulator import RAMP_TICKS, UNHEARD_TICKS, RealtimeSimulator
 from armimp_sim.simulator import SimulatedRig

@@ -14,16 +14,24 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
-from armimp_common import contract, qos
+from armimp_common import qos
 from armimp_common.cdr import CommandEncoder
-from armimp_common.contract import PERIOD_NS
-from armimp_common.diagnostics import Level
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.schema import Value
-from armimp_common.stamps import to_ns
+from armimp_common.status import Level, to_ns
+from armimp_common.topics import (
+    CLOCK,
+    COMMANDS,
+    DIAGNOSTICS,
+    JOINT_STATES,
+    PERIOD_NS,
+    SIM_NODE,
+    TORQUE_SENSORS,
+    VALUE_FIELD,
+)
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
@@ -44,19 +52,19 @@ class Commander:
         self.torques: list[Sample] = []
         self.times: list[int] = []
         self.diagnostics: list[DiagnosticStatus] = []
-        self.channel = CommandPublisher(node, contract.COMMANDS, 2)
+        self.channel = CommandPublisher(node, COMMANDS, 2)
         self.subscriptions = [
             JointStateSubscription(
-                node, topic, PARAMETERS.joints, contract.VALUE_FIELD[topic], partial(_keep, kept)
+                node, topic, PARAMETERS.joints, VALUE_FIELD[topic], partial(_keep, kept)
             )
             for topic, kept in (
-                (contract.JOINT_STATES, self.positions),
-                (contract.TORQUE_SENSORS, self.torques),
+                (JOINT_STATES, self.positions),
+                (TORQUE_SENSORS, self.torques),
             )
         ]
-        self.clock = node.create_subscription(Clock, contract.CLOCK, self.on_clock, qos.CLOCK)
+        self.clock = node.create_subscription(Clock, CLOCK, self.on_clock, qos.CLOCK)
         self.health = node.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self.on_diagnostics, qos.DIAGNOSTICS
+            DiagnosticArray, DIAGNOSTICS, self.on_diagnostics, qos.DIAGNOSTICS
         )
 
     def on_clock(self, clock: Clock) -> None:
@@ -304,20 +312,20 @@ class TestParameters:
     ) -> None:
         simulator = make(changes)
         manager = LifecycleManager(
-            node, [contract.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+            node, [SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
         )
 
         with pytest.raises(GraphError, match="arm_sim failed to configure"):
-            manager.configure(contract.SIM_NODE)
+            manager.configure(SIM_NODE)
 
         assert reason in simulator.transition_error
         log = capfd.readouterr().err
         assert log.count("\n") == 1
         assert reason in log
-        assert manager.state(contract.SIM_NODE) == "unconfigured"
+        assert manager.state(SIM_NODE) == "unconfigured"
         good = {parameter.name: parameter for parameter in overrides(PARAMETERS)}
         simulator.set_parameters([good[name] for name in changes])
-        manager.configure(contract.SIM_NODE)
+        manager.configure(SIM_NODE)
 
     def test_node_without_any_parameter_is_the_default_rig(self, context: Context) -> None:
         simulator = ArmSimNode(context=context)
@@ -362,7 +370,7 @@ class TestLife:
     def test_when_there_is_no_controller_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeRig, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr("armimp_common.discovery._PATIENCE", 0.05)
+        monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
         simulator = make()
         simulator.trigger_configure()
 

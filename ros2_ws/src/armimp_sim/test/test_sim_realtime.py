@@ -13,13 +13,12 @@ from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
-from armimp_common import contract, qos
-from armimp_common.contract import PERIOD_NS
-from armimp_common.diagnostics import Level, values_of
+from armimp_common import qos, topics
 from armimp_common.executor import Spinner
-from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.schema import Value
+from armimp_common.status import Level, TimingFigures, values_of
+from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.plant import IntegrationError
@@ -43,11 +42,11 @@ class Surroundings:
         self.answers: tuple[float, float] | None = None
         self.stamps: dict[str, list[int]] = {}
         self.diagnostics: list[DiagnosticStatus] = []
-        self.commands = CommandPublisher(node, contract.COMMANDS, 2)
-        self.received = node.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
-        self.subscriptions = [self.listen(topic) for topic in contract.DATA_STREAMS[:2]]
+        self.commands = CommandPublisher(node, topics.COMMANDS, 2)
+        self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
+        self.subscriptions = [self.listen(topic) for topic in topics.DATA_STREAMS[:2]]
         self.health = node.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self.on_diagnostics, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, self.on_diagnostics, qos.DIAGNOSTICS
         )
 
     def listen(self, topic: str) -> JointStateSubscription:
@@ -55,10 +54,10 @@ class Surroundings:
 
         def on_sample(stamp_ns: int, values: tuple[float, ...]) -> None:
             stamps.append(stamp_ns)
-            if topic == contract.TORQUE_SENSORS and self.answers is not None:
+            if topic == topics.TORQUE_SENSORS and self.answers is not None:
                 self.commands.publish(self.answers)
 
-        field = contract.VALUE_FIELD[topic]
+        field = topics.VALUE_FIELD[topic]
         return JointStateSubscription(self.node, topic, PARAMETERS.joints, field, on_sample)
 
     def on_diagnostics(self, array: DiagnosticArray) -> None:
@@ -82,7 +81,7 @@ class Surroundings:
         eventually(self.spinner, lambda: self.samples() >= wanted, f"{more} more samples")
 
     def figures(self) -> list[TimingFigures]:
-        told = [status for status in self.diagnostics if status.name == TIMING_NAME]
+        told = [status for status in self.diagnostics if status.name == TimingFigures.STATUS_NAME]
         return [TimingFigures.from_values(values_of(status)) for status in told]
 
     def rig(self) -> list[tuple[bytes, str, str]]:
@@ -193,7 +192,7 @@ def test_reset_is_refused_until_the_last_command_is_zero_and_the_silence_over(
     around.await_samples(20)
     around.answers = None
     eventually(around.spinner, lambda: bool(around.faults()), "a fault")
-    client = node.create_client(Trigger, contract.SIM_RESET_SERVICE)
+    client = node.create_client(Trigger, topics.SIM_RESET_SERVICE)
     assert client.wait_for_service(PATIENCE)
 
     future = client.call_async(Trigger.Request())
@@ -218,12 +217,12 @@ def test_torque_comes_and_goes_with_the_life_of_the_node(
         lambda: any(text != "running" for _, text, _ in around.rig()),
         "the last report",
     )
-    before = max(around.stamps[contract.TORQUE_SENSORS])
+    before = max(around.stamps[topics.TORQUE_SENSORS])
 
     assert simulator.trigger_activate() is SUCCESS, simulator.transition_error
     around.await_samples(20)
 
-    assert max(around.stamps[contract.TORQUE_SENSORS]) > before
+    assert max(around.stamps[topics.TORQUE_SENSORS]) > before
     assert simulator.trigger_shutdown() is SUCCESS
 
 

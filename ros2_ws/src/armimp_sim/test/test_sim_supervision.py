@@ -12,11 +12,11 @@ from rclpy.node import Node
 from std_msgs.msg import UInt64
 from std_srvs.srv import Trigger
 
-from armimp_common import contract, qos
-from armimp_common.diagnostics import Level, values_of
+from armimp_common import qos, topics
 from armimp_common.executor import Spinner
-from armimp_common.heartbeat import Watch
+from armimp_common.heartbeat import HeartbeatMonitor
 from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
+from armimp_common.status import Level, values_of
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from support.graph import PATIENCE, a_moment, eventually, overrides
@@ -32,16 +32,16 @@ class Surroundings:
         self.node, self.spinner = node, spinner
         self.samples = 0
         self.faults: list[tuple[str, str]] = []
-        self.commands = CommandPublisher(node, contract.COMMANDS, 2)
-        self.received = node.create_publisher(UInt64, contract.RECEIVED, qos.LATCHED)
+        self.commands = CommandPublisher(node, topics.COMMANDS, 2)
+        self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self.subscriptions = [
             JointStateSubscription(
-                node, topic, PARAMETERS.joints, contract.VALUE_FIELD[topic], self.on_sample
+                node, topic, PARAMETERS.joints, topics.VALUE_FIELD[topic], self.on_sample
             )
-            for topic in (contract.JOINT_STATES, contract.TORQUE_SENSORS)
+            for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS)
         ]
         self.health = node.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self.on_diagnostics, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, self.on_diagnostics, qos.DIAGNOSTICS
         )
         self.simulator = ArmSimNode(context=context, parameter_overrides=overrides(PARAMETERS))
         spinner.add_node(self.simulator)
@@ -85,7 +85,7 @@ class Surroundings:
         assert self.spinner.spin_until(future, PATIENCE)
         return future.result()
 
-    def heard(self, watch: Watch, *, alive: int, silent: int) -> None:
+    def heard(self, watch: HeartbeatMonitor, *, alive: int, silent: int) -> None:
         """Have the simulator hear from another process what the middleware would report."""
         watch._on_event(SimpleNamespace(alive_count=alive, not_alive_count=silent))
 
@@ -188,7 +188,7 @@ def test_when_the_controller_is_silent_expect_activation_to_fail(around: Surroun
     assert "imbic_controller gave no sign of life" in around.simulator.transition_error
 
 
-def with_recorder(around: Surroundings) -> Watch:
+def with_recorder(around: Surroundings) -> HeartbeatMonitor:
     around.bring_up()
     around.received.publish(UInt64(data=0))
     eventually(around.spinner, lambda: around.simulator._backlog.recorded, "the recorder")
@@ -239,7 +239,7 @@ def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
 
     around.received.publish(UInt64(data=0))
     eventually(around.spinner, lambda: around.simulator._backlog.recorded, "the recorder")
-    around.received.publish(UInt64(data=contract.RECORDER_GONE))
+    around.received.publish(UInt64(data=topics.RECORDER_GONE))
     eventually(around.spinner, lambda: not around.simulator._backlog.recorded, "its leave")
     around.heard(watch, alive=1, silent=0)
     around.heard(watch, alive=0, silent=0)

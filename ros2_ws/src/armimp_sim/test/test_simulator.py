@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import ConfigurationError
+from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters, VoluntaryParameters
 from armimp_sim.plant import Plant
 from armimp_sim.simulator import SimulatedRig

@@ -20,8 +20,8 @@ from armimp_bringup.driver_check.findings import (
     open_questions,
     report,
 )
-from armimp_common.contract import SIM_NODE
 from armimp_common.errors import ConfigurationError
+from armimp_common.topics import SIM_NODE
 
 if TYPE_CHECKING:
     from armimp_bringup.driver_check.probe import CheckOptions

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from armimp_bringup.driver_check.findings import Finding, judged, not_checked
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Endpoint, Record
-from armimp_common import contract
+from armimp_common import topics
 
 _DEPTH = 2000
 
@@ -15,8 +15,8 @@ def judge_contract(record: Record) -> Iterator[Finding]:
     """Judge the topics and services of a driver."""
     for topic in SENSOR_TOPICS:
         yield from _judge_topic(record, topic, "publisher")
-    yield from _judge_topic(record, contract.COMMANDS, "subscriber")
-    for service in (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE):
+    yield from _judge_topic(record, topics.COMMANDS, "subscriber")
+    for service in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE):
         there = service in record.services
         yield judged(f"service {service}", there, "there" if there else "missing", "there")
     limit = "lifecycle services, for armimp run --processes external"
@@ -25,14 +25,14 @@ def judge_contract(record: Record) -> Iterator[Finding]:
     else:
         yield judged("lifecycle", True, f"was {record.lifecycle}", limit)
     # Whoever says so: armimp run takes it for a problem of the run.
-    limit = f"no status ERROR on {contract.DIAGNOSTICS}"
+    limit = f"no status ERROR on {topics.DIAGNOSTICS}"
     figure = record.faults[0] if record.faults else "none"
     yield judged("no fault at rest", not record.faults, figure, limit)
 
 
 def _judge_topic(record: Record, topic: str, role: str) -> Iterator[Finding]:
     found = [end for end in record.endpoints if end.topic == topic and end.role == role]
-    kind = contract.MESSAGE_TYPES[topic]
+    kind = topics.MESSAGE_TYPES[topic]
     limit = f"one {role} of {kind}"
     if not found:
         yield judged(f"{topic}: type", False, f"no {role}", limit)

@@ -25,13 +25,11 @@ from std_srvs.srv import Trigger
 from armimp_bringup.driver_check.guard import MotionGuard
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Call, Endpoint, Message
 from armimp_bringup.graph import GraphContext
-from armimp_common import contract, qos
-from armimp_common.diagnostics import Level, values_of
+from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner
-from armimp_common.jitter import TIMING_NAME, TimingFigures
 from armimp_common.pubsub import CommandPublisher, RawSubscription
-from armimp_common.stamps import to_ns
+from armimp_common.status import Level, TimingFigures, to_ns, values_of
 
 _NODE = "armimp_check_driver"
 _FAREWELLS = 5
@@ -96,20 +94,18 @@ class Conversation(Node):
         self._subscriptions_by_topic: dict[str, RawSubscription] = {}
         self._clients_by_service = {
             name: self.create_client(Trigger, name)
-            for name in (contract.SIM_STOP_SERVICE, contract.SIM_RESET_SERVICE)
+            for name in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE)
         }
         self.create_subscription(
-            DiagnosticArray, contract.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
 
-        self.create_subscription(
-            String, contract.alive(contract.SIM_NODE), self._on_alive, qos.LATCHED
-        )
+        self.create_subscription(String, topics.alive(topics.SIM_NODE), self._on_alive, qos.LATCHED)
 
     def listen(self) -> None:
         """Subscribe to the sensor streams, with the reliability that is offered, and command."""
         # Not before: a driver that is in use takes a second publisher for a fault.
-        self._commands = CommandPublisher(self, contract.COMMANDS, len(self._zero))
+        self._commands = CommandPublisher(self, topics.COMMANDS, len(self._zero))
         for topic in SENSOR_TOPICS:
             offered = self.get_publishers_info_by_topic(self._resolved(topic))
             best_effort = any(
@@ -170,7 +166,7 @@ class Conversation(Node):
     @contextmanager
     def intruder(self, spinner: Spinner, patience: float) -> Iterator[None]:
         """Have a second publisher of commands, which has sent one of zero torque."""
-        second = CommandPublisher(self, contract.COMMANDS, len(self._zero))
+        second = CommandPublisher(self, topics.COMMANDS, len(self._zero))
         heard = self._commands.publisher.get_subscription_count()
         try:
             self.wait(spinner, lambda: second.publisher.get_subscription_count() >= heard, patience)
@@ -203,7 +199,7 @@ class Conversation(Node):
     def endpoints(self) -> list[Endpoint]:
         """Return who publishes and listens on the topics of a driver, apart from this node."""
         found: list[Endpoint] = []
-        for topic in (*SENSOR_TOPICS, contract.COMMANDS):
+        for topic in (*SENSOR_TOPICS, topics.COMMANDS):
             resolved = self._resolved(topic)
             for role, infos in (
                 ("publisher", self.get_publishers_info_by_topic(resolved)),
@@ -243,7 +239,7 @@ class Conversation(Node):
 
     def _on_sensor(self, topic: str, data: bytes) -> None:
         self._raw[topic].append((time.monotonic_ns(), data))
-        if self.guard is not None and topic == contract.JOINT_STATES and not self.guard.look(data):
+        if self.guard is not None and topic == topics.JOINT_STATES and not self.guard.look(data):
             self.drop()
         # A sample is complete with the second of its two messages, in either order. Stamps are what
         # is to be judged, so they are not asked.
@@ -259,7 +255,7 @@ class Conversation(Node):
         for status in array.status:
             if status.level == bytes([Level.ERROR]):
                 self.errors.append(Error(time.monotonic(), status.name, status.message))
-            if status.name == TIMING_NAME:
+            if status.name == TimingFigures.STATUS_NAME:
                 try:
                     self.timing = TimingFigures.from_values(values_of(status))
                 except MalformedMessageError:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from armimp_common.contract import NS_PER_S, PERIOD_NS
-from armimp_common.jitter import LATE_NS
+from armimp_common.realtime import LATE_NS
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,8 +17,8 @@ from armimp_bringup.driver_check.responses import (
     threshold,
 )
 from armimp_bringup.driver_check.samples import Ending, Record
-from armimp_common import contract
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common import topics
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 
 _STALE = "stale commands"
 _STOP = "emergency stop"
@@ -229,7 +229,7 @@ def _judge_end(check: str, record: Record, ending: Ending, limits: Limits) -> It
 
 
 def _told_limit(limits: Limits) -> str:
-    return f"status ERROR on {contract.DIAGNOSTICS} within {limits.told:g} s"
+    return f"status ERROR on {topics.DIAGNOSTICS} within {limits.told:g} s"
 
 
 def _judge_told(check: str, record: Record, ending: Ending, limits: Limits) -> Iterator[Finding]:

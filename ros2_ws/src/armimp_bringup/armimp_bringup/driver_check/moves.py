@@ -14,12 +14,12 @@ from armimp_bringup.driver_check.conversation import Conversation, answered
 from armimp_bringup.driver_check.guard import MotionGuard
 from armimp_bringup.driver_check.samples import Call, Ending, Message, Push
 from armimp_bringup.driver_check.stream_rules import values_in_order
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.cdr import JointStateDecoder
-from armimp_common.contract import JOINT_STATES, TORQUE_SENSORS
 from armimp_common.errors import GraphError, MalformedMessageError
 from armimp_common.executor import Spinner
-from armimp_common.jitter import TimingFigures
+from armimp_common.status import TimingFigures
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 
 REST, HOLD, AFTER, LONGER = 200, 400, 250, 400
 """Samples at rest, under torque, after it; and under torque beyond that, for comparison."""
@@ -121,7 +121,7 @@ class Mover:
             self._node.guard = None
         if guard.reason:
             # Zero torque may not be enough where a driver does something else than it is told.
-            self._node.call(contract.SIM_STOP_SERVICE, self._spinner, TOLD)
+            self._node.call(topics.SIM_STOP_SERVICE, self._spinner, TOLD)
         elif moves.broken:
             self._reset()
         moves.moved = guard.largest
@@ -207,7 +207,7 @@ class Mover:
         return None, since
 
     def _call_stop(self, since: float, *, reset: bool = True) -> Ending:
-        future = self._node.ask(contract.SIM_STOP_SERVICE)
+        future = self._node.ask(topics.SIM_STOP_SERVICE)
         call = Call(success=None)
         if future is not None and self._spinner.spin_until(future, TOLD):
             call = answered(future, time.monotonic() - since)
@@ -245,7 +245,7 @@ class Mover:
         )
 
     def _reset(self) -> Call:
-        return self._node.call(contract.SIM_RESET_SERVICE, self._spinner, TOLD)
+        return self._node.call(topics.SIM_RESET_SERVICE, self._spinner, TOLD)
 
     def _torque(self, joint: int) -> tuple[float, ...]:
         return tuple(self._amount if i == joint else 0.0 for i in range(len(self._joints)))

@@ -17,12 +17,12 @@ from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Message, Record
 from armimp_bringup.driver_check.stream_rules import values_in_order
 from armimp_bringup.driver_check.witness import Witness
 from armimp_bringup.graph import GraphContext
-from armimp_common import contract
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common import topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner, stop_on_signals
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.process import waited_ns
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 
 _PATIENCE, _LONG = 10.0, 60.0
 _LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0
@@ -44,7 +44,7 @@ class CheckOptions:
     """
 
     joints: tuple[str, ...]
-    node: str = contract.SIM_NODE
+    node: str = topics.SIM_NODE
     duration: float = 5.0
     move: bool = False
     torque: float = 1.0
@@ -122,7 +122,7 @@ class _Probe:
                 moves = mover.move()
                 if not moves.broken:
                     self._leave(state)
-            elif contract.SIM_STOP_SERVICE in node.safety_services():
+            elif topics.SIM_STOP_SERVICE in node.safety_services():
                 moves = Moves(stop=mover.stop())
             endpoints, services = node.endpoints(), node.safety_services()
         everything, malformed = node.recorded()
@@ -188,7 +188,7 @@ class _Probe:
             others = {
                 end.node
                 for end in node.endpoints()
-                if end.topic == contract.COMMANDS and end.role == "publisher"
+                if end.topic == topics.COMMANDS and end.role == "publisher"
             }
             if others:
                 raise GraphError(f"the driver is in use: {', '.join(sorted(others))} commands it")
@@ -209,7 +209,7 @@ class _Probe:
         """Whether all endpoints of a driver are known."""
         roles = {(end.topic, end.role) for end in self._node.endpoints()}
         wanted = {(topic, "publisher") for topic in SENSOR_TOPICS}
-        return roles >= {*wanted, (contract.COMMANDS, "subscriber")}
+        return roles >= {*wanted, (topics.COMMANDS, "subscriber")}
 
     def _listen(self) -> bool:
         """Whether samples come without commands."""
@@ -257,7 +257,7 @@ class _Probe:
         if self._paced and state in (None, "active"):
             self._node.torque = None
             self._node.wait(self._spinner, lambda: False, _LISTEN)
-            self._node.call(contract.SIM_RESET_SERVICE, self._spinner, _PATIENCE)
+            self._node.call(topics.SIM_RESET_SERVICE, self._spinner, _PATIENCE)
 
     def _trouble(
         self,

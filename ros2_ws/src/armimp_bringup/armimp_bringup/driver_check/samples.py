@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.driver_check.witness import Stalls, stalls
-from armimp_common.contract import JOINT_STATES, TORQUE_SENSORS
-from armimp_common.jitter import TimingFigures
+from armimp_common.status import TimingFigures
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armimp_bringup.driver_check.findings import Finding, judged, not_checked
 from armimp_bringup.driver_check.limits import Limits
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Message, Record
-from armimp_common.contract import JOINT_STATES, VALUE_FIELD
+from armimp_common.topics import JOINT_STATES, VALUE_FIELD
 
 _UNIT = {"position": "rad", "effort": "N·m"}
 

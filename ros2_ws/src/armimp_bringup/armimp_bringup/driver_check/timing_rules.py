@@ -12,7 +12,7 @@ from armimp_bringup.driver_check.findings import Finding, inconclusive, judged, 
 from armimp_bringup.driver_check.limits import Limits
 from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Message, Record
 from armimp_bringup.driver_check.witness import Stalls
-from armimp_common.contract import JOINT_STATES, NS_PER_S, PERIOD_NS
+from armimp_common.topics import JOINT_STATES, NS_PER_S, PERIOD_NS
 
 
 def judge_timing(record: Record, limits: Limits) -> Iterator[Finding]:

@@ -9,10 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
-from armimp_common.jitter import LATE_NS
-from armimp_common.pacing import Pacer
-from armimp_common.realtime_scheduling import wake_up_exactly
+from armimp_common.realtime import LATE_NS, Pacer, wake_up_exactly
+from armimp_common.topics import PERIOD_NS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

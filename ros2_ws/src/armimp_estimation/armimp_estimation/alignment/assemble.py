@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common import contract
-from armimp_common.contract import NS_PER_S, PERIOD_NS
+from armimp_common import topics
 from armimp_common.errors import DataError
-from armimp_common.trial_status import TrialStatus
+from armimp_common.status import TrialStatus
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.alignment.aligned_stream import AlignedStream
 from armimp_estimation.alignment.stream_statistics import StreamCount, StreamStatistics
 from armimp_estimation.alignment.trial_problems import TrialProblems, find_problems
@@ -84,7 +84,7 @@ class AssembledTrial:
     @property
     def shortfall(self) -> int:
         """Planned samples that are not there because the recording, or the trial, ended early."""
-        return self.window.ticks - self.ledger.streams[contract.PERTURBATION].expected
+        return self.window.ticks - self.ledger.streams[topics.PERTURBATION].expected
 
     @property
     def note(self) -> str:
@@ -177,10 +177,10 @@ def assemble_trials(
     if statuses:
         windows = windows_from_statuses(statuses)
     else:
-        perturbation = streams.stamped[contract.PERTURBATION]
+        perturbation = streams.stamped[topics.PERTURBATION]
         windows = infer_windows(perturbation.stamps, perturbation.values, period)
     require_few_trials(len(windows))
-    received = streams.stamped[contract.PERTURBATION].stamps.size
+    received = streams.stamped[topics.PERTURBATION].stamps.size
     if (announced := sum(window.ticks for window in windows)) > MOST_TICKS + 2 * received:
         raise DataError(f"trials of {announced} samples are announced, and there are {received}")
     # The controller, which tells of its trials, works at the rate of the contract.
@@ -246,17 +246,17 @@ def assemble_trial(
         # A command acts until the next sample, which is the first to show it.
         usable[first : last + 2] = False
     runs = _runs(usable)
-    counts[contract.COMMANDS], wrong = _count_commands(streams, kept[contract.PERTURBATION], span)
+    counts[topics.COMMANDS], wrong = _count_commands(streams, kept[topics.PERTURBATION], span)
     problems = problems.and_commands(
-        wrong, counts[contract.COMMANDS], cut=not window.ended or bool(window.fault)
+        wrong, counts[topics.COMMANDS], cut=not window.ended or bool(window.fault)
     )
-    if counts[contract.COMMANDS].received and (strays := _displaced(kept[contract.PERTURBATION])):
+    if counts[topics.COMMANDS].received and (strays := _displaced(kept[topics.PERTURBATION])):
         problems = problems.and_also(
-            f"{strays} of {contract.PERTURBATION} out of turn outside the trial, so that commands"
+            f"{strays} of {topics.PERTURBATION} out of turn outside the trial, so that commands"
             " cannot be matched: somebody else published"
         )
     ledger = StreamStatistics(
-        streams={topic: counts[topic] for topic in contract.DATA_STREAMS if topic in counts},
+        streams={topic: counts[topic] for topic in topics.DATA_STREAMS if topic in counts},
         clipped=window.clipped,
         excluded=int(span - usable.sum()),
         stretches=len(runs),
@@ -305,7 +305,7 @@ def _span(window: TrialWindow, kept: Mapping[str, AlignedStream]) -> int:
         span = min(span, *(int(one.numbers[-1]) + 1 for one in kept.values()))
     if window.fault:
         # From the moment of the fault on the perturbation is zero.
-        perturbation = kept[contract.PERTURBATION]
+        perturbation = kept[topics.PERTURBATION]
         inside = perturbation.inside(span)
         values = perturbation.stream.values[:, perturbation.order[:inside]]
         active = np.flatnonzero(values.any(axis=0))
@@ -325,7 +325,7 @@ def _count_commands(
         Those that nobody asked for: whose number is none or not above that before or, where
         all have none, that are more than perturbations in the whole recording.
     """
-    stamps = streams.stamped[contract.PERTURBATION].stamps
+    stamps = streams.stamped[topics.PERTURBATION].stamps
     before = int((stamps < perturbation.start_ns).sum())
     received = min(max(streams.commands - before, 0), span)
     numbers = streams.command_numbers[: before + span]
@@ -379,21 +379,21 @@ def _record(
     return TrialRecord(
         trial=window.trial,
         perturbed_joint=joint,
-        rate=NS_PER_S / kept[contract.PERTURBATION].period,
+        rate=NS_PER_S / kept[topics.PERTURBATION].period,
         joint_names=streams.joint_names,
-        perturbation=kept[contract.PERTURBATION].values(start, stop),
-        position=kept[contract.JOINT_STATES].values(start, stop),
-        torque=kept[contract.TORQUE_SENSORS].values(start, stop),
-        start_ns=kept[contract.PERTURBATION].stamp(start),
+        perturbation=kept[topics.PERTURBATION].values(start, stop),
+        position=kept[topics.JOINT_STATES].values(start, stop),
+        torque=kept[topics.TORQUE_SENSORS].values(start, stop),
+        start_ns=kept[topics.PERTURBATION].stamp(start),
         seed=window.seed,
-        command=_commands(streams, kept[contract.PERTURBATION].chosen(start, stop)),
+        command=_commands(streams, kept[topics.PERTURBATION].chosen(start, stop)),
     )
 
 
 def _commands(streams: TrialStreams, ordinals: NDArray[np.intp]) -> NDArray[np.float64] | None:
     """Commands that went with the perturbations of these ordinal numbers; None if in doubt."""
     values = streams.command_values
-    perturbations = streams.stamped[contract.PERTURBATION].stamps.size
+    perturbations = streams.stamped[topics.PERTURBATION].stamps.size
     # A recording may be cut between the two messages of a tick.
     if values is None or abs(perturbations - values.shape[1]) > 1:
         return None

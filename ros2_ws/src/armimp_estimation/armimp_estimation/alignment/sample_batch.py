@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from operator import itemgetter, lt
 
-from armimp_common.contract import (
+from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 
-from armimp_common import contract
+from armimp_common import topics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ class StreamStatistics:
         return not any(
             count.lost or count.duplicated or count.reordered
             for topic, count in self.streams.items()
-            if topic != contract.COMMANDS
+            if topic != topics.COMMANDS
         )
 
     def to_dict(self) -> dict[str, dict[str, int]]:

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from armimp_common.cdr import stamp_of
-from armimp_common.contract import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
 from armimp_common.errors import MalformedMessageError
+from armimp_common.topics import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
 
 TOGETHER = 50
 """Samples that are recorded at a time; those that wait for it are lost if the process is killed."""
@@ -33,7 +33,7 @@ class StreamSynchronizer:
         For each of :data:`FETCHED`: gives the messages that have come since it was called last.
     on_samples : callable, optional
         Called with the number of samples of which all messages have come, whenever it has passed
-        another multiple of :data:`armimp_common.contract.RECEIVED_EVERY`; with that multiple.
+        another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`; with that multiple.
     on_behind : callable, optional
         Called when others than the perturbation are still to come, for which one must :meth:`look`.
     """

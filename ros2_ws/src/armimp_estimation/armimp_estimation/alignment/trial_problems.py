@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import COMMANDS, NS_PER_S
+from armimp_common.topics import COMMANDS, NS_PER_S
 from armimp_estimation.alignment.aligned_stream import AlignedStream
 from armimp_estimation.alignment.stream_statistics import StreamCount
 from armimp_estimation.alignment.trial_windows import TrialWindow

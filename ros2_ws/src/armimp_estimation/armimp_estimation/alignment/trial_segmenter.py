@@ -13,7 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from armimp_common.cdr import stamp_of
-from armimp_common.contract import (
+from armimp_common.errors import MalformedMessageError
+from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
@@ -21,8 +23,6 @@ from armimp_common.contract import (
     PERTURBATION,
     TORQUE_SENSORS,
 )
-from armimp_common.errors import MalformedMessageError
-from armimp_common.trial_status import Phase, TrialStatus
 from armimp_estimation.alignment.sample_batch import ORDER, SampleBatch, block_of
 
 Sink = Callable[[str, bytes, int], None]

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common import contract
+from armimp_common import topics
 from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number
 from armimp_common.errors import DataError, MalformedMessageError
 
@@ -101,12 +101,12 @@ def decode_streams(
     DataError
         If a stream has no message that can be decoded.
     """
-    commands = messages.get(contract.COMMANDS, ())
+    commands = messages.get(topics.COMMANDS, ())
     return TrialStreams(
         joint_names=tuple(joint_names),
         stamped={
             topic: _decode(topic, JointStateDecoder(joint_names, field), messages.get(topic, ()))
-            for topic, field in contract.VALUE_FIELD.items()
+            for topic, field in topics.VALUE_FIELD.items()
         },
         commands=len(commands),
         command_values=_decode_commands(len(joint_names), commands),

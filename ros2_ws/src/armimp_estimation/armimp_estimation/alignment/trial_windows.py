@@ -1,6 +1,5 @@
 """When each trial of a recording took place, and which joint was perturbed in it."""
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -8,10 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
 from armimp_common.errors import DataError
-from armimp_common.stopping_rule import StoppingDecision
-from armimp_common.trial_status import Phase, TrialStatus
+from armimp_common.status import Cause, Phase, StoppingDecision, TrialStatus
+from armimp_common.topics import PERIOD_NS
 
 PAUSE_NS: Final = 250_000_000
 """Zero perturbation for this long (ns) separates two trials where no status tells them apart."""
@@ -27,7 +25,6 @@ _MOST_TRIALS: Final = 1000
 _ABORTED: Final = "aborted: "
 _NOT_VALID: Final = "not valid: "
 # What the controller says of a trial in which it only missed samples, which the ledger shows too.
-_MISSED: Final = re.compile(r"[0-9]+ samples? did not arrive")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,7 +196,7 @@ def only_missed_samples(status: TrialStatus) -> bool:
     return (
         status.phase is not Phase.ABORTED
         and not status.valid
-        and _MISSED.fullmatch(status.reason) is not None
+        and status.cause is Cause.SAMPLES_LOST
     )
 
 

@@ -7,9 +7,19 @@ from typing import Any, Final
 
 import yaml
 
-from armimp_common import contract
 from armimp_common.errors import BagError
-from armimp_common.yaml_text import TextLoader, load_yaml
+from armimp_common.schema import TextLoader, load_yaml
+from armimp_common.topics import (
+    CLOCK,
+    DATA_STREAMS,
+    DIAGNOSTICS,
+    MESSAGE_TYPES,
+    PROGRESS,
+    RECEIVED,
+    RESULT,
+    STOPPING,
+    TRIAL,
+)
 from armimp_estimation.atomic_write import read_text, replace_whole
 from armimp_estimation.bags.definitions import message_definition
 
@@ -28,14 +38,14 @@ _DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _SAMPLE: Final = (2000, "reliable", "volatile")
 _LATCHED: Final = (10, "reliable", "transient_local")
 _QOS: Final[dict[str, tuple[int, str, str]]] = {
-    **dict.fromkeys(contract.DATA_STREAMS, _SAMPLE),
-    contract.TRIAL: _LATCHED,
-    contract.RESULT: _LATCHED,
-    contract.RECEIVED: _LATCHED,
-    contract.JUDGEMENT: _LATCHED,
-    contract.PROGRESS: (10, "reliable", "volatile"),
-    contract.CLOCK: (1, "best_effort", "volatile"),
-    contract.DIAGNOSTICS: (10, "reliable", "volatile"),
+    **dict.fromkeys(DATA_STREAMS, _SAMPLE),
+    TRIAL: _LATCHED,
+    RESULT: _LATCHED,
+    RECEIVED: _LATCHED,
+    STOPPING: _LATCHED,
+    PROGRESS: (10, "reliable", "volatile"),
+    CLOCK: (1, "best_effort", "volatile"),
+    DIAGNOSTICS: (10, "reliable", "volatile"),
 }
 
 
@@ -108,12 +118,10 @@ def bag_information(summary: BagSummary) -> dict[str, Any]:
             {
                 "topic_metadata": {
                     "name": name,
-                    "type": contract.MESSAGE_TYPES[topic],
+                    "type": MESSAGE_TYPES[topic],
                     "serialization_format": "cdr",
                     "offered_qos_profiles": qos_profiles(topic),
-                    "type_description_hash": message_definition(
-                        contract.MESSAGE_TYPES[topic]
-                    ).type_hash,
+                    "type_description_hash": message_definition(MESSAGE_TYPES[topic]).type_hash,
                 },
                 "message_count": messages,
             }

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from armimp_common import contract
 from armimp_common.cdr import joint_names_of
 from armimp_common.errors import BagError, ConfigurationError, DataError, MalformedMessageError
-from armimp_common.trial_status import TrialStatus
+from armimp_common.status import TrialStatus
+from armimp_common.topics import DATA_STREAMS, PERTURBATION, TRIAL
 from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
 from armimp_estimation.bags.raw import RawMessages, one_line
 from armimp_estimation.bags.statuses import decode_trial_statuses
@@ -104,15 +104,13 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
     by_index = raw.by_topic()
     messages = {
         topic: by_index.get(found[topic], []) if topic in found else []
-        for topic in (*contract.DATA_STREAMS, contract.TRIAL)
+        for topic in (*DATA_STREAMS, TRIAL)
     }
-    if len(messages[contract.TRIAL]) > _MOST_STATUSES and not trust:
-        raise raw.budget.refusal(
-            f"has {len(messages[contract.TRIAL])} messages of {contract.TRIAL}"
-        )
-    statuses, defect = decode_trial_statuses(messages[contract.TRIAL])
+    if len(messages[TRIAL]) > _MOST_STATUSES and not trust:
+        raise raw.budget.refusal(f"has {len(messages[TRIAL])} messages of {TRIAL}")
+    statuses, defect = decode_trial_statuses(messages[TRIAL])
     try:
-        joint_names = _joint_names(raw.metadata, messages[contract.PERTURBATION])
+        joint_names = _joint_names(raw.metadata, messages[PERTURBATION])
         if len(joint_names) > _MOST_JOINTS:
             raise DataError(f"{len(joint_names)} joints are more than {_MOST_JOINTS}")
         trials = assemble_trials(joint_names, messages, statuses, source=str(path))
@@ -123,7 +121,7 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         raise BagError(f"{path}: no trial in it; {_last_words(statuses)}")
     notes = [f"{path}: {raw.cut}"] if raw.cut else []
     if defect:
-        notes.append(f"{path}: damaged messages of {contract.TRIAL}: {one_line(defect)}")
+        notes.append(f"{path}: damaged messages of {TRIAL}: {one_line(defect)}")
     notes += [f"{path}: {trial.note}" for trial in trials if trial.note]
     return BagContent(
         path=path,
@@ -193,7 +191,7 @@ def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> 
             return joint_names_of(message)
         except MalformedMessageError as error:
             defect = defect or error
-    raise defect or DataError(f"no messages of {contract.PERTURBATION}")
+    raise defect or DataError(f"no messages of {PERTURBATION}")
 
 
 def _last_words(statuses: Sequence[TrialStatus]) -> str:

@@ -3,9 +3,9 @@
 import struct
 from collections.abc import Sequence
 
-from armimp_common.cdr.reader import CdrReader
+from armimp_common.cdr import CdrReader
 from armimp_common.errors import MalformedMessageError
-from armimp_common.trial_status import STATUS_NAME, Phase, TrialStatus
+from armimp_common.status import Phase, TrialStatus
 
 
 def decode_trial_status(data: bytes) -> TrialStatus:
@@ -27,7 +27,7 @@ def decode_trial_status(data: bytes) -> TrialStatus:
         values = {key.decode(): value.decode() for key, value in pairs}
     except UnicodeDecodeError:
         raise reader.error("has text that is not UTF-8") from None
-    if name != STATUS_NAME.encode():
+    if name != TrialStatus.STATUS_NAME.encode():
         raise reader.error(f"is not a trial status: {name.decode(errors='replace')!r}")
     return TrialStatus.from_values(values)
 
@@ -59,7 +59,7 @@ def encode_trial_status(status: TrialStatus) -> bytes:
     """
     level = 2 if status.phase is Phase.ABORTED else 0 if status.valid else 1
     data = bytearray((level,))
-    for text in (STATUS_NAME, status.sentence, ""):
+    for text in (TrialStatus.STATUS_NAME, status.sentence, ""):
         _append(data, text)
     values = status.to_values()
     _append_uint32(data, len(values))

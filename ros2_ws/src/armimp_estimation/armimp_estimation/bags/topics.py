@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from typing import Final
 
-from armimp_common import contract
 from armimp_common.errors import BagError
+from armimp_common.topics import JOINT_STATES, MESSAGE_TYPES, PERTURBATION, TORQUE_SENSORS, TRIAL
 
 _NEEDED: Final[dict[str, str]] = {
-    contract.JOINT_STATES: "joint positions",
-    contract.TORQUE_SENSORS: "torque readings",
-    contract.PERTURBATION: "perturbation",
+    JOINT_STATES: "joint positions",
+    TORQUE_SENSORS: "torque readings",
+    PERTURBATION: "perturbation",
 }
 
 _SHOWN: Final = 5
@@ -23,7 +23,7 @@ def is_contract_topic(name: str) -> bool:
 
 def contract_topic(name: str) -> str | None:
     """Topic of the contract of which this may be the name in a bag; None if there is none."""
-    for topic in contract.MESSAGE_TYPES:
+    for topic in MESSAGE_TYPES:
         if _prefix(name, topic) is not None:
             return topic
     return None
@@ -65,13 +65,13 @@ def resolve_topics(
         names = _listed([prefix.rstrip("/") or "/" for prefix in prefixes])
         raise BagError(f"{bag}: holds the topics of several rigs, choose a namespace: {names}")
     found: dict[str, int] = {}
-    for topic in contract.MESSAGE_TYPES:
+    for topic in MESSAGE_TYPES:
         matches = _candidates(recorded, topic)
         if prefixes:
             under = [i for i in matches if _prefix(recorded[i][0], topic) in (prefixes[0], "")]
             # Those not needed may be recorded elsewhere, if only once.
             matches = under if under or topic in _NEEDED or namespace is not None else matches
-        if len(matches) > 1 and (topic in _NEEDED or topic == contract.TRIAL):
+        if len(matches) > 1 and (topic in _NEEDED or topic == TRIAL):
             names = _listed(sorted({recorded[i][0] for i in matches}))
             raise BagError(f"{bag}: {topic} is ambiguous: {names}")
         if len(matches) == 1:
@@ -110,7 +110,7 @@ def _complete_prefixes(recorded: Sequence[tuple[str, str]]) -> list[str]:
 def _candidates(recorded: Sequence[tuple[str, str]], topic: str) -> list[int]:
     """Topics with the right name, and where there are such, the right type."""
     named = [i for i, (name, _) in enumerate(recorded) if _prefix(name, topic) is not None]
-    typed = [i for i in named if recorded[i][1] == contract.MESSAGE_TYPES[topic]]
+    typed = [i for i in named if recorded[i][1] == MESSAGE_TYPES[topic]]
     return typed or named
 
 
@@ -126,6 +126,6 @@ def _prefix(name: str, topic: str) -> str | None:
 
 def _check_type(recorded: tuple[str, str], topic: str, bag: str) -> None:
     name, message_type = recorded
-    expected = contract.MESSAGE_TYPES[topic]
+    expected = MESSAGE_TYPES[topic]
     if message_type not in ("", expected):
         raise BagError(f"{bag}: topic {name} is of type {message_type}, not {expected}")

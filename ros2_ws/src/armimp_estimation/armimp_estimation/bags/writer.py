@@ -8,8 +8,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from armimp_common import contract
 from armimp_common.errors import BagError, ConfigurationError
+from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES
 from armimp_estimation.bags.definitions import message_definition
 from armimp_estimation.bags.mcap_file import LIBRARY, McapFile
 from armimp_estimation.bags.metadata import (
@@ -59,7 +59,7 @@ class BagWriter:
                 raise ConfigurationError(f"bag metadata {key!r} is not a string: {value!r}")
         self._path = path
         self._custom = dict(metadata)
-        self._names = topic_names(list(contract.MESSAGE_TYPES), namespace)
+        self._names = topic_names(list(MESSAGE_TYPES), namespace)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._closed = False
@@ -219,7 +219,7 @@ class BagWriter:
     def _register(self, topic: str) -> int:
         if topic not in self._names:
             raise BagError(f"{self._path}: topic is not part of the contract: {topic!r}")
-        definition = message_definition(contract.MESSAGE_TYPES[topic])
+        definition = message_definition(MESSAGE_TYPES[topic])
         try:
             if definition.type not in self._schemas:
                 self._schemas[definition.type] = self._file.add_schema(
@@ -268,9 +268,7 @@ def expected_bytes(ticks: int, joints: int) -> int:
     joints : int
         Number of joints.
     """
-    return _HEAD_BYTES + ticks * len(contract.DATA_STREAMS) * (
-        _MESSAGE_BYTES + _JOINT_BYTES * joints
-    )
+    return _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
 
 
 def why_not_written(error: OSError) -> str:

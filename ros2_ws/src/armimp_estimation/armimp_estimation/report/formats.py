@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from markupsafe import Markup
 
-from armimp_common import contract
+from armimp_common import topics
 
 # Control characters have no place in HTML; those for the direction of writing can make a text
 # look like another one.
@@ -21,10 +21,10 @@ NONE = "–"
 UNITS: Mapping[str, str] = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 NAMES: Mapping[str, str] = {"M": "Inertia", "B": "Viscosity", "K": "Stiffness"}
 STREAMS: Mapping[str, str] = {
-    contract.JOINT_STATES: "joint angles",
-    contract.TORQUE_SENSORS: "torques on the arm",
-    contract.COMMANDS: "torque commands",
-    contract.PERTURBATION: "perturbation",
+    topics.JOINT_STATES: "joint angles",
+    topics.TORQUE_SENSORS: "torques on the arm",
+    topics.COMMANDS: "torque commands",
+    topics.PERTURBATION: "perturbation",
 }
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from armimp_common import contract
-from armimp_common.contract import NS_PER_S, PERIOD_NS
-from armimp_common.jitter import LATE_NS
+from armimp_common import topics
+from armimp_common.realtime import LATE_NS
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.atomic_write import write_whole
 from armimp_estimation.json_model import Matrix
@@ -476,7 +476,7 @@ def _samples(result: Result) -> Content:
 
 def _streams(one: AssembledTrial) -> Iterator[list[object]]:
     for topic, count in one.ledger.streams.items():
-        stamped = topic != contract.COMMANDS
+        stamped = topic != topics.COMMANDS
         name = STREAMS.get(topic, topic)
         yield [
             Markup('{}<span class="aside"> {}</span>').format(name, code(topic)),

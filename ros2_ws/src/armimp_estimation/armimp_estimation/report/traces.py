@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.contract import PERIOD_NS
+from armimp_common.topics import PERIOD_NS
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.curves import envelope

@@ -1,4 +1,4 @@
-"""Names, types and meaning of the topics: the contract between the nodes, bags and drivers.
+"""Names, types and rates of everything that nodes, bags and drivers exchange.
 
 Topic names without a leading slash are relative, so namespaces and remapping apply to them.
 """
@@ -30,12 +30,9 @@ TRIAL: Final = "imbic_controller/trial"
 PROGRESS: Final = "impedance_estimator/progress"
 RESULT: Final = "impedance_estimator/result"
 RECEIVED: Final = "impedance_estimator/received"
-JUDGEMENT: Final = "impedance_estimator/judgement"
+STOPPING: Final = "impedance_estimator/stopping"
 CLOCK: Final = "/clock"
 DIAGNOSTICS: Final = "/diagnostics"
-
-DATA_STREAMS: Final[tuple[str, ...]] = (JOINT_STATES, TORQUE_SENSORS, COMMANDS, PERTURBATION)
-"""The topics with one message in every control period."""
 
 MESSAGE_TYPES: Final[dict[str, str]] = {
     JOINT_STATES: "sensor_msgs/msg/JointState",
@@ -46,16 +43,13 @@ MESSAGE_TYPES: Final[dict[str, str]] = {
     PROGRESS: "diagnostic_msgs/msg/DiagnosticStatus",
     RESULT: "diagnostic_msgs/msg/DiagnosticStatus",
     RECEIVED: "std_msgs/msg/UInt64",
-    JUDGEMENT: "diagnostic_msgs/msg/DiagnosticStatus",
+    STOPPING: "diagnostic_msgs/msg/DiagnosticStatus",
     CLOCK: "rosgraph_msgs/msg/Clock",
     DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
 }
 
-RECORDER_GONE: Final = 2**64 - 1
-"""On ``impedance_estimator/received``: nothing is recorded any more, nobody has to wait."""
-
-RECEIVED_EVERY: Final = 10
-"""Samples after which the recorder tells how many it has received."""
+DATA_STREAMS: Final = (JOINT_STATES, TORQUE_SENSORS, COMMANDS, PERTURBATION)
+"""The topics with one message in every control period."""
 
 VALUE_FIELD: Final[dict[str, ValueField]] = {
     JOINT_STATES: "position",
@@ -64,9 +58,15 @@ VALUE_FIELD: Final[dict[str, ValueField]] = {
 }
 """Where each JointState stream carries its numbers: encoder angle (rad) or torque (N·m)."""
 
+RECORDER_GONE: Final = 2**64 - 1
+"""On ``impedance_estimator/received``: nothing is recorded any more, nobody has to wait."""
+
+RECEIVED_EVERY: Final = 10
+"""Samples after which the recorder tells how many it has received."""
+
 
 def alive(node: str) -> str:
-    """Return the topic on which a node offers its sign of life."""
+    """Return the topic of the heartbeat of a node."""
     return f"{node}/alive"
 
 

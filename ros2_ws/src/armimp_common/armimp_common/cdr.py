@@ -1,0 +1,613 @@
+"""CDR of the four streamed layouts: bounds-checked, fast, and without ROS.
+
+Messages of one stream differ only in stamp and numbers. So a layout is parsed once, and every
+further message of it takes one comparison and one ``struct`` call.
+
+==================  ======================================
+clock               ``rosgraph_msgs/msg/Clock``
+count               ``std_msgs/msg/UInt64``
+command             ``std_msgs/msg/Float64MultiArray``
+samples, τ_Δ        ``sensor_msgs/msg/JointState``
+==================  ======================================
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any, Final, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, MalformedMessageError
+from armimp_common.topics import NS_PER_S, ValueField
+
+Buffer: TypeAlias = bytes | bytearray | memoryview
+Span: TypeAlias = tuple[int, int]
+"""Start and end of some bytes of a message, counted from its first byte."""
+
+_LITTLE: Final = b"\0\1\0\0"
+_HEADER_SIZE: Final = 4
+"""Bytes of the encapsulation header, from whose end CDR counts its alignment."""
+_MAX_SURPLUS: Final = 15
+"""Bytes tolerated after the last field: senders round sizes up by at most this much."""
+_BYTE_ORDERS: Final[dict[bytes, Literal["<", ">"]]] = {b"\0\0": ">", b"\0\1": "<"}
+
+_CLOCK: Final = struct.Struct("<4siI")
+_COUNT: Final = struct.Struct("<4sQ")
+_COUNTS: Final = {head: struct.Struct(f"{order}4xQ") for head, order in _BYTE_ORDERS.items()}
+_NUMBERS: Final = {head: struct.Struct(f"{order}4x2I") for head, order in _BYTE_ORDERS.items()}
+"""Number of dimensions and data offset of a command."""
+_FIELDS: Final[tuple[ValueField, ...]] = ("position", "effort")
+
+
+def encode_clock(stamp_ns: int) -> bytes:
+    """Encode a time (ns), as a typed rclpy publisher would send it.
+
+    Raises
+    ------
+    ConfigurationError
+        If its seconds do not fit 32 bits.
+    """
+    try:
+        return _CLOCK.pack(_LITTLE, *divmod(stamp_ns, NS_PER_S))
+    except struct.error:
+        raise ConfigurationError(f"time does not fit a Clock: {stamp_ns} ns") from None
+
+
+def encode_count(count: int) -> bytes:
+    """Encode a count, as a typed rclpy publisher would send it.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not from 0 to 2⁶⁴ − 1.
+    """
+    try:
+        return _COUNT.pack(_LITTLE, count)
+    except struct.error:
+        raise ConfigurationError(f"count does not fit a UInt64: {count}") from None
+
+
+def decode_count(data: Buffer) -> int:
+    """Decode a count.
+
+    Raises
+    ------
+    MalformedMessageError
+        On truncated or foreign bytes.
+    """
+    layout = _COUNTS.get(bytes(data[:2]))
+    if layout is None or not _COUNT.size <= len(data) <= _COUNT.size + _MAX_SURPLUS:
+        raise MalformedMessageError(f"UInt64 is {len(data)} bytes of something else")
+    return int(layout.unpack_from(data)[0])
+
+
+class CdrReader:
+    """Parser of plain CDR (XCDR1) of either byte order, which never reads past the end.
+
+    Parameters
+    ----------
+    data
+        The whole message, encapsulation header included.
+    what
+        Name of the message type, for error messages.
+
+    Attributes
+    ----------
+    byte_order
+        ``"<"`` or ``">"``, as ``struct`` writes it.
+    constants
+        Spans of everything read through `count` and `string`: what two messages must have in
+        common to share a layout. Padding and surplus are not among them, as senders leave
+        arbitrary bytes there.
+
+    Raises
+    ------
+    MalformedMessageError
+        From every method, when the bytes are not what they should be.
+    """
+
+    def __init__(self, data: Buffer, what: str) -> None:
+        self._data, self._what, self._position = data, what, _HEADER_SIZE
+        if len(data) < _HEADER_SIZE:
+            raise self.error(f"has {len(data)} bytes, too few for a header")
+        byte_order = _BYTE_ORDERS.get(bytes(data[:2]))
+        if byte_order is None:
+            raise self.error(f"is not plain CDR: header {bytes(data[:4]).hex()}")
+        self.byte_order: Literal["<", ">"] = byte_order
+        self.constants: list[Span] = [(0, 2)]
+        self._stamp, self._uint32 = (
+            struct.Struct(f"{byte_order}iI"),
+            struct.Struct(f"{byte_order}I"),
+        )
+
+    def error(self, reason: str) -> MalformedMessageError:
+        """Return the error that says why this message is not acceptable."""
+        return MalformedMessageError(f"{self._what} {reason}")
+
+    def stamp_ns(self) -> int:
+        """Read a ``builtin_interfaces/Time`` (ns)."""
+        sec, nanosec = self._stamp.unpack_from(self._data, self._take(8, 4))
+        return int(sec) * NS_PER_S + int(nanosec)
+
+    def uint32(self) -> int:
+        """Read an unsigned number that may differ from message to message."""
+        return int(self._uint32.unpack_from(self._data, self._take(4, 4))[0])
+
+    def count(self, item_size: int) -> int:
+        """Read the length of a sequence whose items take at least `item_size` bytes each."""
+        count = self.uint32()
+        start = self._position - 4
+        if count * item_size > len(self._data) - self._position:
+            raise self.error(f"is truncated: {count} items announced at byte {start}")
+        self.constants.append((start, start + 4))
+        return count
+
+    def string(self) -> bytes:
+        """Read a string, without its terminator."""
+        size = self.count(1)
+        if size == 0:
+            return b""
+        start = self._take(size, 1)
+        text = bytes(self._data[start : start + size])
+        if text[-1] != 0:
+            raise self.error(f"has an unterminated string at byte {start}")
+        self.constants.append((start, start + size))
+        return text[:-1]
+
+    def float64s(self) -> Span:
+        """Read a sequence of doubles and return the bytes of its numbers."""
+        count = self.count(8)
+        if count == 0:
+            return self._position, self._position
+        return self._take(8 * count, 8), self._position
+
+    def finish(self) -> None:
+        """Check that nothing but a little surplus follows."""
+        surplus = len(self._data) - self._position
+        if surplus > _MAX_SURPLUS:
+            raise self.error(f"has {surplus} bytes too many")
+
+    def _take(self, size: int, alignment: int) -> int:
+        """Step over `size` aligned bytes and return where they start."""
+        start = self._position + (_HEADER_SIZE - self._position) % alignment
+        if start + size > len(self._data):
+            raise self.error(f"is truncated: {len(self._data)} bytes, {start + size} needed")
+        self._position = start + size
+        return start
+
+
+class _Layout:
+    """Where the numbers are in messages that look like one that was parsed; its stamp, if any.
+
+    A message of the same length has this layout if the bytes around stamp and numbers are the same
+    (`head`, `before`, `after`), which is quickly seen, or else if all `constants` are.
+
+    Parameters
+    ----------
+    first
+        What `unpack` returns first, as ``struct`` has it: `head` and two values in 12 bytes.
+    order
+        For each value to return, its index among the doubles.
+    """
+
+    def __init__(
+        self, data: Buffer, parsed: CdrReader, first: str, numbers: Span, order: Sequence[int]
+    ) -> None:
+        self.length, self._byte_order = len(data), parsed.byte_order
+        self._constants = [
+            (start, end, np.frombuffer(bytes(data[start:end]), np.uint8))
+            for start, end in parsed.constants
+        ]
+        self._start, self._order = numbers[0], list(order)
+        mask = bytearray(self.length)
+        for start, end in parsed.constants:
+            mask[start:end] = b"\xff" * (end - start)
+        self._mask = int.from_bytes(mask, "little")
+        self._constant = int.from_bytes(data, "little") & self._mask
+        self.before, self.after = bytes(data[12 : numbers[0]]), bytes(data[numbers[1] :])
+        count = (numbers[1] - numbers[0]) // 8
+        self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
+            f"{parsed.byte_order}{first}{len(self.before)}s{count}d{len(self.after)}s"
+        ).unpack
+        self.head = self.unpack(data)[0]
+        self.values = _picker([4 + index for index in self._order])
+
+    def matches(self, data: Buffer) -> bool:
+        """Tell whether a message has this layout."""
+        return (
+            len(data) == self.length
+            and int.from_bytes(data, "little") & self._mask == self._constant
+        )
+
+    def unpack_many(
+        self, messages: Sequence[Buffer]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]] | None:
+        """Stamps (N,) and values (n, N) of many messages at once; None if the layouts differ."""
+        if set(map(len, messages)) - {self.length}:
+            return None
+        table = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), self.length)
+        for start, end, expected in self._constants:
+            if not (table[:, start:end] == expected).all():
+                return None
+        seconds, nanoseconds = self._column(table, 4, "i4"), self._column(table, 8, "u4")
+        stamps = seconds.astype(np.int64) * NS_PER_S + nanoseconds.astype(np.int64)
+        values = np.empty((len(self._order), len(messages)))
+        for row, index in enumerate(self._order):
+            values[row] = self._column(table, self._start + 8 * index, "f8")
+        return stamps, values
+
+    def _column(self, table: NDArray[np.uint8], start: int, kind: str) -> NDArray[Any]:
+        column: NDArray[Any] = np.ndarray(
+            (len(table),),
+            np.dtype(self._byte_order + kind),
+            buffer=table.data,
+            offset=start,
+            strides=(self.length,),
+        )
+        return column
+
+
+def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
+    """Return a function that picks these items of a tuple, as a tuple."""
+    first, end = indices[0], indices[0] + len(indices)
+    if list(indices) == list(range(first, end)):
+        return itemgetter(slice(first, end))
+    # With a single index itemgetter would not return a tuple, hence the slice above for n = 1.
+    return itemgetter(*indices)
+
+
+class _Decoder(ABC):
+    """Decoder of a stream that keeps the layout of the last message."""
+
+    _stamped = False
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._layout: _Layout | None = None
+
+    @abstractmethod
+    def _parse(self, data: Buffer) -> _Layout: ...
+
+    def _unpacked(self, data: Buffer) -> tuple[_Layout, tuple[Any, ...]]:
+        """Unpack a message by its layout, which is parsed if it is not the last one."""
+        layout = self._layout
+        if layout is not None and len(data) == layout.length:
+            items = layout.unpack(data)
+            if (
+                items[0] == layout.head and items[3] == layout.before and items[-1] == layout.after
+            ) or layout.matches(data):
+                return layout, items
+        layout = self._layout = self._parse(data)
+        return layout, layout.unpack(data)
+
+    def _many(self, messages: Sequence[Buffer]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        bulk = None
+        if messages:
+            bulk = self._indexed(0, messages[0])[0].unpack_many(messages)
+        if bulk is not None:
+            return bulk
+        stamps, values = np.zeros(len(messages), np.int64), np.empty((self._count, len(messages)))
+        for index, data in enumerate(messages):
+            layout, items = self._indexed(index, data)
+            values[:, index] = layout.values(items)
+            if self._stamped:
+                stamps[index] = items[1] * NS_PER_S + items[2]
+        return stamps, values
+
+    def _indexed(self, index: int, data: Buffer) -> tuple[_Layout, tuple[Any, ...]]:
+        try:
+            return self._unpacked(data)
+        except MalformedMessageError as error:
+            raise MalformedMessageError(f"message {index}: {error}") from None
+
+
+class JointStateEncoder:
+    """Encoder of JointState messages that differ in stamp and numbers only.
+
+    The bytes are those which a typed rclpy publisher sends, with zeros in the padding, so that
+    equal runs give equal bytes.
+
+    Parameters
+    ----------
+    names
+        Joint names, in the order of the values to encode.
+    field
+        The array that takes the numbers; the two others stay empty.
+    frame_id
+        ``header.frame_id``.
+
+    Raises
+    ------
+    ConfigurationError
+        If a name is empty, doubled or not encodable, or the field is not known.
+    """
+
+    def __init__(self, names: Sequence[str], field: ValueField, frame_id: str = "") -> None:
+        _check(names, field)
+        count = len(names)
+        before = bytearray(_string(frame_id))
+        before += struct.pack("<I", count)
+        for name in names:
+            before += _string(name)
+        if field == "effort":
+            before += bytes(8)
+        before += struct.pack("<I", count)
+        # Eight bytes that count for alignment, the stamp, stand before.
+        before += bytes(-len(before) % 8)
+        self._before, self._count = bytes(before), count
+        self._after = bytes(8) if field == "position" else b""
+        self._pack = struct.Struct(f"<4siI{len(before)}s{count}d{len(self._after)}s").pack
+
+    def encode(self, stamp_ns: int, values: Sequence[float] | NDArray[np.float64]) -> bytes:
+        """Encode (n,) numbers in the order of the names, with a stamp (ns).
+
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong or the stamp does not fit the message.
+        """
+        sec, nanosec = divmod(stamp_ns, NS_PER_S)
+        if isinstance(values, np.ndarray):
+            values = values.tolist()  # numbers of Python's own are packed in a third of the time
+        try:
+            return self._pack(_LITTLE, sec, nanosec, self._before, *values, self._after)
+        except struct.error:
+            raise MalformedMessageError(
+                f"JointState of {self._count} joints cannot carry stamp {stamp_ns} ns with"
+                f" {list(values)}"
+            ) from None
+
+
+class JointStateDecoder(_Decoder):
+    """Decoder that returns the values in the order of `names`, whatever order they came in.
+
+    Parameters
+    ----------
+    names
+        The joints that every message must have, no more and no less.
+    field
+        The array that carries the numbers; others may be filled and are ignored.
+    others
+        Whether messages may have further joints, which are ignored.
+
+    Raises
+    ------
+    ConfigurationError
+        If a name is empty, doubled or not encodable, or the field is not known.
+    """
+
+    _stamped = True
+
+    def __init__(self, names: Sequence[str], field: ValueField, *, others: bool = False) -> None:
+        _check(names, field)
+        super().__init__(len(names))
+        self._names = [name.encode() for name in names]
+        self._field, self._others = field, others
+
+    def decode(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
+        """Decode one message into its stamp (ns) and n numbers, NaN and infinities as they are.
+
+        Raises
+        ------
+        MalformedMessageError
+            On truncated or foreign bytes, a missing, unknown or doubled joint, or an array
+            whose length is not the number of joints.
+        """
+        layout, items = self._unpacked(data)
+        return items[1] * NS_PER_S + items[2], layout.values(items)
+
+    def decode_many(
+        self, messages: Sequence[Buffer]
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Decode many messages into stamps (N,), ns, and a C-contiguous array (n, N) of numbers.
+
+        Raises
+        ------
+        MalformedMessageError
+            As `decode`, with the index of the message.
+        """
+        return self._many(messages)
+
+    def _parse(self, data: Buffer) -> _Layout:
+        reader, names, position, effort = _joint_state(data)
+        order = self._order(names, reader)
+        numbers = position if self._field == "position" else effort
+        count = (numbers[1] - numbers[0]) // 8
+        if count != len(names):
+            raise reader.error(f"has {count} {self._field} values for {len(names)} joints")
+        return _Layout(data, reader, "4siI", numbers, order)
+
+    def _order(self, names: Sequence[bytes], reader: CdrReader) -> list[int]:
+        index = {name: place for place, name in enumerate(names)}
+        if len(index) != len(names):
+            raise reader.error(f"has a joint twice: {_joined(names)}")
+        for name in self._names:
+            if name not in index:
+                raise reader.error(f"lacks joint {_joined([name])}; it has {_joined(names)}")
+        if len(names) != len(self._names) and not self._others:
+            unknown = [name for name in names if name not in self._names]
+            raise reader.error(f"has unknown joint {_joined(unknown)}")
+        return [index[name] for name in self._names]
+
+
+def joint_names_of(data: Buffer) -> tuple[str, ...]:
+    """Return the joint names in the order in which a JointState message has them.
+
+    Raises
+    ------
+    MalformedMessageError
+        If the bytes are not a JointState message.
+    """
+    reader, names, _, _ = _joint_state(data)
+    try:
+        return tuple(name.decode() for name in names)
+    except UnicodeDecodeError:
+        raise reader.error(f"has a joint name that is not UTF-8: {_joined(names)}") from None
+
+
+def stamp_of(data: Buffer) -> int:
+    """Return the stamp (ns) of any message that begins with a ``std_msgs/Header``.
+
+    Raises
+    ------
+    MalformedMessageError
+        If the bytes are too few or not CDR.
+    """
+    return CdrReader(data, "message").stamp_ns()
+
+
+class CommandEncoder:
+    """Encoder of joint torques in order, as the effort controllers of ros2_controllers take them.
+
+    They ignore the ``layout`` of the message. Its ``data_offset`` holds the number of the command,
+    from 1 on, so that everybody can tell a command of another publisher, or one that is missing.
+
+    Parameters
+    ----------
+    n
+        Number of joints.
+
+    Raises
+    ------
+    ConfigurationError
+        If `n` is not positive.
+    """
+
+    def __init__(self, n: int) -> None:
+        _check_joints(n)
+        self._n = n
+        # Doubles start on a multiple of 8.
+        self._pack = struct.Struct(f"<4sIII4x{n}d").pack
+
+    def encode(self, values: Sequence[float] | NDArray[np.float64], number: int = 0) -> bytes:
+        """Encode (n,) joint torques (N·m), with the number of the command or 0 for none.
+
+        Raises
+        ------
+        MalformedMessageError
+            If the number of values is wrong.
+        """
+        if isinstance(values, np.ndarray):
+            values = values.tolist()
+        try:
+            return self._pack(_LITTLE, 0, number, self._n, *values)
+        except struct.error:
+            raise MalformedMessageError(
+                f"Float64MultiArray takes {self._n} numbers, not {list(values)}"
+            ) from None
+
+
+def next_number(number: int) -> int:
+    """Return the number of the command after that of this number; 0 is none."""
+    return number % 0xFFFF_FFFF + 1
+
+
+def command_number(data: Buffer) -> int:
+    """Return the number that a command carries, 0 if it has none."""
+    numbers = _NUMBERS.get(bytes(data[:2])) if len(data) >= 12 else None
+    dimensions, number = (1, 0) if numbers is None else numbers.unpack_from(data)
+    return 0 if dimensions else int(number)
+
+
+class CommandDecoder(_Decoder):
+    """Decoder of commands for `n` joints; the ``layout`` of the message is ignored.
+
+    Parameters
+    ----------
+    n
+        Number of joints, and so of numbers in every message.
+
+    Raises
+    ------
+    ConfigurationError
+        If `n` is not positive.
+    """
+
+    def __init__(self, n: int) -> None:
+        _check_joints(n)
+        super().__init__(n)
+
+    def decode(self, data: Buffer) -> tuple[float, ...]:
+        """Decode one message into n torques (N·m), NaN and infinities passed on as they are.
+
+        Raises
+        ------
+        MalformedMessageError
+            On truncated or foreign bytes, or another number of values.
+        """
+        layout, items = self._unpacked(data)
+        return layout.values(items)
+
+    def decode_numbered(self, data: Buffer) -> tuple[int, tuple[float, ...]]:
+        """Decode as :meth:`decode` does, and return the number of the command before the values."""
+        layout, items = self._unpacked(data)
+        return 0 if any(items[0][4:]) else items[1], layout.values(items)
+
+    def decode_many(self, messages: Sequence[Buffer]) -> NDArray[np.float64]:
+        """Decode many messages into a C-contiguous array (n, N), N·m.
+
+        Raises
+        ------
+        MalformedMessageError
+            As `decode`, with the index of the message.
+        """
+        return self._many(messages)[1]
+
+    def _parse(self, data: Buffer) -> _Layout:
+        reader = CdrReader(data, "Float64MultiArray")
+        for _ in range(reader.count(12)):
+            reader.string()
+            reader.uint32()
+            reader.uint32()
+        reader.uint32()
+        numbers = reader.float64s()
+        reader.finish()
+        count = (numbers[1] - numbers[0]) // 8
+        if count != self._count:
+            raise reader.error(f"has {count} values for {self._count} joints")
+        return _Layout(data, reader, "8sI0s", numbers, range(count))
+
+
+def _joint_state(data: Buffer) -> tuple[CdrReader, list[bytes], Span, Span]:
+    """Names, positions and efforts of a message."""
+    reader = CdrReader(data, "JointState")
+    reader.stamp_ns()
+    reader.string()
+    names = [reader.string() for _ in range(reader.count(4))]
+    position, _, effort = reader.float64s(), reader.float64s(), reader.float64s()
+    reader.finish()
+    return reader, names, position, effort
+
+
+def _check_joints(n: int) -> None:
+    if n < 1:
+        raise ConfigurationError(f"number of joints is not positive: {n}")
+
+
+def _check(names: Sequence[str], field: ValueField) -> None:
+    if field not in _FIELDS:
+        raise ConfigurationError(f"field is not one of {', '.join(_FIELDS)}: {field!r}")
+    if not names or len(set(names)) != len(names):
+        raise ConfigurationError(f"joint names are not distinct: {', '.join(names) or 'none'}")
+    for name in names:
+        if not name or "\0" in name:
+            raise ConfigurationError(f"joint name is not usable: {name!r}")
+        _string(name)
+
+
+def _string(text: str) -> bytes:
+    """A string as CDR has it, with padding for the number that follows."""
+    try:
+        data = text.encode() + b"\0"
+    except UnicodeEncodeError:
+        raise ConfigurationError(f"text cannot be encoded: {text!r}") from None
+    return struct.pack("<I", len(data)) + data + bytes(-len(data) % 4)
+
+
+def _joined(names: Sequence[bytes]) -> str:
+    return ", ".join(repr(name.decode(errors="replace")) for name in names) or "none"

@@ -1,0 +1,332 @@
+"""Real time on a host that knows little of it: deadlines, precedence, and how well it went."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import math
+import os
+import random
+import sys
+import threading
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from pydantic import Field
+
+from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.schema import Schema
+from armimp_common.status import TimingFigures
+from armimp_common.topics import NS_PER_S, PERIOD_NS
+
+LATE_NS: Final = PERIOD_NS // 4
+"""A sample is late if it is sent more than this after its deadline, ns."""
+
+_KEPT = 4096
+"""Durations that quantiles are taken of."""
+_SWITCH_INTERVAL = 2e-4
+"""How long a thread may keep another one of Python waiting (s); the default is five periods."""
+_REFUSAL = "the system does not permit SCHED_FIFO to this user, see docs/realtime.md"
+_NEW_OBJECTS = 50_000
+"""How many there may be before the collector looks at them; the default is 700."""
+_PR_SET_TIMERSLACK = 29
+_SLACK_NS = 1000
+
+
+class Pacer:
+    """Waits for the deadlines ``start + k · period``, so that errors do not add up.
+
+    What comes late does not move the deadlines after it: a thread that was held up for three
+    periods finds three deadlines behind it and catches up, as time on a rig does not wait either.
+
+    Parameters
+    ----------
+    period_ns : int
+        Distance of two deadlines, ns.
+    spin_ns : int
+        The last part of each wait that is spent asking the clock over and over instead of asleep.
+        It costs that share of a processor core, and saves the time that waking up takes.
+    now : callable
+        Tells the time, ns, on any monotonic clock.
+    sleep : callable
+        Sleeps for a time, s; 0 lets others run.
+    """
+
+    def __init__(
+        self,
+        period_ns: int,
+        *,
+        spin_ns: int = 0,
+        now: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self._period_ns, self._spin_ns, self._sleep = period_ns, spin_ns, sleep
+        self._start_ns = 0
+        self.now = now
+
+    def start(self) -> None:
+        """Let the deadline of tick 0 be now."""
+        self._start_ns = self.now()
+
+    def deadline_ns(self, tick: int) -> int:
+        """Deadline of a tick on the clock, ns."""
+        return self._start_ns + tick * self._period_ns
+
+    def wait(self, tick: int) -> None:
+        """Return at the deadline of a tick, or at once if it has passed; never before it."""
+        deadline_ns = self.deadline_ns(tick)
+        while (left_ns := deadline_ns - self.now()) > 0:
+            self._sleep(max(left_ns - self._spin_ns, 0) / NS_PER_S)
+
+
+class Durations:
+    """Distribution of durations, in memory that does not grow with their number.
+
+    Quantiles are those of a random sample of them (algorithm R of Vitter, ACM Trans. Math. Softw.
+    11(1), 1985), the maximum is exact.
+    """
+
+    def __init__(self) -> None:
+        self._kept = array("q")
+        self._random = random.Random(0).random
+        self._count = self._longest_ns = 0
+
+    def add(self, duration_ns: int) -> None:
+        """Take a duration, ns."""
+        self._longest_ns = max(self._longest_ns, duration_ns)
+        self._count += 1
+        if len(self._kept) < _KEPT:
+            self._kept.append(duration_ns)
+        elif (place := int(self._random() * self._count)) < _KEPT:
+            self._kept[place] = duration_ns
+
+    def quantiles(self) -> tuple[float, float, float]:
+        """Median, 99 % quantile and maximum, s; NaN if there is nothing."""
+        if not self._kept:
+            return math.nan, math.nan, math.nan
+        p50, p99 = np.quantile(self._kept, (0.5, 0.99), method="inverted_cdf") / NS_PER_S
+        return float(p50), float(p99), self._longest_ns / NS_PER_S
+
+
+class TimingMeter:
+    """Measures the timing of a rig: told when samples leave, and when commands come back.
+
+    Commands carry no stamp, so they are matched to samples by counting, as everywhere.
+    """
+
+    def __init__(self) -> None:
+        self._period, self._latency = Durations(), Durations()
+        self._last_ns: int | None = None
+        self._ticks = self._late = self._missed = 0
+
+    def sent(self, deadline_ns: int, sent_ns: int) -> None:
+        """A sample that was due at a time was sent, ns."""
+        self._ticks += 1
+        self._late += sent_ns - deadline_ns > LATE_NS
+        if self._last_ns is not None:
+            self._period.add(sent_ns - self._last_ns)
+        self._last_ns = sent_ns
+
+    def answered(self, latency_ns: int) -> None:
+        """A command came so long after its sample, ns."""
+        self._latency.add(latency_ns)
+
+    def missed(self) -> None:
+        """A period began without the command that was meant for it."""
+        self._missed += 1
+
+    def figures(self) -> TimingFigures:
+        """Return the figures so far."""
+        period, latency = self._period.quantiles(), self._latency.quantiles()
+        return TimingFigures(
+            ticks=self._ticks,
+            late=self._late,
+            # A gap may leave out more periods than samples were sent so far.
+            missed=min(self._missed, self._ticks),
+            period_p50=period[0],
+            period_p99=period[1],
+            period_max=period[2],
+            latency_p50=latency[0],
+            latency_p99=latency[1],
+            latency_max=latency[2],
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimingLimits:
+    """Limits beyond which a run in real time is not valid.
+
+    Parameters
+    ----------
+    max_late_share : float
+        Largest share of late samples, from 0 to 1.
+    max_missed_share : float
+        Largest share of periods for which the command did not come in time.
+    max_latency : float
+        Largest 99 % quantile of the time from a sample to its command, s.
+    """
+
+    max_late_share: float = 0.01
+    max_missed_share: float = 0.01
+    max_latency: float = 0.001
+
+
+def judge_timing(figures: TimingFigures, limits: TimingLimits) -> list[str]:
+    """Problems with the timing of a run, in words; comparisons are written so that NaN fails."""
+    late = f"samples were sent more than {LATE_NS / 1e6:g} ms late"
+    problems = []
+    for what, count, limit in (
+        (late, figures.late, limits.max_late_share),
+        ("commands did not come in time", figures.missed, limits.max_missed_share),
+    ):
+        share = count / figures.ticks if figures.ticks else 0.0
+        if not share <= limit:
+            problems.append(
+                f"real time: {count} of {figures.ticks} {what}, {100 * share:.3g} % "
+                f"(limit {100 * limit:.3g} %)"
+            )
+    if not figures.latency_p99 <= limits.max_latency:
+        problems.append(
+            "real time: the 99 % quantile of the time from a sample to its command is "
+            f"{1e3 * figures.latency_p99:.3g} ms (limit {1e3 * limits.max_latency:.3g} ms)"
+        )
+    return problems
+
+
+class SchedulingParameters(Schema):
+    """What a process asks of the system while it works in real time."""
+
+    priority: int = Field(
+        default=0,
+        ge=0,
+        le=99,
+        description="SCHED_FIFO priority of the process in mode realtime; 0: ordinary scheduling",
+    )
+    cpu: int = Field(
+        default=-1,
+        ge=-1,
+        le=1023,
+        description="processor core that the process stays on in mode realtime; -1: any",
+    )
+
+
+class RealtimeScheduling:
+    """Takes precedence for the whole process, until it is given back.
+
+    Python's garbage collector rests meanwhile: a collection in the wrong moment takes milliseconds.
+    All threads count, those of the middleware too, since each of them carries a message on.
+
+    Parameters
+    ----------
+    parameters : SchedulingParameters
+
+    Raises
+    ------
+    GraphError
+        If the system does not permit what is asked.
+    """
+
+    def __init__(self, parameters: SchedulingParameters) -> None:
+        self._collecting = gc.isenabled()
+        self._interval = sys.getswitchinterval()
+        self._before: dict[int, tuple[int, os.sched_param, set[int]]] = {}
+        for thread in _threads():
+            with suppress(ProcessLookupError):  # ended just now
+                self._raise(thread, parameters)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        sys.setswitchinterval(_SWITCH_INTERVAL)
+
+    def _raise(self, thread: int, parameters: SchedulingParameters) -> None:
+        policy, param = os.sched_getscheduler(thread), os.sched_getparam(thread)
+        self._before[thread] = policy, param, os.sched_getaffinity(thread)
+        name, value = "cpu", parameters.cpu
+        try:
+            if value >= 0:
+                os.sched_setaffinity(thread, {value})
+            name, value = "priority", parameters.priority
+            if value:
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(value))
+        except ProcessLookupError:
+            raise
+        except OSError as error:
+            self._restore()
+            reason = _REFUSAL if name == "priority" else error.strerror
+            raise GraphError(f"parameter 'realtime.{name}' = {value}: {reason}") from None
+
+    def give_back(self) -> None:
+        """Let the process be as it was."""
+        self._restore()
+        sys.setswitchinterval(self._interval)
+        if self._collecting:
+            gc.unfreeze()
+            gc.enable()
+
+    def _restore(self) -> None:
+        for thread, (policy, param, cores) in self._before.items():
+            with suppress(OSError):
+                os.sched_setscheduler(thread, policy, param)
+                os.sched_setaffinity(thread, cores)
+        self._before.clear()
+
+
+def require_precedence(priority: int) -> None:
+    """Find out beforehand whether the system permits a SCHED_FIFO priority; 0 always is.
+
+    Raises
+    ------
+    ConfigurationError
+        If it does not.
+    """
+    if priority == 0:
+        return
+    refused: list[OSError] = []
+
+    def attempt() -> None:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except OSError as error:
+            refused.append(error)
+
+    # The scheduling of a thread ends with it.
+    thread = threading.Thread(target=attempt)
+    thread.start()
+    thread.join()
+    if refused:
+        raise ConfigurationError(f"priority = {priority}: {_REFUSAL}")
+
+
+@contextmanager
+def seldom_collecting() -> Iterator[None]:
+    """Have Python's garbage collector look at what is new only, and that seldom.
+
+    Of what is there already it would find nothing, but look at all of it again and again.
+    """
+    threshold = gc.get_threshold()
+    gc.freeze()
+    gc.set_threshold(_NEW_OBJECTS, *threshold[1:])
+    try:
+        yield
+    finally:
+        gc.set_threshold(*threshold)
+        gc.unfreeze()
+
+
+def wake_up_exactly() -> None:
+    """Let the kernel wake this thread at the time it asked for, not up to 50 µs later."""
+    with suppress(OSError, AttributeError):  # elsewhere than on Linux
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, _SLACK_NS, 0, 0, 0)
+
+
+def _threads() -> list[int]:
+    try:
+        return [int(entry.name) for entry in Path("/proc/self/task").iterdir()]
+    except OSError:
+        return [0]

@@ -1,0 +1,319 @@
+"""Real time: deadlines, statistics of timing with their verdict, precedence of a process."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import math
+import os
+import sys
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armimp_common import realtime
+from armimp_common.errors import ConfigurationError, GraphError
+from armimp_common.realtime import (
+    LATE_NS,
+    Durations,
+    Pacer,
+    RealtimeScheduling,
+    SchedulingParameters,
+    TimingLimits,
+    TimingMeter,
+    judge_timing,
+    require_precedence,
+    seldom_collecting,
+)
+from armimp_common.status import TimingFigures
+
+MS = 1_000_000
+GOOD = TimingFigures(ticks=1000, late=10, missed=10, period_p50=1e-3, latency_p99=1e-3)
+
+
+def quantiles(durations: Iterable[int]) -> tuple[float, float, float]:
+    made = Durations()
+    for duration in durations:
+        made.add(duration)
+    return made.quantiles()
+
+
+@given(st.lists(st.integers(0, 10**11), min_size=1, max_size=200))
+def test_quantiles_are_durations_and_the_longest_is_exact(durations: list[int]) -> None:
+    ranked = sorted(durations)
+    expected = [ranked[math.ceil(share * len(ranked)) - 1] / 1e9 for share in (0.5, 0.99, 1.0)]
+    assert quantiles(durations) == pytest.approx(expected, rel=1e-12)
+
+
+def test_of_very_many_durations_a_fixed_number_is_kept_and_quantiles_stay_right() -> None:
+    durations = np.random.default_rng(1).gamma(3.0, 3e5, 200_000).astype(int)
+    made = Durations()
+    for duration in durations.tolist():
+        made.add(duration)
+    assert len(made._kept) <= realtime._KEPT
+    exact = np.quantile(durations, (0.45, 0.55, 0.98, 0.995)) / 1e9
+    p50, p99, longest = made.quantiles()
+    assert exact[0] < p50 < exact[1]
+    assert exact[2] < p99 < exact[3]
+    assert longest == durations.max() / 1e9
+
+
+def test_late_samples_missed_commands_and_times_are_measured() -> None:
+    meter = TimingMeter()
+    assert math.isnan(meter.figures().period_p50)
+    for tick, lateness in enumerate((0, LATE_NS, LATE_NS + 1, 5 * MS, 10)):
+        meter.sent(tick * MS, tick * MS + lateness)
+    for latency in (200_000, 300_000, 1_500_000):
+        meter.answered(latency)
+    meter.missed()
+    figures = meter.figures()
+    assert (figures.ticks, figures.late, figures.missed) == (5, 2, 1)
+    assert (figures.latency_p50, figures.latency_max) == (3e-4, 1.5e-3)
+    assert figures.period_max == pytest.approx(5.749999e-3)
+
+
+def test_a_run_at_its_limits_has_no_problem() -> None:
+    assert judge_timing(GOOD, TimingLimits()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        (
+            {"late": 11},
+            "real time: 11 of 1000 samples were sent more than 0.25 ms late, 1.1 % (limit 1 %)",
+        ),
+        (
+            {"missed": 11},
+            "real time: 11 of 1000 commands did not come in time, 1.1 % (limit 1 %)",
+        ),
+        (
+            {"latency_p99": 1.2e-3},
+            "real time: the 99 % quantile of the time from a sample to its command is 1.2 ms "
+            "(limit 1 ms)",
+        ),
+    ],
+)
+def test_what_is_beyond_a_limit_is_said_with_value_and_limit(
+    change: dict[str, float], sentence: str
+) -> None:
+    changed = replace(GOOD, **change)  # type: ignore[arg-type]
+    assert judge_timing(changed, TimingLimits()) == [sentence]
+
+
+def test_a_latency_that_was_never_measured_is_a_problem() -> None:
+    assert len(judge_timing(replace(GOOD, latency_p99=math.nan), TimingLimits())) == 1
+
+
+PERIOD = 1_000_000
+
+
+class FakeClock:
+    """Moves by each sleep, and by what the sleeps last too long (ns), one after the other."""
+
+    def __init__(self, too_long: Iterable[int] = ()) -> None:
+        self.ns = 5_000_000_123
+        self.sleeps: list[float] = []
+        self._too_long: Iterator[int] = iter(too_long)
+
+    def now(self) -> int:
+        return self.ns
+
+    def sleep(self, seconds: float) -> None:
+        self.sleeps.append(seconds)
+        self.ns += round(seconds * 1e9) + next(self._too_long, 0)
+
+
+def pacer(clock: FakeClock, *, spin_ns: int = 0) -> Pacer:
+    made = Pacer(PERIOD, spin_ns=spin_ns, now=clock.now, sleep=clock.sleep)
+    made.start()
+    return made
+
+
+def test_deadlines_are_whole_periods_after_the_start() -> None:
+    clock = FakeClock()
+    start = clock.ns
+    paced = pacer(clock)
+    clock.ns += 77
+    assert [paced.deadline_ns(tick) for tick in (0, 1, 50_000)] == [
+        *(start, start + PERIOD, start + 50_000 * PERIOD)
+    ]
+
+
+def test_when_every_sleep_lasts_too_long_expect_no_drift() -> None:
+    clock = FakeClock([70_000] * 1000)
+    start = clock.ns
+    paced = pacer(clock)
+    for tick in range(1, 1001):
+        paced.wait(tick)
+        assert clock.ns == start + tick * PERIOD + 70_000
+
+
+def test_when_a_sleep_ends_too_early_expect_another() -> None:
+    clock = FakeClock([-300_000, -50])
+    paced = pacer(clock)
+    paced.wait(1)
+    assert clock.ns == paced.deadline_ns(1)
+    assert len(clock.sleeps) == 3
+
+
+def test_when_held_up_for_several_periods_expect_them_caught_up_without_sleep() -> None:
+    clock = FakeClock([3_400_000])
+    paced = pacer(clock)
+    paced.wait(1)
+    late = clock.ns
+    for tick in (2, 3, 4):
+        paced.wait(tick)
+    assert clock.ns == late
+    assert len(clock.sleeps) == 1
+    paced.wait(5)
+    assert clock.ns == paced.deadline_ns(5)
+
+
+@pytest.mark.parametrize("spin", [100_000, 5 * PERIOD])
+def test_the_last_part_of_a_wait_may_be_spent_awake(spin: int) -> None:
+    clock = FakeClock([0] if spin < PERIOD else [])
+    paced = pacer(clock, spin_ns=spin)
+    clock._too_long = iter([0] * (spin < PERIOD) + [20_000] * 1000)
+
+    paced.wait(1)
+
+    asleep = [seconds for seconds in clock.sleeps if seconds > 0.0]
+    assert asleep == ([pytest.approx((PERIOD - spin) / 1e9)] if spin < PERIOD else [])
+    assert paced.deadline_ns(1) <= clock.ns < paced.deadline_ns(1) + 20_000
+
+
+State = tuple[bool, float, int, set[int]]
+
+
+def state() -> State:
+    return (
+        gc.isenabled(),
+        sys.getswitchinterval(),
+        os.sched_getscheduler(0),
+        os.sched_getaffinity(0),
+    )
+
+
+@pytest.fixture
+def another_thread() -> Iterator[threading.Thread]:
+    done = threading.Event()
+    thread = threading.Thread(target=done.wait, daemon=True)
+    thread.start()
+    yield thread
+    done.set()
+    thread.join()
+
+
+@pytest.fixture
+def refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(thread: int, policy: int, param: os.sched_param) -> None:
+        if policy != os.SCHED_OTHER:
+            raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+
+
+def test_garbage_is_not_collected_until_precedence_is_given_back() -> None:
+    before = state()
+    taken = RealtimeScheduling(SchedulingParameters())
+    assert not gc.isenabled()
+    assert gc.get_freeze_count() > 0
+    assert sys.getswitchinterval() < before[1]
+    taken.give_back()
+    assert state() == before
+    assert gc.get_freeze_count() == 0
+
+
+def test_what_is_old_is_left_alone_by_the_collector_until_the_end() -> None:
+    before = gc.get_threshold()
+    with seldom_collecting():
+        assert gc.isenabled()
+        assert gc.get_freeze_count() > 0
+        assert gc.get_threshold() > before
+    assert gc.get_threshold() == before
+    assert gc.get_freeze_count() == 0
+
+
+def test_precedence_of_two_nodes_in_one_process_ends_with_the_first_one() -> None:
+    before = state()
+    first = RealtimeScheduling(SchedulingParameters())
+    second = RealtimeScheduling(SchedulingParameters())
+    second.give_back()
+    assert not gc.isenabled()
+    first.give_back()
+    assert state() == before
+
+
+def test_every_thread_stays_on_the_core_that_is_asked_for(another_thread: threading.Thread) -> None:
+    before = state()
+    core = max(before[3])
+    taken = RealtimeScheduling(SchedulingParameters(cpu=core))
+    assert another_thread.native_id is not None
+    for thread in (0, another_thread.native_id):
+        assert os.sched_getaffinity(thread) == {core}
+    taken.give_back()
+    assert state() == before
+    assert os.sched_getaffinity(another_thread.native_id) == before[3]
+
+
+def test_a_core_that_does_not_exist_is_refused_and_nothing_changes() -> None:
+    before = state()
+    with pytest.raises(GraphError, match=r"'realtime\.cpu' = 1023: Invalid argument"):
+        RealtimeScheduling(SchedulingParameters(cpu=1023))
+    assert state() == before
+
+
+def test_every_thread_gets_the_priority_where_that_is_permitted(
+    another_thread: threading.Thread, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[int, int, int]] = []
+    monkeypatch.setattr(
+        os,
+        "sched_setscheduler",
+        lambda thread, policy, param: asked.append((thread, policy, param.sched_priority)),
+    )
+    taken = RealtimeScheduling(SchedulingParameters(priority=40))
+    fifo = {
+        thread for thread, policy, priority in asked if (policy, priority) == (os.SCHED_FIFO, 40)
+    }
+    assert {os.getpid(), another_thread.native_id} <= fifo
+    asked.clear()
+    taken.give_back()
+    assert {thread for thread, policy, _ in asked if policy == os.SCHED_OTHER} == fifo
+
+
+@pytest.mark.usefixtures("refused")
+def test_a_priority_that_is_not_permitted_is_refused_and_nothing_changes() -> None:
+    before = state()
+    with pytest.raises(GraphError, match=r"'realtime\.priority' = 40: the system does not permit"):
+        RealtimeScheduling(SchedulingParameters(priority=40))
+    assert state() == before
+
+
+@pytest.mark.usefixtures("refused")
+def test_a_priority_that_is_not_permitted_is_found_out_beforehand() -> None:
+    require_precedence(0)
+    with pytest.raises(ConfigurationError, match="priority = 40: the system does not permit"):
+        require_precedence(40)
+
+
+def test_finding_out_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: list[int] = []
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda *_: threads.append(threading.get_native_id())
+    )
+    require_precedence(40)
+    assert len(threads) == 1
+    assert threads[0] != threading.get_native_id()
+
+
+def test_waking_up_exactly_may_be_asked_for_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    realtime.wake_up_exactly()
+    monkeypatch.setattr(ctypes, "CDLL", lambda _: object())
+    realtime.wake_up_exactly()

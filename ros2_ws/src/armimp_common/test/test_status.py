@@ -1,0 +1,236 @@
+"""Statuses: what goes onto the wire comes back, and nonsense is refused."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticStatus
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armimp_common import status as statuses
+from armimp_common.errors import ConfigurationError, MalformedMessageError
+from armimp_common.status import (
+    Cause,
+    Level,
+    Phase,
+    Record,
+    StoppingDecision,
+    TimingFigures,
+    TrialStatus,
+)
+
+STATUS = TrialStatus(
+    phase=Phase.PERTURB,
+    trial=2,
+    trials=3,
+    joint=1,
+    joint_name="elbow",
+    tick=1234,
+    start_ns=5_000_000,
+    ticks=50_000,
+    seed=7,
+    valid=True,
+)
+DECISION = StoppingDecision(
+    trial=2, samples=19_800, enough=False, due=21_800, bound=0.02, largest=0.031, element="K21"
+)
+TIMING = TimingFigures(ticks=1000, late=10, missed=10, period_p50=1e-3, latency_p99=1e-3)
+RECORDS: tuple[Any, ...] = (STATUS, DECISION, TIMING)
+OPTIONAL = {
+    TrialStatus: {"cause", "reason", "lost", "clipped", "clipped_intervals", "tare", "tare_error"},
+    StoppingDecision: {"largest", "element"},
+    TimingFigures: set(TIMING.to_values()) - {"ticks", "late", "missed"},
+}
+
+counts = st.integers(0, 2**62)
+tares = st.lists(st.floats(allow_nan=False), max_size=7).map(tuple)
+
+
+@st.composite
+def trial_statuses(draw: st.DrawFn) -> TrialStatus:
+    trials = draw(st.integers(1, 100))
+    phase = draw(st.sampled_from(Phase))
+    return TrialStatus(
+        phase=phase,
+        trial=draw(st.integers(1, trials)),
+        trials=trials,
+        joint=draw(counts),
+        joint_name=draw(st.text()),
+        tick=draw(counts),
+        start_ns=draw(counts if phase is Phase.PERTURB else st.none() | counts),
+        ticks=draw(counts),
+        seed=draw(counts),
+        valid=draw(st.booleans()),
+        cause=draw(st.sampled_from(Cause)),
+        reason=draw(st.text()),
+        lost=draw(counts),
+        clipped=draw(counts),
+        clipped_intervals=" ".join(draw(st.lists(st.just("3-17") | st.just("0-0"), max_size=100))),
+        tare=draw(tares),
+        tare_error=draw(tares),
+    )
+
+
+decisions = st.builds(
+    lambda samples, later, **others: StoppingDecision(
+        samples=samples, due=None if later is None else samples + later, **others
+    ),
+    samples=st.integers(0, 10**7),
+    later=st.none() | st.integers(1, 10**6),
+    trial=st.integers(1, 9),
+    enough=st.booleans(),
+    bound=st.floats(0.0, 1.0),
+    largest=st.floats(0.0),
+    element=st.just("B12"),
+)
+
+
+@given(record=trial_statuses() | decisions)
+def test_any_record_survives_its_way_through_a_message(record: Record) -> None:
+    assert type(record).from_values({**record.to_values(), "added_later": "x"}) == record
+
+
+def test_what_is_not_known_stays_so() -> None:
+    timing = TimingFigures(ticks=0, late=0, missed=0)
+    assert math.isnan(TimingFigures.from_values(timing.to_values()).latency_max)
+
+
+@pytest.mark.parametrize("record", RECORDS)
+def test_a_message_has_the_record_in_words_and_as_values(record: Any) -> None:
+    message = statuses.status_message(record)
+    assert message.name == record.STATUS_NAME
+    assert message.message == record.sentence
+    assert repr(type(record).from_values(statuses.values_of(message))) == repr(record)
+
+
+@pytest.mark.parametrize(
+    ("phase", "valid", "level"),
+    [
+        (Phase.SETTLE, True, DiagnosticStatus.OK),
+        (Phase.SETTLE, False, DiagnosticStatus.WARN),
+        (Phase.ABORTED, False, DiagnosticStatus.ERROR),
+    ],
+)
+def test_the_level_of_a_trial_tells_whether_it_is_valid(
+    phase: Phase, valid: bool, level: bytes
+) -> None:
+    assert statuses.status_message(replace(STATUS, phase=phase, valid=valid)).level == level
+
+
+def test_joints_count_from_one_on_the_wire() -> None:
+    assert (STATUS.joint, STATUS.to_values()["joint"]) == (1, "2")
+
+
+@pytest.mark.parametrize(
+    ("record", "key"), [(record, key) for record in RECORDS for key in record.to_values()]
+)
+def test_when_a_value_is_missing_expect_it_named_unless_it_has_a_default(
+    record: Any, key: str
+) -> None:
+    values = {name: value for name, value in record.to_values().items() if name != key}
+    if key in OPTIONAL[type(record)]:
+        type(record).from_values(values)
+        return
+    with pytest.raises(MalformedMessageError, match=f"{key} is missing"):
+        type(record).from_values(values)
+
+
+@pytest.mark.parametrize(
+    ("record", "key", "text"),
+    [
+        *((STATUS, "phase", text) for text in ("PERTURB", "")),
+        *((STATUS, "trial", text) for text in ("0", "4", "two")),
+        *((STATUS, "joint", text) for text in ("0", "1_0")),
+        *((STATUS, "tick", text) for text in ("-1", "٣")),
+        *((STATUS, "start_ns", text) for text in ("", "nan")),
+        *((STATUS, "ticks", text) for text in (" 5", "9" * 5000, "1.0")),
+        *((STATUS, "valid", text) for text in ("True", "1")),
+        *((STATUS, "cause", text) for text in ("elsewhere",)),
+        *((STATUS, "clipped", text) for text in ("-1", "")),
+        *((STATUS, "clipped_intervals", text) for text in ("3", "3-4, 5-6", "3-4  5-6", "-1-4")),
+        (STATUS, "clipped_intervals", " ".join(["3-4"] * 101)),
+        (STATUS, "tare", "0.1 much"),
+        *((DECISION, "due", text) for text in ("19800", "x")),
+        *((DECISION, "largest", text) for text in ("2 %", "")),
+        *((TIMING, "late", text) for text in ("many", "-1", "1001")),
+        (TIMING, "period_max", "long"),
+    ],
+)
+def test_when_a_value_is_nonsense_expect_malformed_message(
+    record: Any, key: str, text: str
+) -> None:
+    what = record.STATUS_NAME.partition(": ")[2]
+    with pytest.raises(MalformedMessageError, match=rf"^{what}: .*{key.split('_', 1)[0]}"):
+        type(record).from_values({**record.to_values(), key: text})
+
+
+@given(
+    values=st.dictionaries(
+        st.sampled_from(list(STATUS.to_values())),
+        st.text() | st.sampled_from(["1", "true", "settle"]),
+    )
+)
+def test_random_values_raise_nothing_but_malformed_message(values: dict[str, str]) -> None:
+    try:
+        status = TrialStatus.from_values({**STATUS.to_values(), **values})
+    except MalformedMessageError:
+        return
+    if not any(map(math.isnan, (*status.tare, *status.tare_error))):
+        assert TrialStatus.from_values(status.to_values()) == status
+
+
+@pytest.mark.parametrize(
+    ("record", "change"),
+    [
+        *((STATUS, {"trial": trial}) for trial in (0, 4)),
+        *((STATUS, {name: -1}) for name in ("joint", "ticks", "lost")),
+        (STATUS, {"start_ns": None}),
+        (DECISION, {"due": 19_800}),
+        (TIMING, {"late": 1001}),
+    ],
+)
+def test_when_numbers_contradict_expect_configuration_error(
+    record: Any, change: dict[str, Any]
+) -> None:
+    with pytest.raises(ConfigurationError):
+        replace(record, **change)
+
+
+def test_sentences_are_for_people() -> None:
+    spoiled = replace(STATUS, phase=Phase.ABORTED, valid=False, reason="no sensor sample")
+    assert STATUS.sentence == "trial 2 of 3: perturbing joint 2 (elbow)"
+    assert (
+        spoiled.sentence == "trial 2 of 3: aborted at joint 2 (elbow); not valid: no sensor sample"
+    )
+    first = replace(DECISION, samples=0, due=5)
+    assert first.sentence == "trial 2: ends once standard errors are below 2 %"
+    assert DECISION.sentence == "trial 2: largest standard error 3.1 % (K21) is not below 2 %"
+    assert "not known is not below" in replace(DECISION, largest=math.nan).sentence
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        *(("text", "text"), (True, "true"), (3, "3"), (0.1, "0.1"), (1e-7, "1e-07")),
+        *(((0.1, 2), "0.1 2.0"), ([], "")),
+    ],
+)
+def test_values_are_written_without_loss(value: statuses.Value, text: str) -> None:
+    assert statuses.format_value(value) == text
+
+
+def test_an_array_has_stamp_levels_and_values_in_order() -> None:
+    made = statuses.make_status("arm_sim: rates", Level.WARN, "late", {"rate": 999.5, "late": 3})
+    array = statuses.make_array(1_000_000_002, [made])
+    assert (made.level, made.name, made.message) == (
+        DiagnosticStatus.WARN,
+        "arm_sim: rates",
+        "late",
+    )
+    assert list(statuses.values_of(made).items()) == [("rate", "999.5"), ("late", "3")]
+    assert array.status == [made]
+    assert statuses.to_ns(array.header.stamp) == 1_000_000_002
+    for level in Level:
+        assert bytes([level]) == getattr(DiagnosticStatus, level.name)

@@ -1,0 +1,56 @@
+"""What a result was made with."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from armimp_common.versions import git_revision, versions
+
+
+def test_versions_name_everything_that_computes() -> None:
+    found = versions()
+
+    assert list(found) == [
+        "python", "numpy", "scipy", "numba", "rclpy", "rosbags", "mcap", "armimp",
+    ]  # fmt: skip
+    assert found["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert found["rclpy"].startswith("7.1."), "rclpy of ROS 2 Jazzy"
+    assert "unknown" not in (found["numpy"], found["python"])
+
+
+def git(directory: Path, *arguments: str) -> str:
+    identity = ["-c", "user.name=tester", "-c", "user.email=tester@example.org"]
+    done = subprocess.run(
+        ["git", "-C", str(directory), *identity, *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    return done.stdout.strip()
+
+
+def test_git_revision_tells_commit_and_changes(tmp_path: Path) -> None:
+    assert git_revision(tmp_path) == "unknown", "no repository"
+    git(tmp_path, "init", "--quiet")
+    assert git_revision(tmp_path) == "unknown", "no commit"
+
+    (tmp_path / "file").write_text("one")
+    git(tmp_path, "add", "file")
+    git(tmp_path, "commit", "--quiet", "--no-verify", "--message", "one")
+    commit = git(tmp_path, "rev-parse", "HEAD")
+    assert git_revision(tmp_path) == commit
+
+    (tmp_path / "result").write_text("untracked files are no change of the sources")
+    assert git_revision(tmp_path) == commit
+    (tmp_path / "file").write_text("two")
+    assert git_revision(tmp_path) == f"{commit}+dirty"
+
+
+def test_when_there_is_no_git_expect_unknown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+
+    assert git_revision() == "unknown"
