@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
+from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD_NS, clock_step
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import PERIOD, ControllerParameters
@@ -305,12 +305,20 @@ class Experiment:
             ticks=self._ticks,
             seed=self._parameters.seed,
             valid=not self._reason,
+            cause=self._cause,
             reason=self._reason,
+            lost=self.lost,
             clipped=self._clips.clipped,
             clipped_intervals=self._clips.text,
             tare=() if self._tare is None else self._tare.offset,
             tare_error=() if self._tare is None else self._tare.error,
         )
+
+    @property
+    def _cause(self) -> Cause:
+        if self.fault:
+            return Cause.OTHER
+        return Cause.SAMPLES_LOST if self.lost else Cause.NONE
 
     def _compile(self) -> None:
         """Have the law compiled before time matters."""

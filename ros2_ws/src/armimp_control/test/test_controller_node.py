@@ -573,7 +573,10 @@ class TestDiagnostics:
             eventually(spinner, lambda: driver.answered, "an answer to every sample")
         eventually(spinner, lambda: len(heard) == 1, "diagnostics")
         values = values_of(heard[0])
-        assert (heard[0].name, heard[0].level) == ("imbic_controller: gate", bytes([Level.WARN]))
+        assert (heard[0].name, heard[0].level) == (
+            "imbic_controller: safety limiter",
+            bytes([Level.WARN]),
+        )
         assert heard[0].message == "commands were clipped"
         assert values["tick"] == "1000"
         clipped = (np.abs(driver.commands[:1000]) == 1e-3).sum()

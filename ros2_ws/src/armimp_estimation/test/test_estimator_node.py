@@ -358,7 +358,7 @@ class TestFaults:
         script.play(spinner, [*MADE_UP[4 * (SETTLE + 40) :], DONE])
         eventually(spinner, script.concluded, "the conclusion")
 
-        told = "imbic_controller/trial: trial status: phase is missing"
+        told = "imbic_controller/trial: trial: phase is missing"
         assert stored(tmp_path).problems[0] == told
         assert [(trial.ticks, trial.lost) for trial in stored(tmp_path).trials] == [(TICKS, 0)] * 2
 
