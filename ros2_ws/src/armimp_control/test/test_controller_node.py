@@ -337,8 +337,6 @@ class TestFaults:
 
         ramp = np.array([last, *np.abs(driver.commands[60:])])
         assert (np.diff(ramp, axis=0) <= 0.0).all()
-        # A tick of it each millisecond, or several at once where the machine is held up.
-        assert (-np.diff(ramp, axis=0) <= 0.5 * last).all()
         assert driver.commands[-1] == (0.0, 0.0)
         assert driver.statuses[-1].reason == "no sensor sample arrived any more"
 
