@@ -8,7 +8,6 @@ from pathlib import Path
 
 from armimp_bringup.bench import Measured
 from armimp_bringup.graph import MODULES
-from armimp_estimation.figure_process import WORKER
 from benchmarks.command_run import COMMAND, run_command
 
 DURATION = 50.0
@@ -17,7 +16,6 @@ _MB = 1e6
 _LABELS = {
     COMMAND: "command",
     **{arguments[0]: name for name, arguments in MODULES.items()},
-    WORKER: "figures",
 }
 
 

@@ -240,7 +240,6 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         from armimp_bringup.presentation import Stopwatch, present
         from armimp_common.executor import stop_on_signals
         from armimp_common.status import Phase
-        from armimp_estimation.figure_process import FigureProcess
 
         settings = load_config(
             config,
@@ -267,20 +266,17 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             if entered is Phase.DONE:
                 display.complete("estimating")
 
-        with stop_on_signals() as stopped, FigureProcess() as figures:
-            if settings.mode == "lockstep":  # in real time, nothing may run beside the experiment
-                figures.start()
+        with stop_on_signals() as stopped:
             summary = run_experiment(
                 settings,
                 directory,
                 domain_id=domain_id,
                 on_progress=display.show,
                 on_phase=note,
-                on_over=lambda: figures.draw(directory),
                 interrupted=stopped,
             )
             display.close()
-            return present(summary, directory, figures, as_json=json, stopwatch=stopwatch)
+            return present(summary, directory, as_json=json, stopwatch=stopwatch)
 
 
 @app.command()
@@ -306,7 +302,6 @@ def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         from armimp_bringup.presentation import present
         from armimp_bringup.resources import prepare_directory
         from armimp_estimation.bags.storage import find_bags
-        from armimp_estimation.figure_process import FigureProcess
 
         declared = Declared(
             torque_timing=torque_timing,
@@ -315,26 +310,22 @@ def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
             rate=rate,
         )
         bags = find_bags(bags)
-        with FigureProcess() as figures:
-            if out is not None:
-                prepare_directory(out)
-                figures.start()
-            conclusion, notes = estimate_bags(
-                bags,
-                tuple(estimator or ()),
-                namespace=namespace,
-                allow_gaps=allow_gaps,
-                declared=declared,
-                trust=trust,
-            )
-            display.close()
-            for note in notes:
-                say(f"note: {note}")
-            if out is not None:
-                conclusion.write(out)
-            return present(
-                conclusion.summary, out, figures, as_json=json, bags=bags, namespace=namespace
-            )
+        if out is not None:
+            prepare_directory(out)
+        conclusion, notes = estimate_bags(
+            bags,
+            tuple(estimator or ()),
+            namespace=namespace,
+            allow_gaps=allow_gaps,
+            declared=declared,
+            trust=trust,
+        )
+        display.close()
+        for note in notes:
+            say(f"note: {note}")
+        if out is not None:
+            conclusion.write(out)
+        return present(conclusion.summary, out, as_json=json, bags=bags, namespace=namespace)
 
 
 @app.command()
@@ -354,11 +345,10 @@ def replay(
         from armimp_bringup.replay import replay_bags
         from armimp_common.executor import stop_on_signals
         from armimp_estimation.bags.storage import find_bags
-        from armimp_estimation.figure_process import FigureProcess
 
         bags = find_bags(bags)
 
-        with stop_on_signals() as stopped, FigureProcess() as figures:
+        with stop_on_signals() as stopped:
             summary = replay_bags(
                 bags,
                 tuple(estimator or ()),
@@ -370,7 +360,7 @@ def replay(
                 interrupted=stopped,
             )
             display.close()
-            return present(summary, out, figures, as_json=json, bags=bags)
+            return present(summary, out, as_json=json, bags=bags)
 
 
 @app.command()

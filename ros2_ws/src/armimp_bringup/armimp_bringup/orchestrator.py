@@ -55,7 +55,6 @@ def run_experiment(
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     on_phase: Callable[[Phase], None] = lambda _: None,
-    on_over: Callable[[], None] = lambda: None,
     interrupted: Callable[[], bool] = lambda: False,
 ) -> Summary:
     """Run an experiment through the node graph.
@@ -71,9 +70,6 @@ def run_experiment(
         Called a few times per second.
     on_phase : callable
         Called with each phase of each trial as it begins.
-    on_over : callable
-        Called when all trials have ended and the estimator has stored its result; problems that it
-        does not know of are added when the graph is down.
     interrupted : callable
         Asked often; once true, the experiment ends in good order, as invalid.
 
@@ -100,7 +96,7 @@ def run_experiment(
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
         # Not before the domain is ours, so that nothing is left behind where it is not.
         parameter_file = _prepare(directory, parameters)
-        supervisor = Supervisor(graph, on_progress, on_phase=on_phase, on_over=on_over)
+        supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
         with Spinner([supervisor], context=graph.context) as spinner:
             nodes: NodeGroup
             asked: Asked = {

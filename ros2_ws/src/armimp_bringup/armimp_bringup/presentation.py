@@ -6,7 +6,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -18,7 +18,6 @@ from armimp_common.errors import DataError
 from armimp_common.process import age
 from armimp_common.status import Phase
 from armimp_estimation.conclusion import SUMMARY_FILE
-from armimp_estimation.figure_process import FigureProcess
 from armimp_estimation.problems import Severity
 from armimp_estimation.results import (
     EstimatorSummary,
@@ -74,7 +73,6 @@ class Stopwatch:
 def present(
     summary: Summary,
     directory: Path | None,
-    figures: FigureProcess,
     *,
     as_json: bool,
     bags: Sequence[Path] | None = None,
@@ -89,8 +87,6 @@ def present(
         As it is stored.
     directory : Path or None
         Where it is stored, and figures and report go; None if nowhere.
-    figures : FigureProcess
-        What draws the figures, while the report is written.
     as_json : bool
         Whether to print the summary instead of tables.
     bags, namespace : optional
@@ -120,7 +116,7 @@ def present(
             write_summary(directory / SUMMARY_FILE, summary, anew=True)
             with Display() as display:
                 display.phase("drawing figures and report")
-                _write(directory, figures, bags, namespace)
+                _write(directory, bags, namespace)
             if stopwatch is not None:
                 summary = summary.model_copy(update={"wall": stopwatch.stop()})
                 write_summary(directory / SUMMARY_FILE, summary, anew=True)
@@ -145,10 +141,8 @@ def complaints(problems: Sequence[str]) -> list[str]:
     return [f"the machine was too busy for real time: {told}", *others]
 
 
-def _write(
-    directory: Path, figures: FigureProcess, bags: Sequence[Path] | None, namespace: str | None
-) -> None:
-    """Write figures and report, each even if the other cannot be written.
+def _write(directory: Path, bags: Sequence[Path] | None, namespace: str | None) -> None:
+    """Write report and figures, each even if the other cannot be written.
 
     Raises
     ------
@@ -157,30 +151,13 @@ def _write(
     """
     from armimp_estimation.report import load_result, write_report
 
-    figures.draw(directory, bags, namespace=namespace)
     result = load_result(directory, bags, namespace=namespace)
-
-    def draw() -> None:
-        if not figures.finished():
-            from armimp_estimation.figures import write_figures
-
-            write_figures(directory, result)
-
-    errors = [
-        error
-        for step in (lambda: write_report(directory, result), draw)
-        if (error := _error_of(step)) is not None
-    ]
-    if errors:
-        raise errors[0]
-
-
-def _error_of(step: Callable[[], object]) -> DataError | None:
     try:
-        step()
-    except DataError as error:
-        return error
-    return None
+        write_report(directory, result)
+    finally:
+        from armimp_estimation.figures import write_figures
+
+        write_figures(directory, result)
 
 
 def print_result(summary: Summary, console: Console | None = None) -> None:

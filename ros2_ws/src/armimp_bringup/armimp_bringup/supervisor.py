@@ -90,19 +90,17 @@ class Supervisor(Node):
         on_progress: Callable[[Progress], None],
         *,
         on_phase: Callable[[Phase], None] = lambda _: None,
-        on_over: Callable[[], None] = lambda: None,
     ) -> None:
         super().__init__(topics.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False)
         self._on_progress = on_progress
         self._on_phase = on_phase
-        self._on_over = on_over
         self.problems: list[str] = []
         self.concluded = self.finished = False
         self.realtime = False
         """Whether a fault ends the experiment at once, and does not matter after its last trial."""
         self.timing: TimingFigures | None = None
         """Last figures of a rig in real time."""
-        self._done = self._told = False
+        self._done = False
         self._answered: str | None = None
         self.last_news = time.monotonic()
         self._sign = Heartbeat(self, topics.SUPERVISOR_NODE)
@@ -134,7 +132,6 @@ class Supervisor(Node):
         self.last_news = time.monotonic()
         if message.name == CONCLUSION_NAME:
             self.concluded = True
-            self._tell_if_over()
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         try:
@@ -144,12 +141,6 @@ class Supervisor(Node):
         self._done = self._done or phase is Phase.DONE
         self.finished = self.finished or phase in (Phase.DONE, Phase.ABORTED)
         self._on_phase(phase)
-        self._tell_if_over()
-
-    def _tell_if_over(self) -> None:
-        if self.over and not self._told:
-            self._told = True
-            self._on_over()
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         if self.realtime and self._done:

@@ -1,6 +1,5 @@
 """What is drawn of a curve or a signal."""
 
-import base64
 from dataclasses import replace
 
 import numpy as np
@@ -11,17 +10,14 @@ from hypothesis import strategies as st
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import (
     BodeCurve,
-    CoherenceCurves,
-    coherence_floor,
+    distances,
     element_curve,
     envelope,
     magnitude_range,
     phase_range,
-    phase_step,
     true_curve,
 )
 from armimp_estimation.report.look import COLOURS, looks
-from armimp_estimation.report.plots import packed
 from armimp_estimation.report.traces import rows_of
 from armimp_estimation.results import ImpedanceCurve
 from armimp_estimation.scores import Coherences
@@ -30,11 +26,13 @@ from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_t
 F = np.linspace(0.1, 15.0, 40)
 
 
-def curve(z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.0) -> BodeCurve:
+def stored(
+    z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.0
+) -> ImpedanceCurve:
     values = np.broadcast_to(np.asarray(z, dtype=np.complex128), F.shape)
     flat = np.zeros((1, 1, F.size))
     none = np.zeros((1, 1, F.size), dtype=np.complex128)
-    stored = ImpedanceCurve(
+    return ImpedanceCurve(
         f=F,
         Z=values[None, None],
         T=none,
@@ -48,7 +46,26 @@ def curve(z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.
         systematics=np.zeros((0, 1, 1, F.size), np.complex128),
         coherence=Coherences(f=F, motion=flat[0], torque=flat, derived=flat),
     )
-    return element_curve(stored, 0, 0)
+
+
+def curve(z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.0) -> BodeCurve:
+    return element_curve(stored(z, deviation, averages), 0, 0)
+
+
+def test_estimates_are_compared_with_the_truth_or_else_with_the_best_of_them() -> None:
+    curves = {"welch_siso": stored(5.05), "lpm_full": stored(5.0, deviation=0.01)}
+    truth = MBK(M=np.zeros((1, 1)), B=np.zeros((1, 1)), K=np.full((1, 1), 4.9))
+    _, off, radius = distances(curves, None, 0, 0).lines["welch_siso"]
+    assert off is not None
+    np.testing.assert_allclose(off, 1.0)
+    np.testing.assert_allclose(radius, 20.0 * curve(5.05).radius)
+    assert distances(curves, None, 0, 0).lines["lpm_full"][1] is None
+    parted = distances(curves, truth, 0, 0)
+    off = parted.lines["lpm_full"][1]
+    assert off is not None
+    np.testing.assert_allclose(off, 100.0 * (5.0 / 4.9 - 1.0))
+    assert parted.ends[0] < off.min()
+    assert parted.ends[1] > off.max()
 
 
 def test_band_of_the_magnitude_is_as_wide_as_the_circle_of_confidence() -> None:
@@ -102,26 +119,6 @@ def test_one_wild_band_does_not_widen_the_axes() -> None:
     assert phase_range([calm, wild]) == (-2.0, 2.0)
 
 
-@pytest.mark.parametrize(("span", "step"), [(40.0, 15.0), (190.0, 45.0), (400.0, 90.0)])
-def test_phases_have_a_few_round_ticks(span: float, step: float) -> None:
-    assert phase_step((-5.0, span - 5.0), most=5) == step
-
-
-def test_when_no_value_is_finite_expect_some_axis() -> None:
-    nothing = curve(complex("nan"))
-    assert magnitude_range([nothing]) == (1.0, 10.0)
-    assert phase_range([nothing]) == (0.0, 1.0)
-
-
-@pytest.mark.parametrize(("lowest", "floor"), [(0.95, 0.8), (0.6, 0.5), (0.1, 0.0)])
-def test_coherences_share_an_axis_that_shows_all_of_them(lowest: float, floor: float) -> None:
-    def coherences(value: float) -> CoherenceCurves:
-        values = np.full(3, value)
-        return CoherenceCurves(f=F[:3], motion=values, torque=values, derived={"a": values})
-
-    assert coherence_floor([coherences(0.99), coherences(lowest)]) == floor
-
-
 @given(
     st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=200),
     st.integers(1, 20),
@@ -142,19 +139,6 @@ def test_an_envelope_keeps_the_extremes_of_a_signal_whatever_its_gaps(
         assert kept.max() == known.max()
     else:
         assert kept.size == 0
-
-
-def test_an_envelope_keeps_the_order_in_time() -> None:
-    rising, step = envelope(np.arange(100.0), 10)
-    assert step == 5.0
-    assert (np.diff(rising) > 0.0).all()
-
-
-def test_a_short_signal_is_not_thinned() -> None:
-    signal = np.arange(20.0)
-    thinned, step = envelope(signal, 10)
-    np.testing.assert_array_equal(thinned, signal)
-    assert step == 1.0
 
 
 def test_a_gap_between_segments_stays_a_gap() -> None:
@@ -192,13 +176,6 @@ def test_signals_are_seen_in_the_band_of_the_perturbation_neither_early_nor_late
     slow, chatter = np.sin(2 * np.pi * 5.0 * time), 20.0 * np.sin(2 * np.pi * 400.0 * time)
     torque = rows_of([replace(record, torque=np.stack([slow + chatter] * 2))], record.start_ns)[-1]
     np.testing.assert_allclose(torque.values[0, 500:-500], slow[500:-500], atol=0.02)
-
-
-def test_numbers_are_packed_as_plotly_reads_them() -> None:
-    made = packed([1.5, float("nan"), -2.0])
-    read = np.frombuffer(base64.b64decode(made["bdata"]), "<f4")
-    assert made["dtype"] == "f4"
-    np.testing.assert_array_equal(read, np.array([1.5, np.nan, -2.0], np.float32))
 
 
 def test_an_estimator_looks_the_same_whatever_it_is_shown_with() -> None:

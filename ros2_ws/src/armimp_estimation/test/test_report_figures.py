@@ -36,7 +36,7 @@ def test_figures_are_written_as_png_and_pdf_the_same_each_time(
 def test_a_figure_fits_its_columns_and_nothing_is_cut_off(result: Result, width: float) -> None:
     figure = impedance_figure(result.summary, result.curves, width=width)
     assert figure.get_figwidth() == width
-    assert len(figure.axes) == 8
+    assert len(figure.axes) == 12
     assert figure.axes[0].get_ylabel().endswith("N·m/rad)" if width > ONE_COLUMN else "N·m/rad")
     needed = figure.get_tightbbox()
     assert needed.x0 >= 0.0

@@ -106,8 +106,8 @@ def test_every_section_is_there_and_the_contents_lead_to_all(page: Page) -> None
         "impedance",
         "coherence",
         "locking",
-        "ledger",
-        "traces",
+        "samples",
+        "signals",
         "settings",
         "assumptions",
     ]
@@ -384,3 +384,15 @@ def assert_harmless(page: Page) -> None:
     for tag, attributes in page.elements:
         assert not [name for name in attributes if name.startswith("on")], tag
         assert (attributes.get("href") or "#").startswith("#")
+
+
+def test_what_is_known_of_the_torque_readings_and_the_tare_is_told(tmp_path: Path) -> None:
+    readings = {"torque_timing": '"before_update"', "torque_delay": "0.002", "torque_cutoff": "200"}
+    result = load_result(make_result(tmp_path / "late", metadata={**METADATA, **readings}))
+    tared = [replace(one, window=replace(one.window, tare=(0.8125, -0.5))) for one in result.trials]
+    words = Page(report_page(replace(result, trials=tuple(tared)))).words
+    assert (
+        "Torques were read just before each command takes effect, 2 ms late, "
+        "through a Butterworth low-pass of order 1, 200 Hz."
+    ) in words
+    assert "tare 0.812 N·m, −0.500 N·m" in words.replace("\u202f", " ")

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from markupsafe import Markup, escape
 
 from armimp_estimation.report.formats import plain, symbol
-from armimp_estimation.report.render import Group, Section, Table, render_page, script_json
+from armimp_estimation.report.page import Section, Table, render_page, script_json
 
 HOSTILE = "\"><script>alert(1)</script><img src=x onerror=alert(1)>'&amp;{{ 7 * 7 }}"
 
@@ -35,7 +35,7 @@ def test_strings_in_cells_captions_and_titles_stay_text() -> None:
     table = Table(
         caption=HOSTILE,
         columns=[HOSTILE, "value"],
-        groups=[Group(title=HOSTILE, rows=[[HOSTILE, HOSTILE], ["none", None]])],
+        groups=[(HOSTILE, [[HOSTILE, HOSTILE], ["none", None]])],
         spans=[(HOSTILE, 2)],
     )
     content = {"known": False, "table": table}
@@ -77,4 +77,4 @@ def test_json_for_a_script_comes_back_and_cannot_end_the_element(value: object) 
 
 def test_rows_and_columns_of_a_table_must_agree() -> None:
     with pytest.raises(ValueError, match="1 cells in 2 columns"):
-        Table(caption="Title", columns=["a", "b"], groups=[Group(rows=[["only one"]])])
+        Table(caption="Title", columns=["a", "b"], groups=[(None, [["only one"]])])

@@ -21,7 +21,6 @@ from armimp_bringup.study.levels import (
     statistics,
 )
 from armimp_bringup.study.store import replace_file
-from armimp_estimation.lean_fonts import lean_fonts
 from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.results import ImpedanceCurve
 
@@ -75,7 +74,7 @@ def write_figures(directory: Path, entries: Sequence[StudyEntry], curves: Curves
     import matplotlib as mpl
 
     written = []
-    with mpl.rc_context(_STYLE), lean_fonts():
+    with mpl.rc_context(_STYLE):
         for name, figure in _figures(entries, curves):
             # Once is enough for both files.
             figure.get_layout_engine().execute(figure)

@@ -18,9 +18,10 @@ from armimp_bringup.study.report_settings import levels_content, made_content
 from armimp_bringup.study.report_verdict import verdict_content
 from armimp_bringup.study.store import write_file
 from armimp_bringup.study.verdict import StudyVerdict
-from armimp_estimation.report.render import Section, render_page
+from armimp_estimation.report.page import Section, render_page
 from armimp_estimation.report.result import setting
-from armimp_estimation.report.run import REPORT_FILE, assumptions_content
+from armimp_estimation.report.run import REPORT_FILE
+from armimp_estimation.report.settings import assumptions_content
 from armimp_estimation.results import OriginSummary
 
 
@@ -53,7 +54,7 @@ class StudyReport:
         entries, verdict = self.entries, self.verdict
         config = entries[0].config
         friction = f"levels {_present(entries, 'friction')}"
-        found: list[tuple[str, str, str, Mapping[str, Any] | None]] = [
+        found: list[tuple[str, str, str, Any]] = [
             ("verdict", "Verdict", "study/verdict", verdict_content(entries, verdict)),
             ("conditions", "Conditions", "study/conditions", conditions_content(entries)),
             ("accuracy", "Elements", "study/accuracy", accuracy_content(entries)),
@@ -79,7 +80,6 @@ class StudyReport:
         sections = [
             Section(identifier=name, title=title, template=f"{template}.html", content=content)
             for name, title, template, content in found
-            if content is not None
         ]
         state = "targets met" if verdict.met else "targets missed"
         return render_page(

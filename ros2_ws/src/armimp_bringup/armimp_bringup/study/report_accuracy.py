@@ -22,8 +22,8 @@ from armimp_bringup.study.heat_maps import Cell, HeatMap, Panel, heat_map_view
 from armimp_bringup.study.verdict import COLUMNS, targets, values
 from armimp_estimation.report.formats import UNITS, number, symbol
 from armimp_estimation.report.look import looks
+from armimp_estimation.report.page import Table
 from armimp_estimation.report.plots import Plot, View
-from armimp_estimation.report.render import Group, Table
 
 FloatArray = NDArray[np.float64]
 
@@ -138,8 +138,7 @@ def _table(errors: dict[str, list[ElementErrors]]) -> Table:
     columns = ["matrix", "allowed with two joints"]
     columns += ["within", "worst", "element", "within", "worst", "element"]
     groups = [
-        Group(title=look.label, rows=[_row(one) for one in errors[name]])
-        for name, look in looks(errors).items()
+        (look.label, [_row(one) for one in errors[name]]) for name, look in looks(errors).items()
     ]
     return Table(
         caption="Largest errors of M, B and K",

@@ -12,8 +12,8 @@ from armimp_bringup.study.heat_maps import Cell, HeatMap, Panel, heat_map_view
 from armimp_bringup.study.verdict import COLUMNS, Column, Scale, targets, values
 from armimp_estimation.report.formats import NONE
 from armimp_estimation.report.look import looks
+from armimp_estimation.report.page import Table
 from armimp_estimation.report.plots import Plot, View
-from armimp_estimation.report.render import Group, Table
 from armimp_estimation.verdict import Limits
 
 Found = tuple[str, float]
@@ -199,7 +199,7 @@ def _table(entries: Sequence[StudyEntry]) -> Table:
     return Table(
         caption="Worst values of all elements",
         columns=heads,
-        groups=[Group(rows=rows)],
+        groups=[(None, rows)],
         spans=spans,
         sortable=True,
     )

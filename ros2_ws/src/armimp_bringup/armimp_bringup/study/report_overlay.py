@@ -18,10 +18,10 @@ from armimp_estimation.report.formats import symbol
 from armimp_estimation.report.frequency_plots import (
     TRUTH,
     estimator_tag,
-    frequency_axis,
     plot_matrix,
 )
 from armimp_estimation.report.look import looks
+from armimp_estimation.report.page import box
 from armimp_estimation.report.plots import (
     Layout,
     Plot,
@@ -29,10 +29,10 @@ from armimp_estimation.report.plots import (
     Trace,
     View,
     axis,
+    frequency_axis,
     line,
     stacked,
 )
-from armimp_estimation.report.run import box
 from armimp_estimation.results import ImpedanceCurve
 
 FloatArray = NDArray[np.float64]

@@ -7,10 +7,9 @@ from typing import Any, Final
 
 from armimp_bringup.study.entry import StudyEntry
 from armimp_estimation.report.formats import code, written
-from armimp_estimation.report.provenance import origin
-from armimp_estimation.report.render import Group, Table
+from armimp_estimation.report.page import Table
 from armimp_estimation.report.result import setting
-from armimp_estimation.report.run import configuration, identity, marked
+from armimp_estimation.report.settings import configuration, identity, marked_origin
 
 _LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "friction": ("arm_sim", ("friction.",)),
@@ -39,12 +38,12 @@ def _levels_table(entries: Sequence[StudyEntry], factor: str) -> Table | None:
     for name in group:
         if name.startswith(beginnings):
             cells = [written(setting(by_level[level].config, node, name)) for level in levels]
-            rows.append([code(name), *cells, marked(origin(first, node, name))])
+            rows.append([code(name), *cells, marked_origin(first, node, name)])
     columns = ["parameter", *(f"level {level}" for level in levels), "where from"]
     return Table(
         caption=factor.capitalize(),
         columns=columns,
-        groups=[Group(rows=rows)],
+        groups=[(None, rows)],
         words=(len(levels) + 1,),
     )
 

@@ -11,7 +11,7 @@ from armimp_bringup.study.entry import StudyEntry
 from armimp_bringup.study.verdict import COLUMNS, Column, StudyVerdict, WorstValue, values
 from armimp_estimation.report.formats import NONE, mark, symbol
 from armimp_estimation.report.look import Look, looks
-from armimp_estimation.report.render import Group, Table
+from armimp_estimation.report.page import Table
 from armimp_estimation.report.run import advised
 
 _COLUMN = {column.quantity: column for column in COLUMNS}
@@ -76,9 +76,9 @@ def _miss(one: WorstValue) -> str:
 
 def _worst_table(verdict: StudyVerdict, *, seeds: bool) -> Table:
     groups = [
-        Group(
-            title=look.label,
-            rows=[_worst_row(one, seeds=seeds) for one in verdict.worst if one.estimator == name],
+        (
+            look.label,
+            [_worst_row(one, seeds=seeds) for one in verdict.worst if one.estimator == name],
         )
         for name, look in looks(dict.fromkeys(one.estimator for one in verdict.worst)).items()
     ]
@@ -130,7 +130,7 @@ def _seeds_table(entries: Sequence[StudyEntry], verdict: StudyVerdict) -> Table:
                     met = f"{count} of {len(seeds)}"
                 shown = [worst[-1], statistics.median(worst), worst[0]]
                 rows.append([_title(column), *map(column.format, shown), met])
-        groups.append(Group(title=look.label, rows=rows))
+        groups.append((look.label, rows))
     columns = ["worst value of a seed", "worst seed", "median seed", "best seed", "seeds in target"]
     return Table(caption=f"Spread over {len(seeds)} seeds", columns=columns, groups=groups)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,9 @@ from armimp_estimation.results import ImpedanceCurve
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Band = tuple[FloatArray, FloatArray]
+"""Lower and upper end."""
+_REFERENCE = "lpm_full"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -37,15 +40,15 @@ class BodeCurve:
     radius: FloatArray
 
     @property
-    def magnitude_band(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end of the 95 % band of the magnitude, N·m/rad."""
+    def magnitude_band(self) -> Band:
+        """The 95 % band of the magnitude, N·m/rad."""
         # A logarithmic axis has no zero: the lower end stays positive, far below the curve.
         lower = np.maximum(self.magnitude - self.radius, 1e-3 * self.magnitude)
         return lower, self.magnitude + self.radius
 
     @property
-    def phase_band(self) -> tuple[FloatArray, FloatArray]:
-        """Lower and upper end of the 95 % band of the phase, degrees."""
+    def phase_band(self) -> Band:
+        """The 95 % band of the phase, degrees."""
         with np.errstate(divide="ignore", invalid="ignore"):
             sine = self.radius / self.magnitude
         # The circle is seen from the origin under this angle; from within it, all around.
@@ -55,12 +58,9 @@ class BodeCurve:
 
 def element_curve(curve: ImpedanceCurve, i: int, k: int) -> BodeCurve:
     """Curve of the estimate of ``Z_ik`` (0-based)."""
-    averages = curve.averages
-    radius = (
-        confidence_radius(curve.variance[i, k], averages)
-        if averages > 1.0
-        else np.full(curve.f.size, np.nan)
-    )
+    radius = np.full(curve.f.size, np.nan)
+    if curve.averages > 1.0:
+        radius = confidence_radius(curve.variance[i, k], curve.averages)
     return _bode(curve.f, curve.Z[i, k], radius)
 
 
@@ -69,33 +69,69 @@ def true_curve(truth: MBK, f: FloatArray, i: int, k: int) -> BodeCurve:
     return _bode(f, truth.impedance(f)[i, k], np.zeros(f.size))
 
 
-def phase_about(truth: ComplexArray, z: ComplexArray) -> FloatArray:
-    """Phase of an estimate in degrees, counted from the truth on: noise can't make it jump a turn.
-
-    Parameters
-    ----------
-    truth, z : ndarray, shape (n_freq,)
-        True and estimated curve at the same frequencies, N·m/rad.
-    """
-    return np.degrees(np.unwrap(np.angle(truth)) + np.angle(z / truth))
-
-
-def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
-    """Distance of an estimate from the truth in the complex plane, % of the truth.
-
-    Parameters
-    ----------
-    truth, z : ndarray, shape (n_freq,)
-        True and estimated curve at the same frequencies, N·m/rad.
-    """
-    return 100.0 * np.abs(z / truth - 1.0)
-
-
 def _bode(f: FloatArray, z: ComplexArray, radius: FloatArray) -> BodeCurve:
     phase = np.degrees(np.unwrap(np.angle(z)))
     # The turn in which the unwrapped phase begins is chance, most of all where noise begins it.
     phase = phase - 360.0 * np.round(np.median(phase) / 360.0)
     return BodeCurve(f=f, magnitude=np.abs(z), phase=phase, radius=radius)
+
+
+def phase_about(truth: ComplexArray, z: ComplexArray) -> FloatArray:
+    """Phase of an estimate in degrees, counted from the truth on: noise can't make it jump a turn.
+
+    Both have shape (n_freq,), at the same frequencies, N·m/rad.
+    """
+    return np.degrees(np.unwrap(np.angle(truth)) + np.angle(z / truth))
+
+
+def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
+    """Distance of an estimate from the truth in the complex plane, % of the truth."""
+    return 100.0 * np.abs(z / truth - 1.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Distances:
+    """How far the estimates of one element are from their reference.
+
+    Attributes
+    ----------
+    lines : dict of str to (ndarray, ndarray or None, ndarray)
+        By name of the estimator: frequencies (Hz), distance (%), and radius of the 95 % confidence
+        circle (%). The reference itself has no distance.
+    ends : tuple of float
+        Of a logarithmic axis that shows them, %.
+    """
+
+    lines: Mapping[str, tuple[FloatArray, FloatArray | None, FloatArray]]
+    ends: tuple[float, float]
+
+
+def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str:
+    """What estimates are compared with: the truth (empty), or the name of an estimator."""
+    if truth is not None:
+        return ""
+    return _REFERENCE if _REFERENCE in curves else next(iter(curves))
+
+
+def distances(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Distances:
+    """Distance of every estimate of ``Z_ik`` (0-based) from its reference, see `reference_of`."""
+    reference = reference_of(curves, truth)
+    lines: dict[str, tuple[FloatArray, FloatArray | None, FloatArray]] = {}
+    found = []
+    for name, curve in curves.items():
+        if truth is not None:
+            centre = truth.impedance(curve.f)[i, k]
+        else:
+            other = curves[reference]
+            centre = np.interp(curve.f, other.f, other.Z[i, k])
+        off = None if name == reference else deviation_percent(centre, curve.Z[i, k])
+        radius = 100.0 * element_curve(curve, i, k).radius / np.abs(centre)
+        lines[name] = curve.f, off, radius
+        found += [radius] if off is None else [radius, off]
+    values = np.concatenate(found)
+    values = values[np.isfinite(values) & (values > 0.0)]
+    low, high = np.quantile(values, (0.02, 0.995)) if values.size else (0.01, 60.0)
+    return Distances(lines=lines, ends=(float(min(low, 0.15 * high)), float(1.5 * high)))
 
 
 # The ranges follow the curves, not their bands: one wild band must not flatten everything else.
@@ -124,57 +160,6 @@ def _range(values: FloatArray, share: float, least: float) -> tuple[float, float
     low, high = float(values.min()), float(values.max())
     margin = share * (high - low) + least
     return low - margin, high + margin
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CoherenceCurves:
-    """Coherences behind one element of the impedance matrix, over frequency.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    motion, torque : ndarray, shape (n_freq,)
-        ``γ²(τΔ_k, θ_k)`` and ``γ²(τΔ_k, τ_i)``.
-    derived : dict of str to ndarray, shape (n_freq,)
-        Derived coherence by name of the estimator.
-    """
-
-    f: FloatArray
-    motion: FloatArray
-    torque: FloatArray
-    derived: dict[str, FloatArray]
-
-    @property
-    def lowest(self) -> float:
-        """The lowest of all."""
-        every = [self.motion, self.torque, *self.derived.values()]
-        return float(np.nanmin(np.concatenate(every)))
-
-
-def coherence_floor(curves: Iterable[CoherenceCurves]) -> float:
-    """Lower end of an axis for all of these coherences, so that they can be compared."""
-    lowest = min((one.lowest for one in curves), default=0.0)
-    return next((floor for floor in (0.8, 0.5) if lowest >= floor), 0.0)
-
-
-def coherence_curves(
-    curves: Mapping[str, ImpedanceCurve], joints: int
-) -> dict[tuple[int, int], CoherenceCurves]:
-    """Coherences behind every element (0-based), in the order of rows; empty without curves."""
-    if not curves:
-        return {}
-    common = next(iter(curves.values())).coherence
-    return {
-        (i, k): CoherenceCurves(
-            f=common.f,
-            motion=common.motion[k],
-            torque=common.torque[i, k],
-            derived={name: curve.coherence.derived[i, k] for name, curve in curves.items()},
-        )
-        for i in range(joints)
-        for k in range(joints)
-    }
 
 
 def envelope(values: FloatArray, buckets: int) -> tuple[FloatArray, float]:

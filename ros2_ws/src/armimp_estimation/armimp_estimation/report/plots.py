@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -23,10 +24,9 @@ Trace: TypeAlias = dict[str, Any]
 Layout: TypeAlias = dict[str, Any]
 Options: TypeAlias = Mapping[str, Any]
 
-_GRID = "--rule"
 _INK = "--ink"
 _AXIS: Options = {
-    "gridcolor": _GRID,
+    "gridcolor": "--rule",
     "linecolor": _INK,
     "ticks": "outside",
     "ticklen": 4,
@@ -72,21 +72,7 @@ class Plot:
 
 @dataclass(frozen=True, kw_only=True)
 class Stroke:
-    """How a line is drawn.
-
-    Attributes
-    ----------
-    name : str
-        Shown where the pointer is.
-    colour : str
-        Variable of the style.
-    dash : str
-        As plotly.js has it.
-    width : float
-        In pixels.
-    tags : sequence of str
-        By which it is switched off and on.
-    """
+    """How a line is drawn: a variable of the style, plotly's dash, pixels; tags switch it."""
 
     name: str
     colour: str
@@ -108,7 +94,7 @@ def label(text: object) -> str:
 
 
 def line(
-    x: FloatArray,
+    x: FloatArray | tuple[float, float],
     y: FloatArray,
     stroke: Stroke,
     *,
@@ -120,8 +106,10 @@ def line(
 
     Parameters
     ----------
-    x, y : ndarray, shape (N,)
-        Points.
+    x : ndarray of shape (N,), or tuple of float
+        Abscissas, or the first of them and their distance.
+    y : ndarray, shape (N,)
+        Ordinates.
     stroke : Stroke
         How it is drawn.
     row : int
@@ -131,36 +119,22 @@ def line(
     ends : tuple of ndarray, optional
         Of a 95 % band, shown there as well.
     """
-    band_text = ""
-    more: dict[str, object] = {}
-    if ends is not None:
-        more["customdata"] = packed(np.stack(ends, axis=1)) | {"shape": f"{y.size},2"}
-        band_text = " (95 %: %{customdata[0]:.4~g} to %{customdata[1]:.4~g})"
-    template = f"%{{y}} {unit}{band_text}<extra>{label(stroke.name)}</extra>"
-    return {**drawn({"x": packed(x), "y": packed(y)}, stroke, row), **more} | {
-        "hovertemplate": template
-    }
-
-
-def even_line(
-    start: float, step: float, y: FloatArray, stroke: Stroke, *, row: int = 1, unit: str = ""
-) -> Trace:
-    """Make a line through values at even distances."""
-    made = drawn({"x0": start, "dx": step, "y": packed(y)}, stroke, row)
-    return made | {"hovertemplate": f"%{{y}} {unit}<extra>{label(stroke.name)}</extra>"}
-
-
-def drawn(values: Options, stroke: Stroke, row: int) -> Trace:
-    """Make a line of values that are packed already."""
-    return {
+    place = {"x0": x[0], "dx": x[1]} if isinstance(x, tuple) else {"x": packed(x)}
+    trace: Trace = {
         "type": "scatter",
         "mode": "lines",
-        **values,
+        **place,
+        "y": packed(y),
         "name": label(stroke.name),
         "line": {"color": stroke.colour, "dash": stroke.dash, "width": stroke.width},
         "meta": list(stroke.tags),
-        "yaxis": _row("y", row),
+        "yaxis": axis_name("y", row),
     }
+    shown = f"%{{y}} {unit}"
+    if ends is not None:
+        trace["customdata"] = packed(np.stack(ends, axis=1)) | {"shape": f"{y.size},2"}
+        shown += " (95 %: %{customdata[0]:.4~g} to %{customdata[1]:.4~g})"
+    return trace | {"hovertemplate": f"{shown}<extra>{label(stroke.name)}</extra>"}
 
 
 def band(
@@ -180,7 +154,7 @@ def band(
         "line": {"width": 0},
         "hoverinfo": "skip",
         "meta": list(tags),
-        "yaxis": _row("y", row),
+        "yaxis": axis_name("y", row),
     }
 
 
@@ -212,13 +186,13 @@ def stacked(
         "hovermode": "x unified",
         # What the reader zoomed into stays when lines are switched.
         "uirevision": "keep",
-        "xaxis": {**x_axis, "anchor": _row("y", len(rows))},
+        "xaxis": {**x_axis, "anchor": axis_name("y", len(rows))},
     }
     usable = (1.0 - gap * (len(rows) - 1)) / sum(height for height, _ in rows)
     top = 1.0
     for number, (height, options) in enumerate(rows, 1):
         bottom = max(top - usable * height, 0.0)
-        layout[_row("yaxis", number)] = {**options, "domain": [bottom, top]}
+        layout[axis_name("yaxis", number)] = {**options, "domain": [bottom, top]}
         top = bottom - gap
     return layout
 
@@ -228,5 +202,31 @@ def axis(title: str, **options: object) -> Options:
     return {**_AXIS, "title": {"text": title, "standoff": 8}, **options}
 
 
-def _row(name: str, number: int) -> str:
-    return name if number == 1 else f"{name}{number}"
+def log_axis(title: str, ends: tuple[float, float], hoverformat: str) -> Options:
+    """Options of a logarithmic ordinate from one end to the other."""
+    return axis(
+        title,
+        type="log",
+        range=[math.log10(end) for end in ends],
+        dtick=1,
+        exponentformat="none",
+        hoverformat=hoverformat,
+    )
+
+
+def frequency_axis(grids: Sequence[FloatArray]) -> Options:
+    """Options of a logarithmic abscissa that holds all of these frequencies (Hz)."""
+    ends = [min(f[0] for f in grids), max(f[-1] for f in grids)]
+    return axis(
+        "frequency (Hz)",
+        type="log",
+        range=[math.log10(end) for end in ends],
+        tickvals=[0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50],
+        hoverformat=".3~f",
+        unifiedhovertitle={"text": "%{x} Hz"},
+    )
+
+
+def axis_name(name: str, row: int) -> str:
+    """Name that plotly.js has for the axis of a row: ``y``, ``y2`` and so on."""
+    return name if row == 1 else f"{name}{row}"

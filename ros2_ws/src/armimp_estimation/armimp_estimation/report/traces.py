@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.curves import envelope
 from armimp_estimation.report.look import joint_variable
-from armimp_estimation.report.plots import Plot, Stroke, Trace, View, axis, even_line, stacked
+from armimp_estimation.report.plots import Plot, Stroke, View, axis, line, stacked
 from armimp_estimation.spectra import WelchConfig
 
 FloatArray = NDArray[np.float64]
@@ -65,27 +65,46 @@ def rows_of(
     cutoff : float or None
         Of the low-pass that the signals are seen through, Hz; None shows them as recorded.
     """
-    if cutoff is not None:
-        segments = [_smoothed(segment, cutoff) for segment in segments]
-    k, n = segments[0].perturbed_joint, segments[0].joints
-    everyone = tuple(range(n))
-    perturbation = _whole(segments, start_ns, "perturbation")
+    starts = [round((segment.start_ns - start_ns) / PERIOD_NS) for segment in segments]
+    span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
+
+    def signal(field: str) -> FloatArray:
+        """Signal of all segments, with NaN in the gaps; shape (n, span)."""
+        whole = np.full((segments[0].joints, span), np.nan)
+        for start, segment in zip(starts, segments, strict=True):
+            values = getattr(segment, field)
+            seen = values if cutoff is None else _smoothed(values, cutoff / segment.rate)
+            whole[:, start : start + segment.samples] = seen
+        return whole
+
+    def row(title: str, unit: str, joints: tuple[int, ...], values: FloatArray) -> Row:
+        return Row(title=title, unit=unit, joints=joints, values=values[list(joints)])
+
+    everyone = tuple(range(segments[0].joints))
+    perturbation, angle = signal("perturbation"), np.degrees(signal("position"))
+    angle -= np.nanmean(angle, axis=1, keepdims=True)
+    k = segments[0].perturbed_joint
     perturbed = tuple(j for j in everyone if j == k or np.nan_to_num(perturbation[j]).any())
     held = tuple(j for j in everyone if j not in perturbed)
-    angle = np.degrees(_whole(segments, start_ns, "position"))
-    angle -= np.nanmean(angle, axis=1, keepdims=True)
-    torque = _whole(segments, start_ns, "torque")
     rows = [
-        _row("perturbation", "N·m", perturbed, perturbation),
-        _row("angle", "°", perturbed, angle),
+        row("perturbation", "N·m", perturbed, perturbation),
+        row("angle", "°", perturbed, angle),
+        *([row("held joints", "°", held, angle)] if held else []),
+        row("torque on arm", "N·m", everyone, signal("torque")),
     ]
-    if held:
-        rows.append(_row("held joints", "°", held, angle))
-    rows.append(_row("torque on arm", "N·m", everyone, torque))
     if all(segment.command is not None for segment in segments):
-        command = _whole(segments, start_ns, "command")
-        rows.append(_row("command", "N·m", everyone, command))
+        rows.append(row("command", "N·m", everyone, signal("command")))
     return rows
+
+
+def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
+    """Signals without what is above a frequency, cycles per sample; neither early nor late."""
+    # A sampled Butterworth filter there and back, on the signal and its mirror image. That of
+    # scipy.signal does the same, but takes longer to import than the whole report to write.
+    mirrored = np.concatenate((values, values[:, ::-1]), axis=1)
+    ratio = np.tan(np.pi * np.fft.rfftfreq(mirrored.shape[1])) / np.tan(np.pi * cutoff)
+    seen = np.fft.irfft(np.fft.rfft(mirrored) / (1.0 + ratio ** (2 * _ORDER)), mirrored.shape[1])
+    return seen[:, : values.shape[1]]
 
 
 def trace_views(trial: AssembledTrial, prefix: str = "", buckets: int = _BUCKETS) -> list[View]:
@@ -133,67 +152,23 @@ def _view(
     name: str, rows: Sequence[Row], names: Sequence[str], part: tuple[int, int], buckets: int
 ) -> View:
     start, stop = part
-    ordinates = [
-        (1.0, axis(f"{row.title}<br>({row.unit})", hoverformat=".4~g", nticks=5)) for row in rows
-    ]
+    data = []
+    for number, row in enumerate(rows, 1):
+        for joint, values in zip(row.joints, row.values, strict=True):
+            title, colour = f"{row.title}, {names[joint]}", joint_variable(joint)
+            stroke = Stroke(name=title, colour=colour, width=1.0)
+            thinned, step = envelope(values[start:stop], buckets)
+            place = (start * PERIOD, step * PERIOD)
+            data.append(line(place, thinned, stroke, row=number, unit=row.unit))
     abscissa = axis(
         "time since the perturbation began (s)",
         range=[start * PERIOD, stop * PERIOD],
         hoverformat=".3f",
         unifiedhovertitle={"text": "%{x} s"},
     )
+    ordinates = [
+        (1.0, axis(f"{row.title}<br>({row.unit})", hoverformat=".4~g", nticks=5)) for row in rows
+    ]
     layout = stacked(abscissa, ordinates, gap=0.03, left=78)
     # Zooming into one view says nothing about the others.
-    layout["uirevision"] = name
-    return View(name=name, data=list(_lines(rows, names, part, buckets)), layout=layout)
-
-
-def _lines(
-    rows: Sequence[Row], names: Sequence[str], part: tuple[int, int], buckets: int
-) -> Iterator[Trace]:
-    start, stop = part
-    for number, row in enumerate(rows, 1):
-        for joint, values in zip(row.joints, row.values, strict=True):
-            thinned, step = envelope(values[start:stop], buckets)
-            stroke = Stroke(
-                name=f"{row.title}, {names[joint]}", colour=joint_variable(joint), width=1.0
-            )
-            yield even_line(
-                start * PERIOD, step * PERIOD, thinned, stroke, row=number, unit=row.unit
-            )
-
-
-def _smoothed(segment: TrialRecord, cutoff: float) -> TrialRecord:
-    """A segment without what is above a frequency, Hz; neither early nor late for that."""
-    warped = np.tan(np.pi * cutoff / segment.rate)
-
-    def smooth(values: FloatArray) -> FloatArray:
-        # A sampled Butterworth filter there and back, on the signal and its mirror image. That of
-        # scipy.signal does the same, but takes longer to import than the whole report to write.
-        mirrored = np.concatenate((values, values[:, ::-1]), axis=1)
-        angle = np.pi * np.fft.rfftfreq(mirrored.shape[1])
-        gain = 1.0 / (1.0 + (np.tan(angle) / warped) ** (2 * _ORDER))
-        seen = np.fft.irfft(gain * np.fft.rfft(mirrored), mirrored.shape[1])
-        return seen[:, : values.shape[1]]
-
-    return replace(
-        segment,
-        perturbation=smooth(segment.perturbation),
-        position=smooth(segment.position),
-        torque=smooth(segment.torque),
-        command=None if segment.command is None else smooth(segment.command),
-    )
-
-
-def _row(title: str, unit: str, joints: tuple[int, ...], values: FloatArray) -> Row:
-    return Row(title=title, unit=unit, joints=joints, values=values[list(joints)])
-
-
-def _whole(segments: Sequence[TrialRecord], start_ns: int, field: str) -> FloatArray:
-    """Put a signal of all segments together, with NaN in the gaps; shape (n, N)."""
-    starts = [round((segment.start_ns - start_ns) / PERIOD_NS) for segment in segments]
-    span = max(start + part.samples for start, part in zip(starts, segments, strict=True))
-    whole = np.full((segments[0].joints, span), np.nan)
-    for start, segment in zip(starts, segments, strict=True):
-        whole[:, start : start + segment.samples] = getattr(segment, field)
-    return whole
+    return View(name=name, data=data, layout=layout | {"uirevision": name})

@@ -15,19 +15,13 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, PrefixLoader, StrictUndefined
 from markupsafe import Markup
+from plotly.offline import get_plotlyjs
 
 from armimp_estimation.report.formats import plain, symbol
 from armimp_estimation.report.look import style_rules
 
-_SCRIPTS = ("plots.js", "tables.js")
-
-
-@dataclass(frozen=True, kw_only=True)
-class Group:
-    """Rows of a table which belong together; the first cell of each row is its header."""
-
-    rows: Sequence[Sequence[object]]
-    title: object = None
+Content = dict[str, Any]
+Rows = Sequence[Sequence[object]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,8 +34,9 @@ class Table:
         Title.
     columns : sequence
         Header of each column.
-    groups : sequence of Group
-        Rows.
+    groups : sequence of (object, rows)
+        Rows that belong together under a title, which may be None; the first cell of each row is
+        its header.
     spans : sequence of (object, int)
         Headers above those of the columns, with the number of columns that each is above.
     words : sequence of int
@@ -52,26 +47,35 @@ class Table:
 
     caption: object
     columns: Sequence[object]
-    groups: Sequence[Group]
+    groups: Sequence[tuple[object, Rows]]
     spans: Sequence[tuple[object, int]] = ()
     words: Sequence[int] = ()
     sortable: bool = False
 
     def __post_init__(self) -> None:
-        for group in self.groups:
-            for row in group.rows:
+        for _, rows in self.groups:
+            for row in rows:
                 if len(row) != len(self.columns):
                     raise ValueError(f"{len(row)} cells in {len(self.columns)} columns: {row!r}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A section of a page: identifier, title in the contents, template, and what that takes."""
+    """A section of a page: identifier, title in the contents, template, and what that takes.
+
+    Without content there is no such section.
+    """
 
     identifier: str
     title: str
     template: str
-    content: Mapping[str, Any] = field(default_factory=dict)
+    content: Content | None = field(default_factory=dict)
+
+
+def box(tag: str, label: str, colour: str, style: str = "solid", width: int = 3) -> Content:
+    """Control that switches what carries a tag, or entry of a key, drawn like its lines."""
+    css = {"solid": "solid", "dot": "dotted"}.get(style, "dashed")
+    return {"tag": tag, "label": label, "colour": f"var({colour})", "style": css, "width": width}
 
 
 def script_json(value: Any) -> Markup:
@@ -83,23 +87,8 @@ def script_json(value: Any) -> Markup:
     return Markup(dumped)
 
 
-def _environment(packages: Mapping[str, str]) -> Environment:
-    """Templates of packages by prefix; whatever is not markup is escaped."""
-
-    def shown(value: object) -> object:
-        return value if isinstance(value, Markup) else "" if value is None else plain(value)
-
-    made = Environment(
-        loader=PrefixLoader({prefix: PackageLoader(name) for prefix, name in packages.items()}),
-        autoescape=True,
-        undefined=StrictUndefined,
-        finalize=shown,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    made.globals["symbol"] = symbol
-    made.filters |= {"json": script_json, "words": lambda value: Markup(value).striptags()}
-    return made
+def _shown(value: object) -> object:
+    return value if isinstance(value, Markup) else "" if value is None else plain(value)
 
 
 def render_page(
@@ -110,7 +99,7 @@ def render_page(
     packages: Mapping[str, str] | None = None,
     **content: Any,
 ) -> str:
-    """Put a page together.
+    """Put a page together; whatever is not markup is escaped.
 
     Parameters
     ----------
@@ -123,26 +112,30 @@ def render_page(
     packages : mapping of str to str
         Packages with ``templates/`` of their own, by the prefix of their names.
     """
-    scripts = [_plotly(), *map(_resource, _SCRIPTS)]
-    return (
-        _environment({"report": __package__, **(packages or {})})
-        .get_template("report/page.html")
-        .render(
-            title=title,
-            header=header,
-            sections=sections,
-            style=Markup(style_rules() + _resource("style.css")),
-            scripts=[Markup(script) for script in scripts],
-            script_hashes=[_hash(script) for script in scripts],
-            **content,
-        )
+    loaders = {
+        prefix: PackageLoader(name)
+        for prefix, name in {"report": __package__, **(packages or {})}.items()
+    }
+    environment = Environment(
+        loader=PrefixLoader(loaders),
+        autoescape=True,
+        undefined=StrictUndefined,
+        finalize=_shown,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-
-
-def _plotly() -> str:
-    from plotly.offline import get_plotlyjs
-
-    return str(get_plotlyjs())
+    environment.globals["symbol"] = symbol
+    environment.filters |= {"json": script_json, "words": lambda value: Markup(value).striptags()}
+    scripts = [str(get_plotlyjs()), *map(_resource, ("plots.js", "tables.js"))]
+    return environment.get_template("report/page.html").render(
+        title=title,
+        header=header,
+        sections=[one for one in sections if one.content is not None],
+        style=Markup(style_rules() + _resource("style.css")),
+        scripts=[Markup(script) for script in scripts],
+        script_hashes=[_hash(script) for script in scripts],
+        **content,
+    )
 
 
 def _resource(name: str) -> str:

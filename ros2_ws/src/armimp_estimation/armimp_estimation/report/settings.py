@@ -1,0 +1,162 @@
+"""How a result was made: its configuration, where each value comes from, and what is assumed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from markupsafe import Markup
+
+from armimp_estimation.report.formats import code, written
+from armimp_estimation.report.page import Content, Table
+from armimp_estimation.report.result import setting
+
+ASSUMPTION = "assumption"
+DESIGN = "study design"
+CHOSEN = "set for this run"
+_BY_JOINTS: Mapping[str, Mapping[int, str]] = {
+    table: {
+        1: f"paper, {table}, elbow",
+        2: f"paper, {table}",
+        3: f"paper, {table}; wrist: {ASSUMPTION}",
+    }
+    for table in ("Table I", "Table III")
+}
+"""Tables of the paper by the number of joints; for more of them, all is assumed."""
+_ORIGINS: tuple[tuple[str, str], ...] = (
+    (r"arm\.", "Table I"),
+    (r"robot\.|friction\.", ASSUMPTION),
+    (r"sensors\..*_resolution", "paper, Table II"),
+    (r"sensors\.|actuators\.|substeps|perturbation\.(cutoff|order)", DESIGN),
+    (r"perturbation\.peak", "Table III"),
+    (r"law\.kind", "paper: imbic"),
+    (r"voluntary\.|target\.|law\.|safety\.|tare\.|sequence\.(settle|rest)", ASSUMPTION),
+    (r"known\.", "as simulated"),
+    (r"sequence\.duration", "paper: 50 s"),
+)
+_IMPERFECTIONS = {
+    "sensors.torque_offset": "an offset",
+    "sensors.torque_drift": "drift",
+    "sensors.torque_gain": "a wrong gain",
+    "sensors.torque_delay": "a delay",
+    "sensors.torque_cutoff": "a low-pass",
+}
+
+
+def identity(config: Mapping[str, Any], seed: object) -> list[tuple[str, object]]:
+    """Versions, seed, and whatever else the configuration has beside its groups of values."""
+    rows: list[tuple[str, object]] = [("seed", written(seed))]
+    single = {name: value for name, value in config.items() if not isinstance(value, dict)}
+    rows += [(name.replace("_", " "), written(value)) for name, value in single.items()]
+    armimp = setting(config, "versions", "armimp")
+    return rows if armimp is None else [("armimp", written(armimp)), *rows]
+
+
+def configuration(config: Mapping[str, Any]) -> list[tuple[str, int, Table]]:
+    """Name, size and table of every group of values, with where each value comes from."""
+    found = []
+    for node, values in config.items():
+        if isinstance(values, dict) and values:
+            origins = [marked_origin(config, node, name) for name in values]
+            rows: list[list[object]] = [[code(name), written(v)] for name, v in values.items()]
+            columns = ["name", "value"]
+            if any(origins):
+                columns = ["parameter", "value", "where from"]
+                rows = [[*row, one] for row, one in zip(rows, origins, strict=True)]
+            caption = "Values as they were recorded"
+            table = Table(caption=caption, columns=columns, groups=[(None, rows)], words=(1, 2))
+            found.append((node, len(values), table))
+    return found
+
+
+def marked_origin(config: Mapping[str, Any], node: str, name: str) -> str:
+    """Where a parameter comes from, see `origin`, set off if it is assumed."""
+    where = origin(config, node, name)
+    return Markup("<em>{}</em>").format(where) if ASSUMPTION in where else where
+
+
+def origin(config: Mapping[str, Any], node: str, name: str) -> str:
+    """Where a parameter comes from: the paper, or an assumption; empty if that is not known.
+
+    Parameters
+    ----------
+    config : mapping
+        Configuration of a result, of any form.
+    node, name : str
+        The parameter, by its dotted name.
+    """
+    if setting(config, "experiment") is None:
+        return ""
+    if name in set(_dotted(setting(config, "experiment", node))):
+        return CHOSEN
+    source = next((source for pattern, source in _ORIGINS if re.match(pattern, name)), "")
+    if source in _BY_JOINTS:
+        joints = setting(config, "experiment", "joints")
+        return _BY_JOINTS[source].get(joints, ASSUMPTION)
+    return source
+
+
+def _dotted(values: object, prefix: str = "") -> Iterator[str]:
+    if isinstance(values, Mapping):
+        for name, value in values.items():
+            yield f"{prefix}{name}"
+            yield from _dotted(value, f"{prefix}{name}.")
+
+
+def assumptions_content(
+    config: Mapping[str, Any], *, friction: str | None = None
+) -> Content | None:
+    """What the simulation assumes; None where nothing is known to be simulated.
+
+    Parameters
+    ----------
+    config : mapping
+        Configuration of a result, of any form.
+    friction : str, optional
+        Levels of friction in words, where there is more than one.
+    """
+    if setting(config, "experiment") is None or setting(config, "arm_sim") is None:
+        return None
+    levels = friction or f"level {setting(config, 'experiment', 'friction')}"
+    found = [
+        (
+            "Friction",
+            f"LuGre friction of {levels}. The paper cites a source for its values but does "
+            "not state them.",
+        ),
+        (
+            "Robot inertia",
+            "Link lengths, masses and moments are chosen to give an endpoint mass of about 1 kg.",
+        ),
+        (
+            "Controller gains",
+            "Target impedance, stiffness of the locked joints, internal model and velocity "
+            "feedback gain are chosen; the paper does not state them.",
+        ),
+        (
+            "Sensors and arm",
+            f"Sensors have {_of_sensors(config)} but no other noise. The arm is linear about its "
+            "posture, relaxed, and strapped in without play.",
+        ),
+    ]
+    joints = setting(config, "experiment", "joints")
+    if joints == 3:
+        wrist = "All values of the wrist, and the couplings with it, are chosen."
+        found.insert(0, ("Third joint", f"The paper's arm has two joints. {wrist}"))
+    elif isinstance(joints, int) and joints > 3:
+        chain = "All values of this arm and its robot, and the size of its drives, are chosen."
+        found.insert(0, ("Arm", f"The paper's arm has two joints. {chain}"))
+    return {"assumptions": found}
+
+
+def _of_sensors(config: Mapping[str, Any]) -> str:
+    """What the simulated sensors have, in words."""
+    words = ["a resolution"]
+    for name, what in _IMPERFECTIONS.items():
+        value = setting(config, "arm_sim", name)
+        neutral = 1.0 if name == "sensors.torque_gain" else 0.0
+        values = value if isinstance(value, list) else [value]
+        if any(one not in (None, neutral) for one in values):
+            words.append(what)
+    return ", ".join(words[:-1]) + " and " + words[-1] if len(words) > 1 else words[0]
