@@ -54,6 +54,8 @@ class Mismatch:
     angle_step: float = 6.136e-5
     torque_step: float = 0.01
     friction: float = 0.15
+    stick: float = 0.02
+    """Speed at which friction reaches three quarters of its size, rad/s: less lets joints rest."""
     viscosity: float = 0.1
     lock: float = 150.0
     """Natural frequency of locked joints, rad/s (at most a sixth of the rate)."""
@@ -110,6 +112,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0917 (one co
     angle_step,
     angle_pole,
     friction,
+    stick,
     reflex,
     reflex_steps,
     nonlinear,
@@ -163,8 +166,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0917 (one co
                 old = active[i]
                 active[i] = sent[i, whole]
                 speed = x[n + i]
-                stick = friction * np.tanh(speed / 0.02)
-                force[i] = old - stick
+                force[i] = old - friction * np.tanh(speed / stick)
                 q, v = x[where + i], x[where + n + i]
                 # Reflex: torque after a delay, through two first-order lags of the muscle.
                 for age in range(reflex_steps, 0, -1):
@@ -190,7 +192,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0917 (one co
                         value += torque_of[i, states + j] * force[j]
                     before[i, k] = value
             for i in range(n):
-                force[i] = active[i] - friction * np.tanh(x[n + i] / 0.02)
+                force[i] = active[i] - friction * np.tanh(x[n + i] / stick)
             for i in range(n):
                 value = 0.0
                 for j in range(states):
@@ -249,6 +251,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
         mismatch.angle_step,
         angle_pole,
         mismatch.friction,
+        mismatch.stick,
         mismatch.reflex,
         max(1, round(mismatch.reflex_delay / step)),
         np.array(

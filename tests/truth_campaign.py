@@ -243,6 +243,11 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912 (a table)
         add(NOISE, "weak", (f"{level:g}", {"level": level}))
     for friction in (0.5, 1.0, 2.0):
         add(NOISE, "friction", (f"{friction:g} N·m", {"friction": friction}))
+    for friction, step in ((0.5, 5e-4), (1.0, 6e-5), (1.0, 5e-4), (2.0, 6e-5)):
+        # Joints that rest: a law that knows nothing of friction, a coarse encoder.
+        sticky = {"friction": friction, "stick": 0.005 * friction, "angle_step": step}
+        kind = NOISE if friction < 2.0 else MUST
+        add(kind, "sticking", (f"{friction:g} N·m, {step:g} rad", sticky))
     add(MUST, "cross-talk", ("3 %", {"readings": changed(torque=_cross(0.03))}))
     return found
 

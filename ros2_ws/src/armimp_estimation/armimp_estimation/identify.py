@@ -17,9 +17,9 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_stiffness
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Concern, Problem, spoiled
-from armimp_estimation.robot_balance import RobotBalance, in_order, judge_balance, robot_balance
+from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_order, judge_balance
 from armimp_estimation.settings import IdentifyConfig
-from armimp_estimation.signal_quality import judge_signals
+from armimp_estimation.signal_quality import judge_signals, lost_motion
 from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
@@ -176,9 +176,10 @@ def identify(
     if truth is not None and truth.joints != len(names):
         raise ConfigurationError(f"truth is of {truth.joints} joints, the data of {len(names)}")
 
-    balance = robot_balance([trial.record for trial in ordered])
-    if balance is not None and balance.permuted:
-        ordered = tuple(in_order(trial, balance) for trial in ordered)
+    responses = RobotResponses.of([trial.record for trial in ordered])
+    order = tuple(range(len(names))) if responses is None else responses.order()
+    if order != tuple(range(len(names))):
+        ordered = tuple(in_order(trial, order) for trial in ordered)
     spectra = [trial.spectra for trial in ordered]
     frf = frf_matrix(spectra)
     averages = min(trial.spectra.effective_averages for trial in spectra)
@@ -210,14 +211,19 @@ def identify(
         problems += verdict.judge_locking(names, locks, bounds, options.limits)
     problems += of_estimates
     best = next((r for r in results.values() if r.estimate.unbiased), None)
+    reading = options.lpm.reading
+    records = [trial.record for trial in ordered]
+    jump = LpmFull(config=options.lpm).jump(records)
     if best is not None:
-        reading = options.lpm.reading
-        jump = LpmFull(config=options.lpm).jump([trial.record for trial in ordered])
-        for trial in ordered:
-            problems += judge_stiffness(trial.record, best.fit.mbk, jump, reading)
-    if balance is not None:
-        arm = best if best is not None else first
-        problems += judge_balance(names, balance, arm.fit)
+        seen = ~(lost_motion(records) > 0.0).any(axis=0)
+        for record, resolved in zip(records, seen.tolist(), strict=True):
+            arm = best.fit.mbk
+            problems += judge_stiffness(record, arm, jump, reading, resolved=resolved)
+    balance = None
+    if responses is not None:
+        fit = (best if best is not None else first).fit
+        balance = responses.balance(order, jump, reading, fit.delay)
+        problems += judge_balance(names, balance, fit)
     return Identification(
         joint_names=names,
         trials=tuple(

@@ -131,8 +131,13 @@ def judge_stiffness(
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
+    *,
+    resolved: bool = True,
 ) -> list[Problem]:
-    """Find stiffness that isn't constant; parameters are those of :func:`unexplained_torque`."""
+    """Find stiffness that isn't constant; parameters are those of :func:`unexplained_torque`.
+
+    Where the motion of locked joints isn't `resolved`, its torque may look like that.
+    """
     problems = []
     codes = {
         "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
@@ -142,7 +147,7 @@ def judge_stiffness(
     for name, (share, error) in change_of_stiffness(record, arm, jump, reading).items():
         if not abs(share) > SIGNIFICANT * error or abs(share) < _NEGLIGIBLE:
             continue
-        severity = Severity.ERROR if abs(share) > LARGE[name] else Severity.NOTE
+        severity = Severity.ERROR if resolved and abs(share) > LARGE[name] else Severity.NOTE
         problems.append(
             Problem(
                 code=codes[name],

@@ -24,12 +24,14 @@ from numpy.typing import NDArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import LocalResponse, local_response
-from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.lpm import LpmConfig, unresolved
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import FitConfig, MBKFit, fit_impedance
+from armimp_estimation.fit import CommonDelay, FitConfig, MBKFit, fit_impedance
+from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
@@ -67,71 +69,112 @@ class RobotBalance:
     order: tuple[int, ...]
 
     @property
-    def stiffness(self) -> float:
-        """Size of the robot's stiffness, N·m/rad."""
-        return float(np.sqrt(np.sum(self.fit.mbk.K**2)))
-
-    @property
     def permuted(self) -> bool:
         """Whether commands are in another order than the joints."""
         return self.order != tuple(range(len(self.order)))
 
 
-def robot_balance(records: Sequence[TrialRecord]) -> RobotBalance | None:
-    """Estimate what the commands move.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RobotResponses:
+    """Responses to the perturbation from which the balance follows.
 
-    Parameters
+    Attributes
     ----------
-    records : sequence of TrialRecord
+    records : tuple of TrialRecord
         One trial for each joint, in order.
-
-    Returns
-    -------
-    RobotBalance or None
-        None if there are no commands, or they or the angles don't follow the perturbation.
+    columns : tuple of LocalResponse
+        Of angles, torques and commands, by trial.
+    inverse : ndarray, shape (n, n, n_freq)
+        ``R⁻¹``.
     """
-    if any(record.command is None for record in records):
-        return None
-    n = len(records)
-    try:
-        responses = _responses(records)
-        f = responses[0].f
-        stacked = np.stack([one.response for one in responses], axis=1)
-        inverse = invert(stacked[:n], f)
-    except DataError:
-        return None
-    turn = 2j * np.pi * f / records[0].rate
-    hold = (1.0 - np.exp(-turn)) / turn
-    orders = list(itertools.permutations(range(n))) if n <= _MOST_ORDERS else [tuple(range(n))]
-    found: list[RobotBalance] = []
-    for order in orders:
-        rows = [2 * n + row for row in order]
-        torque = hold * stacked[rows] - stacked[n : 2 * n]
-        impedance = multiply(torque, inverse)
-        variance = np.zeros(impedance.shape)
-        for k, response in enumerate(responses):
+
+    records: tuple[TrialRecord, ...]
+    columns: tuple[LocalResponse, ...]
+    inverse: ComplexArray
+
+    @classmethod
+    def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:
+        """Those of trials; None if there are no commands, or something does not respond."""
+        if any(record.command is None for record in records):
+            return None
+        try:
+            columns = _responses(records)
+            angles = np.stack([one.response[: len(records)] for one in columns], axis=1)
+            inverse = invert(angles, columns[0].f)
+        except DataError:
+            return None
+        return cls(records=tuple(records), columns=tuple(columns), inverse=inverse)
+
+    def order(self) -> tuple[int, ...]:
+        """Row of the commands that belongs to each joint.
+
+        The right order leaves a robot with hardly any stiffness; friction leaves some of it.
+        """
+        n = len(self.records)
+        orders = list(itertools.permutations(range(n))) if n <= _MOST_ORDERS else [tuple(range(n))]
+        stiffness = [float(np.linalg.norm(self.balance(one).fit.mbk.K)) for one in orders]
+        best = int(np.argmin(stiffness))
+        return orders[best] if stiffness[best] < _CLEARLY * stiffness[0] else orders[0]
+
+    def balance(
+        self,
+        order: tuple[int, ...],
+        jump: HoldCorrection | None = None,
+        reading: TorqueReading | None = None,
+        delay: CommonDelay | None = None,
+    ) -> RobotBalance:
+        """Estimate what the commands move.
+
+        Parameters
+        ----------
+        order : tuple of int
+            Row of the commands that belongs to each joint.
+        jump : HoldCorrection, optional
+            How torques jump with the commands, if that is known.
+        reading : TorqueReading, optional
+            How torques were read.
+        delay : CommonDelay, optional
+            What was found of their delay.
+        """
+        n, f, rate = len(self.records), self.columns[0].f, self.records[0].rate
+        turn = 2j * np.pi * f / rate
+        step = 1.0 - np.exp(-turn)
+        late = 0.0 if delay is None else delay.delay
+        # What torque and commands, (n, 3n), move the robot.
+        mixed = np.zeros((n, 3 * n, f.size), dtype=np.complex128)
+        read = reading.at_rate(rate) if reading is not None else TorqueReading()
+        known = np.exp(turn * rate * late) / read.response(f)
+        for i in range(n):
+            mixed[i, n + i] = -known
+            mixed[i, 2 * n + order[i]] = step / turn
+        if jump is not None:
+            mixed[:, 2 * n :] -= known * step * jump.missing(f, rate, read)
+        stacked = np.stack([one.response for one in self.columns], axis=1)
+        moving = multiply(mixed, stacked)
+        impedance = multiply(moving, self.inverse)
+        coefficients = mixed.copy()
+        coefficients[:, :n] -= impedance
+        systematics = unresolved(self.records, impedance, self.inverse)
+        if delay is not None:
+            torque = multiply(mixed[:, n : 2 * n], stacked[n : 2 * n])
+            systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))
+        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics) + np.zeros(moving.shape))
+        for k, response in enumerate(self.columns):
             for i in range(n):
-                coefficients = np.zeros((3 * n, f.size), dtype=np.complex128)
-                coefficients[:n] = -impedance[i]
-                coefficients[n + i] = -1.0
-                coefficients[rows[i]] = hold
-                noise = response.combined_variance(coefficients)
-                variance[i] += noise * np.abs(inverse[k]) ** 2
+                noise = response.combined_variance(coefficients[i])
+                variance[i] += noise * np.abs(self.inverse[k]) ** 2
         estimate = ImpedanceEstimate(
             name="robot",
             f=f,
             Z=impedance,
             variance=variance,
-            bin_correlation=responses[0].bin_correlation(),
-            averages=responses[0].freedom + 1.0,
-            T=torque,
+            systematics=tuple(systematics),
+            bin_correlation=self.columns[0].bin_correlation(),
+            averages=self.columns[0].freedom + 1.0,
+            T=moving,
             R=stacked[:n],
         )
-        _, fit = fit_impedance(estimate, FitConfig())
-        found.append(RobotBalance(fit=fit, order=order))
-    best = min(found, key=lambda one: one.stiffness)
-    # The right order leaves a robot with hardly any stiffness; friction leaves some of it.
-    return best if best.stiffness < _CLEARLY * found[0].stiffness else found[0]
+        return RobotBalance(fit=fit_impedance(estimate, FitConfig())[1], order=order)
 
 
 def transducer_gains(robot: MBKFit, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
@@ -226,12 +269,12 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
     return problems
 
 
-def in_order(trial: TrialData, balance: RobotBalance) -> TrialData:
+def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:
     """Return a trial with its commands in the order of the joints."""
     record = trial.record
     if record.command is None:
         return trial
-    command = record.command[list(balance.order)]
+    command = record.command[list(order)]
     return replace(trial, record=replace(record, command=command))
 
 

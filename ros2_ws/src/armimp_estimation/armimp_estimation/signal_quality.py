@@ -6,6 +6,7 @@ and its intervals know. But what follows from the motion itself biases it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -22,10 +23,17 @@ _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}
 _CLIPPED = 8
 _HEAPED = 4.0
 _NEIGHBOURS = 8
+_VISITS = 3
+_APPROACH = 5
+_UNSLOWED = 0.4
 STUCK = 0.1
 """Time for which a signal that moves may keep one value, s; longer where it moves slowly."""
 _STUCK_TIMES = 6.0
+_RESTING = 0.3
 _TELLING_COUNTS = 50.0
+_TELLING_SAMPLES = 4096
+_DITHERED = 0.8
+_LOST = 0.16
 RESOLVED = 8.0
 """Peak to peak motion, in counts of the resolution, below which nothing is resolved."""
 
@@ -51,7 +59,8 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 counts = counts_of(signal)
                 if counts < RESOLVED and not (stream == TORQUE_SENSORS and counts == 0.0):
                     found.append((ProblemCode.UNRESOLVED, {"counts": counts}))
-                longest, count, limit = sticking(signal, record.rate)
+                partner = (record.torque if stream == JOINT_STATES else record.position)[joint]
+                longest, count, limit = sticking(signal, record.rate, partner)
                 if count:
                     about = {"longest": longest, "count": count, "limit": limit}
                     found.append((ProblemCode.STUCK, about))
@@ -69,47 +78,100 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
 
     A signal that turns where it likes has fewer samples at its extreme value than at the next
     ones. One that is clipped heaps them up there: it is taken as clipped if the extreme value has
-    at least 8 samples and 4 times as many as each of the 8 distinct values next to it.
+    at least 8 samples and 4 times as many as each of the 8 distinct values next to it. A joint that
+    friction holds may rest there as long. But it does not come back to the same value, and it slows
+    down before: so a signal is clipped only if it comes there 3 times, at both ends together, and
+    arrives with more than 0.4 of the speed that it had 5 samples before. (A motion that comes to
+    rest steadily has a third of it.)
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     """
-    values, counts = np.unique(signal, return_counts=True)
+    values, places, counts = np.unique(signal, return_inverse=True, return_counts=True)
     if values.size <= _NEIGHBOURS:
         return []
-    found = []
-    for value, heap, inner in (
-        (values[0], counts[0], counts[1 : 1 + _NEIGHBOURS]),
-        (values[-1], counts[-1], counts[-1 - _NEIGHBOURS : -1]),
+    found, visits = [], 0
+    speed = np.zeros(2)
+    for rank, heap, inner in (
+        (places, counts[0], counts[1 : 1 + _NEIGHBOURS]),
+        (values.size - 1 - places, counts[-1], counts[-1 - _NEIGHBOURS : -1]),
     ):
         if heap >= _CLIPPED and heap > _HEAPED * float(np.max(inner)):
-            found.append((float(value), int(heap)))
-    return found
+            arrivals = _arrivals(rank)
+            found.append((float(signal[rank == 0][0]), int(heap)))
+            visits += arrivals.size
+            before = signal[np.maximum(arrivals - _APPROACH * np.arange(3)[:, None], 0)]
+            speed += np.abs(np.sum(np.diff(before, axis=0), axis=1))
+    return found if visits >= _VISITS and speed[0] > _UNSLOWED * speed[1] else []
+
+
+def _arrivals(rank: NDArray[np.int_]) -> NDArray[np.int_]:
+    """Samples that reach rank 0 for the first time after one of more than 8."""
+    there = np.flatnonzero((rank == 0) | (rank > _NEIGHBOURS))
+    at_end = rank[there] == 0
+    came = at_end & ~np.concatenate(([False], at_end[:-1]))
+    return there[came]
+
+
+def resolution_of(signal: FloatArray) -> float:
+    """Least difference between two values of a signal; 0 if it rests."""
+    gaps = np.diff(np.unique(signal))
+    if gaps.size == 0:
+        return 0.0
+    return float(np.min(gaps[gaps > 1e-9 * float(np.max(gaps))]))
+
+
+def lost_motion(records: Sequence[TrialRecord]) -> FloatArray:
+    """Motion that follows the perturbation and that the encoders of locked joints may not show.
+
+    Rounding to steps q takes ``2 exp(-2π²σ²/q²)`` off the response of a Gaussian motion of the
+    standard deviation σ, so up to 0.16 q off the motion itself (at σ = 0.2 q), and nothing that
+    matters beyond half a count. Joints that friction holds move otherwise, hence the limit of 0.8
+    counts.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Of each joint in each trial, rad; 0 where all is seen.
+    """
+    lost = np.zeros((len(records), len(records)))
+    for joint, moving in enumerate(records):
+        step = resolution_of(moving.position[joint, :_TELLING_SAMPLES])
+        for k, record in enumerate(records):
+            if k != joint and float(np.std(record.position[joint])) < _DITHERED * step:
+                lost[joint, k] = _LOST * step
+    return lost
 
 
 def counts_of(signal: FloatArray) -> float:
-    """Peak to peak motion in units of the least difference between two values; 0 if it rests."""
-    values = np.unique(signal)
-    if values.size < 2:
-        return 0.0
-    gaps = np.diff(values)
-    least = float(np.min(gaps[gaps > 1e-9 * float(np.max(gaps))]))
-    return float(values[-1] - values[0]) / least
+    """Peak to peak motion in units of its resolution; 0 if it rests."""
+    least = resolution_of(signal)
+    return float(np.ptp(signal)) / least if least else 0.0
 
 
-def sticking(signal: FloatArray, rate: float) -> tuple[float, int, float]:
+def sticking(
+    signal: FloatArray, rate: float, partner: FloatArray | None = None
+) -> tuple[float, int, float]:
     """Longest time for which a signal keeps one value, how often it does so for too long, and that.
 
     What is too long follows from the signal: 6 times the time for which it keeps a value but in one
     of a hundred moments, and no less than 100 ms. Signals of fewer than 50 counts may rest as they
-    like.
+    like, and so may one whose partner rests as well: a joint that friction holds has a steady
+    torque.
 
     Parameters
     ----------
     signal : ndarray, shape (N,)
     rate : float
         Samples per second, Hz.
+    partner : ndarray, shape (N,), optional
+        Signal that moves whenever this one does: the torque of an angle, or the angle of a torque.
 
     Returns
     -------
@@ -122,4 +184,18 @@ def sticking(signal: FloatArray, rate: float) -> tuple[float, int, float]:
         return 0.0, 0, 0.0
     typical = float(np.quantile(runs, 0.99))
     limit = max(STUCK * rate, _STUCK_TIMES * typical)
-    return float(np.max(runs)) / rate, int(np.sum(runs > limit)), limit / rate
+    starts = np.concatenate(([0], edges + 1))
+    long = [
+        int(run)
+        for start, run in zip(starts[runs > limit], runs[runs > limit], strict=True)
+        if partner is None or not _rests(partner, start, run)
+    ]
+    return max(long, default=int(np.max(runs))) / rate, len(long), limit / rate
+
+
+def _rests(signal: FloatArray, start: int, run: int) -> bool:
+    """Whether a signal moves far less over a run than it mostly does over as many samples."""
+    whole = signal[: signal.size // run * run].reshape(-1, run)
+    return float(np.ptp(signal[start : start + run])) < _RESTING * float(
+        np.median(np.ptp(whole, axis=1))
+    )

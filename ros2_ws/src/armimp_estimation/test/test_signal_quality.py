@@ -34,6 +34,22 @@ def test_a_clipped_signal_tells_where(limit: float, step: float) -> None:
     assert [value for value, _ in found] == [pytest.approx(limit)]
 
 
+@pytest.mark.parametrize("step", [1e-4, 1e-2])
+def test_a_joint_that_rests_at_its_extreme_value_is_not_clipped(step: float) -> None:
+    signal = motion(1, step)
+    top = int(np.argmax(signal))
+    assert clipping(np.insert(signal, top, np.full(400, signal[top]))) == []
+
+
+def test_a_joint_that_rests_with_its_torque_is_not_stuck() -> None:
+    signal = motion(1, 1e-3)
+    signal[9000:9500] = signal[9000]
+    torque = motion(2, 1e-3)
+    assert sticking(signal, RATE, torque)[1] == 1
+    torque[9000:9500] = torque[9000] + motion(3, 1e-3)[:500] / 20.0
+    assert sticking(signal, RATE, torque)[1] == 0
+
+
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_a_signal_that_keeps_its_value_for_too_long_is_stuck(seconds: float) -> None:
     signal = motion(1, 1e-3)

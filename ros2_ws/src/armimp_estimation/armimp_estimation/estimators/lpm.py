@@ -20,6 +20,7 @@ from armimp_estimation.fit import FitConfig, fit_column, fit_mbk
 from armimp_estimation.frf import order_trials
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, update_jump
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.signal_quality import lost_motion
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
@@ -159,7 +160,8 @@ class LpmFull:
         systematic = options.skew_uncertainty * multiply(torque - uncorrected, inverse)
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
-        variance = np.abs(systematic) ** 2
+        systematics = (systematic, *unresolved(records, impedance, inverse))
+        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for k, column in enumerate(columns):
             for i in range(n):
                 disturbance = column.combined_variance(coefficients[i])
@@ -173,7 +175,7 @@ class LpmFull:
             averages=min(column.freedom for column in columns) + 1.0,
             T=torque,
             R=R,
-            systematics=(systematic,),
+            systematics=systematics,
             weight_floor=options.weight_floor,
             delay_uncertainty=self._delay_uncertainty(jump, records[0].rate),
             delay_unknown=0.5 / records[0].rate,
@@ -319,6 +321,23 @@ class LpmFull:
 def _without_drift(record: TrialRecord) -> TrialRecord:
     drift = drift_of(record)
     return drift.removed_from(record) if drift is not None and drift.significant else record
+
+
+def unresolved(
+    records: Sequence[TrialRecord], impedance: ComplexArray, inverse: ComplexArray
+) -> list[ComplexArray]:
+    """What motion of locked joints within a count of their encoders may do to the impedance.
+
+    What is lost may have any phase. It is taken to be as broad a noise as the perturbation x, so a
+    motion of a is a response ``δR = a / rms(x)``, with the effect ``δZ = -Z δR R⁻¹``.
+    """
+    motion = lost_motion(records)
+    lost = []
+    for joint, k in np.argwhere(motion > 0.0):
+        share = motion[joint, k] / float(np.std(records[k].perturbation[k]))
+        effect = share * impedance[:, joint, None] * inverse[None, k]
+        lost += [effect, 1j * effect]
+    return lost
 
 
 def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
