@@ -215,10 +215,10 @@ def identify(
     records = [trial.record for trial in ordered]
     jump = LpmFull(config=options.lpm).jump(records)
     if best is not None:
-        seen = ~(lost_motion(records) > 0.0).any(axis=0)
-        for record, resolved in zip(records, seen.tolist(), strict=True):
-            arm = best.fit.mbk
-            problems += judge_stiffness(record, arm, jump, reading, resolved=resolved)
+        lost = lost_motion(records)
+        for k, record in enumerate(records):
+            resolved = not lost[:, k].any()
+            problems += judge_stiffness(record, best.fit.mbk, jump, reading, resolved=resolved)
     balance = None
     if responses is not None:
         fit = (best if best is not None else first).fit

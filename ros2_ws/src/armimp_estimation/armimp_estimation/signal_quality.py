@@ -110,8 +110,8 @@ def _arrivals(rank: NDArray[np.int_]) -> NDArray[np.int_]:
     """Samples that reach rank 0 for the first time after one of more than 8."""
     there = np.flatnonzero((rank == 0) | (rank > _NEIGHBOURS))
     at_end = rank[there] == 0
-    came = at_end & ~np.concatenate(([False], at_end[:-1]))
-    return there[came]
+    came: NDArray[np.int_] = there[at_end & ~np.concatenate(([False], at_end[:-1]))]
+    return came
 
 
 def resolution_of(signal: FloatArray) -> float:
