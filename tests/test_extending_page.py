@@ -18,7 +18,7 @@ NEW_FILES = re.findall(r"New file `([^`]+)`:\n\n```python\n(.*?)^```$", PAGE, re
 PATCHES = re.findall(r"^```diff\n(.*?)^```$", PAGE, re.M | re.S)
 TESTS = [name for name, _ in NEW_FILES if "/test/" in name]
 COPIED = ("docs", "scripts", "ros2_ws/src", "tests/support")
-TESTS_OF_THE_WHOLE = ("tests/test_interface_page.py", "tests/test_default_configs.py")
+TESTS_OF_THE_WHOLE = ("tests/test_interface_page.py", "tests/test_generated_files.py")
 
 
 def hunks(patch: str) -> Iterator[tuple[str, str, str]]:
@@ -69,7 +69,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
             text = (copy / name).read_text(encoding="utf-8")
             assert text.count(before) == 1, f"{name} has changed, correct the page:\n{before}"
             (copy / name).write_text(text.replace(before, after), encoding="utf-8")
-    done = python(copy, "scripts/write_default_configs.py")
+    done = python(copy, "scripts/write_generated.py")
     assert done.returncode == 0, done.stderr
     return copy
 

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import enum
 import json
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
 
 import numpy as np
 import pytest
 from pydantic import BaseModel
-from pydantic.fields import FieldInfo
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
 from armimp_bringup.config import ExperimentConfig, bag_metadata, node_parameters
 from armimp_common import qos
 from armimp_common.realtime import LATE_NS
-from armimp_common.schema import defaults, flatten, leaves
+from armimp_common.schema import leaves
 from armimp_common.status import (
     NOTICE_TICKS,
     Phase,
@@ -171,62 +167,6 @@ def test_the_numbers_of_the_timing_are_those_of_the_contract() -> None:
 # --- parameters --------------------------------------------------------------------------------
 
 
-def _fields(model: type[BaseModel], prefix: str = "") -> Iterator[tuple[str, FieldInfo]]:
-    for key, field in model.model_fields.items():
-        annotation = field.annotation
-        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-            yield from _fields(annotation, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", field
-
-
-def _range(field: FieldInfo) -> str:
-    annotation: Any = field.annotation
-    choices: tuple[Any, ...] = ()
-    if get_origin(annotation) is Literal:
-        choices = get_args(annotation)
-    elif isinstance(annotation, type) and issubclass(annotation, enum.Enum):
-        choices = tuple(member.value for member in annotation)
-    bounds = [f"`{choice}`" for choice in choices]
-    for constraint in field.metadata:
-        for name, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
-            if (value := getattr(constraint, name, None)) is not None:
-                bounds.append(f"{sign} {value:g}")
-    return ", ".join(bounds) or "–"
-
-
-def _in_force(node: str) -> dict[str, Any]:
-    """What `armimp run` gives a node by default; the estimator's own defaults."""
-    if node == ESTIMATOR_NODE:
-        return dict(flatten(EstimatorParameters()))
-    return dict(flatten(node_parameters(ExperimentConfig(), None).by_node()[node]))
-
-
-def _default(cell: str) -> tuple[bool, Any]:
-    """Whether a parameter is required, and the value of the cell."""
-    match = re.fullmatch(r"(required \()?`(.*)`\)?", cell)
-    assert match is not None, cell
-    return match[1] is not None, json.loads(match[2])
-
-
-@pytest.mark.parametrize("node", SCHEMAS)
-def test_the_parameters_of_the_page_are_those_of_the_node(node: str) -> None:
-    assert list(_table(node, "parameter")) == list(leaves(SCHEMAS[node]))
-
-
-@pytest.mark.parametrize("node", SCHEMAS)
-def test_type_range_and_default_of_every_parameter_are_those_of_the_schema(node: str) -> None:
-    model, rows, in_force = SCHEMAS[node], _table(node, "parameter"), _in_force(node)
-    for name, leaf in leaves(model).items():
-        row, value = rows[name], in_force[name]
-        assert row["type"] == leaf.type_name, name
-        assert row["range"] == _range(dict(_fields(model))[name]), name
-        # The simulator node takes its preset where its schema has no default.
-        required = name not in defaults(model) and node != SIM_NODE
-        expected = pytest.approx(value, rel=1e-5) if leaf.item is float else value
-        assert _default(row["default"]) == (required, expected), name
-
-
 @pytest.mark.parametrize("page", ["interfaces.md", "theory.md", "realtime.md"])
 def test_every_dotted_name_on_a_page_that_looks_like_a_parameter_is_one(page: str) -> None:
     known = {name for model in SCHEMAS.values() for name in leaves(model)}
@@ -234,11 +174,6 @@ def test_every_dotted_name_on_a_page_that_looks_like_a_parameter_is_one(page: st
     text = (DOCS / page).read_text(encoding="utf-8")
     named = set(re.findall(r"`([a-z_]+\.[a-z_0-9]+)`", text))
     assert {name for name in named if name.split(".")[0] in groups} <= known
-
-
-def test_the_page_names_all_estimators_that_exist() -> None:
-    meaning = _table(ESTIMATOR_NODE, "parameter")["estimators"]["meaning"]
-    assert re.findall(r"`(\w+)`", meaning) == list(estimator_names())
 
 
 # --- messages ----------------------------------------------------------------------------------

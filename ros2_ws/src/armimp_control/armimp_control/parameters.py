@@ -146,7 +146,9 @@ class SafetyParameters(Schema):
         default=150e3, gt=0.0, description="limit of its change from tick to tick (N·m/s)"
     )
     rate_action: Action = Field(default=Action.CLIP, description="beyond it")
-    power_limit: float = Field(default=200.0, gt=0.0, description="limit of |τ·θ̇| per joint (W)")
+    power_limit: float = Field(
+        default=200.0, gt=0.0, description="largest power τ·θ̇ of a joint in either direction (W)"
+    )
     power_action: Action = Field(default=Action.CLIP, description="beyond it")
     watchdog_ticks: int = Field(
         default=5, ge=1, le=100, description="periods without a sample until torque is gone"

@@ -65,7 +65,8 @@ class EstimatorParameters(Schema):
         default=("shoulder", "elbow"), description="names of the joints, in the order of results"
     )
     estimators: tuple[str, ...] = Field(
-        default=("welch_siso", "lpm_full"), description="estimators of the final result"
+        default=("welch_siso", "lpm_full"),
+        description=f"Estimators of the final result, of: {', '.join(estimator_names())}",
     )
     record: bool = Field(default=True, description="write one bag for each trial")
     directory: str = Field(

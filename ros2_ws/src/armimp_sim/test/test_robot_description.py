@@ -1,8 +1,5 @@
 """The robot description moves and weighs what the plant does."""
 
-import importlib.util
-from pathlib import Path
-from types import ModuleType
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -13,18 +10,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
 from armimp_sim.description import robot_description
 
-ROOT = Path(__file__).resolve().parents[4]
 Vector = NDArray[np.float64]
-
-
-def _script() -> ModuleType:
-    path = ROOT / "scripts" / "write_robot_descriptions.py"
-    spec = importlib.util.spec_from_file_location("write_robot_descriptions", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def numbers(element: ET.Element | None, attribute: str) -> Vector:
@@ -92,9 +78,3 @@ def test_every_link_can_be_that_of_a_rigid_body_and_hangs_on_the_base(joints: in
 def test_without_a_preset_there_is_no_description() -> None:
     with pytest.raises(ConfigurationError, match="8 joints"):
         robot_description(8)
-
-
-@pytest.mark.parametrize("name", sorted(_script().robot_descriptions()))
-def test_the_files_are_what_the_presets_say(name: str) -> None:
-    expected: str = _script().robot_descriptions()[name]
-    assert (ROOT / "ros2_ws" / "src" / name).read_text(encoding="utf-8") == expected

@@ -1,4 +1,4 @@
-"""The parameter files that come with the packages are those of the default experiment."""
+"""Parameter files, robot descriptions and tables of parameters follow from the code."""
 
 import importlib.util
 from pathlib import Path
@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def _script() -> ModuleType:
-    path = ROOT / "scripts" / "write_default_configs.py"
-    spec = importlib.util.spec_from_file_location("write_default_configs", path)
+    path = ROOT / "scripts" / "write_generated.py"
+    spec = importlib.util.spec_from_file_location("write_generated", path)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -22,10 +22,12 @@ def _script() -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", sorted(_script().default_configs()))
-def test_the_default_parameter_file_of_every_node_is_what_its_schema_says(name: str) -> None:
-    expected: str = _script().default_configs()[name]
-    assert (ROOT / "ros2_ws" / "src" / name).read_text(encoding="utf-8") == expected
+GENERATED: dict[Path, str] = _script().generated()
+
+
+@pytest.mark.parametrize("name", sorted(GENERATED), ids=str)
+def test_every_file_is_as_write_generated_writes_it(name: Path) -> None:
+    assert (ROOT / name).read_text(encoding="utf-8") == GENERATED[name]
 
 
 def test_the_example_of_an_experiment_holds_the_defaults() -> None:

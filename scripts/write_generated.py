@@ -1,0 +1,123 @@
+"""Write what follows from the code: parameter files, robot descriptions, tables of parameters."""
+
+from __future__ import annotations
+
+import enum
+import json
+import re
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+
+from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_common.schema import defaults, flatten, leaves, to_params_yaml
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_ros2_control.parameters import BridgeParameters
+from armimp_sim.description import robot_description
+from armimp_sim.presets import JOINT_NAMES
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = Path("ros2_ws") / "src"
+PAGE = Path("docs") / "interfaces.md"
+_HEAD = "# Parameters of the default experiment; written by scripts/write_generated.py.\n"
+_PACKAGES = {
+    SIM_NODE: "armimp_sim",
+    CONTROLLER_NODE: "armimp_control",
+    ESTIMATOR_NODE: "armimp_estimation",
+}
+
+
+def generated() -> dict[Path, str]:
+    """Text of each file by its path below the root of the checkout."""
+    # The metadata and the directory of a run have no place in a default.
+    models: dict[str, BaseModel] = {
+        **node_parameters(ExperimentConfig(), None).by_node(),
+        ESTIMATOR_NODE: EstimatorParameters(),
+    }
+    texts = {
+        f"{_PACKAGES[node]}/config/{node}.yaml": _HEAD + to_params_yaml({node: model})
+        for node, model in models.items()
+    }
+    # The bridge takes the place of the simulator, and so has its name.
+    bridge = to_params_yaml({SIM_NODE: BridgeParameters()})
+    texts["armimp_ros2_control/config/ros2_control_bridge.yaml"] = _HEAD + bridge
+    for joints in JOINT_NAMES:
+        texts[f"armimp_sim/urdf/armimp_{joints}_joints.urdf"] = robot_description(joints)
+    page = (ROOT / PAGE).read_text(encoding="utf-8")
+    for node, model in models.items():
+        page = _with_table(page, node, parameter_table(model, given=node == CONTROLLER_NODE))
+    return {**{SOURCES / name: text for name, text in texts.items()}, PAGE: page}
+
+
+def _with_table(page: str, node: str, table: str) -> str:
+    """Replace what follows the heading of a node among the parameters, up to the next heading."""
+    pattern = rf"(### `{node}`\n\n)(?:\|.*\n)+"
+    page, found = re.subn(pattern, lambda match: match[1] + table, page)
+    if found != 1:
+        raise SystemExit(f"{PAGE}: {found} tables under the heading of {node}, not one")
+    return page
+
+
+def parameter_table(model: BaseModel, *, given: bool) -> str:
+    """Return the rows of a node's parameters, with the values of `model`.
+
+    Parameters
+    ----------
+    model : parameters that are in force
+    given : whether somebody has to give the node those without a default
+    """
+    kind, values = type(model), dict(flatten(model))
+    optional = defaults(kind)
+    rows = [
+        "| parameter | type | default | range | meaning |",
+        "|---|---|---|---|---|",
+    ]
+    for name, leaf in leaves(kind).items():
+        value = f"`{json.dumps(_rounded(values[name]), ensure_ascii=False)}`"
+        if given and name not in optional:
+            value = f"required ({value})"
+        row = (f"`{name}`", leaf.type_name, value, _range(kind, name), leaf.description)
+        rows.append(f"| {' | '.join(row)} |")
+    return "\n".join(rows) + "\n"
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, list | tuple):
+        return [_rounded(item) for item in value]
+    return value.value if isinstance(value, enum.Enum) else value
+
+
+def _range(model: type[BaseModel], name: str) -> str:
+    """What a parameter may be, as its field says it."""
+    *groups, last = name.split(".")
+    for group in groups:
+        annotation = model.model_fields[group].annotation
+        assert isinstance(annotation, type)
+        model = annotation
+    field = model.model_fields[last]
+    kind: Any = field.annotation
+    choices: tuple[Any, ...] = get_args(kind) if get_origin(kind) is Literal else ()
+    if isinstance(kind, type) and issubclass(kind, enum.Enum):
+        choices = tuple(member.value for member in kind)
+    bounds = [f"`{choice}`" for choice in choices]
+    for constraint in field.metadata:
+        for attribute, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
+            if (value := getattr(constraint, attribute, None)) is not None:
+                bounds.append(f"{sign} {value:g}")
+    return ", ".join(bounds) or "–"
+
+
+def main() -> None:
+    """Write the files."""
+    for name, text in generated().items():
+        path = ROOT / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
