@@ -21,8 +21,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.driver_check.findings import Finding
-from armimp_bringup.driver_check.judge import judge
-from armimp_bringup.driver_check.probe import CheckOptions, probe
+from armimp_bringup.driver_check.moves import CheckOptions
+from armimp_bringup.driver_check.probe import probe
+from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner

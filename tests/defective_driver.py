@@ -20,7 +20,6 @@ from armimp_common.pubsub import CommandPublisher, JointStatePublisher
 from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
-from armimp_sim.simulator import SimulatedRig
 
 Readings: TypeAlias = NDArray[np.float64]
 
@@ -228,28 +227,6 @@ class Faulty(ArmSimNode):
         return result
 
 
-class NoWatchdog(ArmSimNode):
-    """Holds the last torque for ever, in real time."""
-
-    def _pace(self, rig: SimulatedRig) -> None:
-        rig.fade = lambda reason, steps: None  # type: ignore[method-assign]
-        super()._pace(rig)
-
-
-class Relapsing(ArmSimNode):
-    """Lets go when commands stay away, and obeys again as soon as they come."""
-
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        rig, paced = self.gate, self._paced
-        if rig is not None and paced is not None and rig.fault not in ("", "emergency stop"):
-            self.report()
-            with self.alone:
-                rig.fault, rig._fading = "", 0
-                paced._unanswered.clear()
-                paced._in_step = False
-        super()._on_command(command)
-
-
 class NoStop(ArmSimNode):
     """Has no emergency stop."""
 
@@ -320,7 +297,7 @@ class InUse(Slow):
         self._commander = CommandPublisher(self, topics.COMMANDS, 2)
 
 
-KINDS = (ArmSimNode, NoWatchdog, Relapsing, WrongType, Slow, InUse)
+KINDS = (ArmSimNode, WrongType, Slow, InUse)
 DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in KINDS}
 
 if __name__ == "__main__":

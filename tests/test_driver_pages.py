@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.driver_check.command import about
-from armimp_bringup.driver_check.findings import Verdict, judged, report
-from armimp_bringup.driver_check.judge import judge
-from armimp_bringup.driver_check.probe import CheckOptions
-from armimp_bringup.driver_check.samples import Ending, Record
+from armimp_bringup.driver_check.findings import Rule, Verdict, judged, report
+from armimp_bringup.driver_check.moves import CheckOptions
+from armimp_bringup.driver_check.record import Ending, Moves, Record
+from armimp_bringup.driver_check.rules import judge
 from armimp_common.schema import leaves
 from armimp_ros2_control.parameters import BridgeParameters
 
@@ -35,15 +35,13 @@ def first_cells(page: str, header: str) -> list[str]:
 
 
 def record() -> Record:
-    nothing = Ending(push=None)
-    return Record(
-        joints=("shoulder",), paced=True, endpoints=[], streams={}, stale=nothing, stop=nothing
-    )
+    moves = Moves(stale=Ending(), stop=Ending())
+    return Record(joints=("shoulder",), paced=True, endpoints=[], streams={}, moves=moves)
 
 
 def test_the_keys_of_the_json_object_are_those_of_the_page() -> None:
     options = CheckOptions(joints=("shoulder",))
-    printed = report([judged("a", True, "b", "c")]) | about(options, 5, record())
+    printed = report([judged(Rule.PAIRS, True, alone=0)]) | about(options, 5, record())
     assert list(printed) == first_cells("drivers.md", "key")
     text = (DOCS / "drivers.md").read_text(encoding="utf-8")
     for keys in (printed["driver"], printed["held_up"], {v.value: 0 for v in Verdict}):

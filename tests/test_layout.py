@@ -38,7 +38,7 @@ WITH_ROS = {
     "armimp_ros2_control.node",
     "armimp_sim.node",
     "armimp_bringup.driver_check.conversation",
-    "armimp_bringup.driver_check.interruption",
+    "armimp_bringup.driver_check.command",
     "armimp_bringup.driver_check.moves",
     "armimp_bringup.driver_check.probe",
     "armimp_bringup.external",

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.driver_check.findings import Finding, failures, open_questions
+from armimp_bringup.driver_check.findings import Finding, Verdict, with_verdict
 from support.stalls import StallWitness
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
@@ -34,9 +34,9 @@ def test_the_bridge_in_front_of_ros2_control_passes_every_check_with_torque(
     start(BRIDGE, *NAMES)
     for _ in range(4):
         findings = check(move=True)
-        wrong = but_for_pace(failures(findings.values()))
+        wrong = but_for_pace(with_verdict(findings.values(), Verdict.FAIL))
         # What the machine has spoiled, which holds up three processes here, is looked at once more.
-        if not wrong and not but_for_pace(open_questions(findings.values())):
+        if not wrong and not but_for_pace(with_verdict(findings.values(), Verdict.INCONCLUSIVE)):
             break
     told = {name: findings[name].figure for name in wrong}
     if HELD_UP in told.get("no fault at rest", "") and witness.longest > STALL:

@@ -449,9 +449,7 @@ def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
     joint: Annotated[
         list[str] | None, typer.Option(help="Name of a joint, in the order of commands; repeat.")
     ] = None,
-    node: Annotated[
-        str | None, typer.Option(help="Name of the node.", **_default("arm_sim"))
-    ] = None,
+    node: Annotated[str, typer.Option(help="Name of the node.")] = "arm_sim",
     namespace: Annotated[str, typer.Option(help="Namespace of the driver.")] = "",
     duration: Annotated[float, typer.Option(help="Length of the recording, s.")] = 5.0,
     move: Annotated[
@@ -466,20 +464,19 @@ def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
 ) -> int:
     """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
     from armimp_bringup.driver_check.command import check_driver as judge_driver
+    from armimp_bringup.driver_check.command import expected_joints
+    from armimp_bringup.driver_check.moves import CheckOptions
 
-    return judge_driver(
-        joints=joints,
-        joint_names=joint or (),
+    options = CheckOptions(
+        joints=expected_joints(joints, joint or ()),
         node=node,
-        namespace=namespace,
-        domain_id=domain_id,
         duration=duration,
         move=move,
         torque=torque,
         most=most_motion,
-        yes=yes,
-        as_json=json,
+        namespace=namespace,
     )
+    return judge_driver(options, domain_id=domain_id, yes=yes, as_json=json)
 
 
 def main(

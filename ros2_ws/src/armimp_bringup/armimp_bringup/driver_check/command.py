@@ -1,31 +1,24 @@
-"""``armimp check-driver``: options, table, exit status."""
+"""``armimp check-driver``: its question, table and exit status."""
 
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from armimp_bringup.driver_check.findings import (
-    Finding,
-    Verdict,
-    failures,
-    open_questions,
-    report,
-)
+from armimp_bringup.driver_check.findings import Finding, Verdict, report, with_verdict
+from armimp_bringup.driver_check.moves import CheckOptions
+from armimp_bringup.driver_check.probe import probe
+from armimp_bringup.driver_check.record import Record
+from armimp_bringup.driver_check.rules import judge
+from armimp_bringup.external import external_domain
 from armimp_common.errors import ConfigurationError
-from armimp_common.topics import SIM_NODE
-
-if TYPE_CHECKING:
-    from armimp_bringup.driver_check.probe import CheckOptions
-    from armimp_bringup.driver_check.samples import Record
+from armimp_sim.presets import JOINT_NAMES
 
 _COLOURS = {
     Verdict.PASS: "green",
@@ -34,24 +27,11 @@ _COLOURS = {
     Verdict.NOT_CHECKED: "dim",
 }
 _LARGEST_TORQUE = 20.0
-"""A slip of the keyboard must not become a blow (N·m)."""
+"""A slip of the keyboard must not become a blow, N·m."""
 _LARGEST_MOTION = 1.0
 
 
-def check_driver(  # noqa: PLR0913 (the options of a command)
-    *,
-    joints: int | None,
-    joint_names: Sequence[str],
-    node: str | None,
-    namespace: str,
-    domain_id: int | None,
-    duration: float,
-    move: bool,
-    torque: float,
-    most: float,
-    yes: bool,
-    as_json: bool,
-) -> int:
+def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_json: bool) -> int:
     """Judge a running driver, print the findings, and return the exit status.
 
     Raises
@@ -61,31 +41,18 @@ def check_driver(  # noqa: PLR0913 (the options of a command)
     GraphError
         If there is no driver, or it is in use.
     """
-    from armimp_bringup.driver_check.judge import judge
-    from armimp_bringup.driver_check.probe import CheckOptions, probe
-    from armimp_bringup.external import external_domain
-
-    if not 1.0 <= duration <= 3600.0:
-        raise ConfigurationError(f"--duration: {duration:g} is not within 1 to 3600 s")
-    if not (math.isfinite(torque) and 0.0 < torque <= _LARGEST_TORQUE):
+    if not 1.0 <= options.duration <= 3600.0:
+        raise ConfigurationError(f"--duration: {options.duration:g} is not within 1 to 3600 s")
+    if not 0.0 < options.torque <= _LARGEST_TORQUE:
         raise ConfigurationError(
-            f"--torque: {torque:g} N·m is not above 0 and at most {_LARGEST_TORQUE:g}"
+            f"--torque: {options.torque:g} N·m is not above 0 and at most {_LARGEST_TORQUE:g}"
         )
-    if not (math.isfinite(most) and 0.0 < most <= _LARGEST_MOTION):
+    if not 0.0 < options.most <= _LARGEST_MOTION:
         raise ConfigurationError(
-            f"--most-motion: {most:g} rad is not above 0 and at most {_LARGEST_MOTION:g}"
+            f"--most-motion: {options.most:g} rad is not above 0 and at most {_LARGEST_MOTION:g}"
         )
-    options = CheckOptions(
-        joints=expected_joints(joints, joint_names),
-        node=node or SIM_NODE,
-        duration=duration,
-        move=move,
-        torque=torque,
-        most=most,
-        namespace=namespace,
-    )
     domain = external_domain(domain_id)
-    if move and not yes:
+    if options.move and not yes:
         ask(options, domain)
     record = probe(options, domain)
     findings = judge(record)
@@ -93,7 +60,8 @@ def check_driver(  # noqa: PLR0913 (the options of a command)
         print(json.dumps(report(findings) | about(options, domain, record)))
     else:
         print_findings(findings)
-    return 1 if failures(findings) or open_questions(findings) else 0
+    bad = with_verdict(findings, Verdict.FAIL) or with_verdict(findings, Verdict.INCONCLUSIVE)
+    return 1 if bad else 0
 
 
 def ask(options: CheckOptions, domain: int) -> None:
@@ -142,15 +110,13 @@ def about(options: CheckOptions, domain: int, record: Record) -> dict[str, objec
 
 
 def expected_joints(joints: int | None, names: Sequence[str]) -> tuple[str, ...]:
-    """Names that are expected: the given ones, else those of a preset, by default two joints.
+    """Return the names that are expected: the given ones, else those of a preset, by default two.
 
     Raises
     ------
     ConfigurationError
         If both are given, or a name is doubled, or there is no such preset.
     """
-    from armimp_sim.presets import JOINT_NAMES
-
     if names:
         if joints is not None:
             raise ConfigurationError("--joints and --joint are two ways to say the same: give one")
@@ -177,10 +143,10 @@ def print_findings(findings: Sequence[Finding], console: Console | None = None) 
         cells = (escape(text) for text in (finding.figure, finding.limit))
         table.add_row(escape(finding.check), f"[{colour}]{finding.verdict.value}[/]", *cells)
     out.print(table)
-    failed, unsure = failures(findings), open_questions(findings)
-    left = sum(finding.verdict is Verdict.NOT_CHECKED for finding in findings)
-    words = f"{len(failed)} of {len(findings)} checks failed" if failed else "no check failed"
+    count = {verdict: len(with_verdict(findings, verdict)) for verdict in Verdict}
+    failed, unsure = count[Verdict.FAIL], count[Verdict.INCONCLUSIVE]
+    words = f"{failed} of {len(findings)} checks failed" if failed else "no check failed"
     words = f"[bold{' red' if failed else ''}]{words}[/]"
     if unsure:
-        words += f", [yellow]{len(unsure)} inconclusive[/]"
-    out.print(f"{words}; {left} not made")
+        words += f", [yellow]{unsure} inconclusive[/]"
+    out.print(f"{words}; {count[Verdict.NOT_CHECKED]} not made")

@@ -8,41 +8,39 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from armimp_bringup.driver_check.guard import MotionGuard
-from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Call, Endpoint, Message
+from armimp_bringup.driver_check.findings import Reason
+from armimp_bringup.driver_check.record import SENSOR_TOPICS, Call, Endpoint, Message
 from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
-from armimp_common.errors import MalformedMessageError
+from armimp_common.cdr import JointStateDecoder
+from armimp_common.errors import InterruptionError, MalformedMessageError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import CommandPublisher, RawSubscription
 from armimp_common.status import Level, TimingFigures, to_ns, values_of
+from armimp_common.topics import NS_PER_S
 
 _NODE = "armimp_check_driver"
 _FAREWELLS = 5
+Torque: TypeAlias = "tuple[float, ...]"
+Step: TypeAlias = "tuple[int, Torque | None]"
+"""A number of samples, and the torque that answers each of them; None: no answer."""
 
 
 class Error(NamedTuple):
-    """A status of level ERROR.
-
-    Attributes
-    ----------
-    when : monotonic time of its arrival (s)
-    name, message : its words
-    """
+    """A status of level ERROR, and the monotonic time of its arrival, s."""
 
     when: float
     name: str
@@ -53,88 +51,83 @@ class Error(NamedTuple):
         return f"{self.name}: {self.message}"
 
 
-class Conversation(Node):
+class MotionGuard:
+    """The checker's own limit of motion, asked at every sample while torque may be commanded.
+
+    Each joint may go as far as ``most``, rad, from where it was at the first sample.
+    """
+
+    def __init__(self, joints: Sequence[str], most: float) -> None:
+        self._joints, self._most = tuple(joints), most
+        self._decode = JointStateDecoder(joints, "position").decode
+        self._first: tuple[float, ...] | None = None
+        self.largest = 0.0  # rad, how far a joint has gone so far
+        self.reason: Reason | None = None  # why there must not be any torque any more
+        self.values: dict[str, object] = {}
+
+    def allows(self, data: bytes) -> bool:
+        """Look at a message of ``joint_states``; tell whether torque may be commanded."""
+        try:
+            _, angles = self._decode(data)
+        except MalformedMessageError as error:
+            self._object(Reason.UNREADABLE, error=str(error))
+            return False
+        self._first = self._first or angles
+        for name, start, angle in zip(self._joints, self._first, angles, strict=True):
+            moved = abs(angle - start)
+            # Written so that NaN fails.
+            if not moved <= self._most:
+                self._object(Reason.TOO_FAR, joint=name, moved=moved)
+            else:
+                self.largest = max(self.largest, moved)
+        return self.reason is None
+
+    def _object(self, reason: Reason, **values: object) -> None:
+        if self.reason is None:
+            self.reason, self.values = reason, values
+
+
+class Answering:
     """Keeps what a driver sends, and answers each sample with the torque that is set.
 
     Parameters
     ----------
-    graph : GraphContext
     joints : names, in the order of commands
-    namespace : of the driver
-
-    Attributes
-    ----------
-    guard : asked about each sample of the angles; when it objects, zero torque is the answer
-    torque : answer to each sample (n,), N·m, beside a script; None: no answer
-    samples : complete samples that came
-    answered : commands sent
-    last_sent : monotonic time of the last command (s)
-    silent_since : the same, of the last command before samples were left without answer
-    gap : longest time between two commands that was not meant to be longer (s); may be set back
-    errors : statuses of level ERROR that came
-    timing : what the driver last reported of its timing
-    process : identity of the driver's process, as its sign of life has it; empty without
+    publish : sends a command
+    now_ns, sleep : a monotonic clock, ns, and the way to let it go on, s
     """
 
-    def __init__(self, graph: GraphContext, joints: Sequence[str], namespace: str = "") -> None:
-        super().__init__(
-            _NODE, namespace=namespace, context=graph.context, use_global_arguments=False
-        )
-        self.guard: MotionGuard | None = None
-        self._zero = (0.0,) * len(joints)
-        self.torque: tuple[float, ...] | None = None
-        self.samples = self.answered = 0
+    def __init__(
+        self,
+        joints: Sequence[str],
+        publish: Callable[[Torque], None],
+        *,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], object] = time.sleep,
+    ) -> None:
+        self._publish, self.now_ns, self._sleep = publish, now_ns, sleep
+        self.guard: MotionGuard | None = None  # when it objects, zero torque is the answer
+        self.zero: Torque = (0.0,) * len(joints)
+        self.torque: Torque | None = None  # answer to each sample, beside a script
+        self.samples = self.answered = 0  # complete samples that came, commands sent
+        # Monotonic times (s) of the last command, and of the last one before a silence.
         self.last_sent = self.silent_since = 0.0
-        self.gap = 0.0
-        self.errors: list[Error] = []
-        self.timing: TimingFigures | None = None
-        self.process = ""
+        self.gap = 0.0  # s, longest time between two commands that was not meant to be longer
         self._raw: dict[str, list[tuple[int, bytes]]] = {topic: [] for topic in SENSOR_TOPICS}
-        self._script: deque[tuple[int, tuple[float, ...] | None]] = deque()
-        self._subscriptions_by_topic: dict[str, RawSubscription] = {}
-        self._clients_by_service = {
-            name: self.create_client(Trigger, name)
-            for name in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE)
-        }
-        self.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-        )
+        self._script: deque[Step] = deque()
 
-        self.create_subscription(String, topics.alive(topics.SIM_NODE), self._on_alive, qos.LATCHED)
+    def now(self) -> float:
+        """Return the time of the clock, s."""
+        return self.now_ns() / NS_PER_S
 
-    def listen(self) -> None:
-        """Subscribe to the sensor streams, with the reliability that is offered, and command."""
-        # Not before: a driver that is in use takes a second publisher for a fault.
-        self._commands = CommandPublisher(self, topics.COMMANDS, len(self._zero))
-        for topic in SENSOR_TOPICS:
-            offered = self.get_publishers_info_by_topic(self._resolved(topic))
-            best_effort = any(
-                info.qos_profile.reliability is ReliabilityPolicy.BEST_EFFORT for info in offered
-            )
-            # A reader that asks for more than is offered hears nothing at all.
-            profile = QoSProfile(
-                history=qos.SAMPLE.history,
-                depth=qos.SAMPLE.depth,
-                reliability=ReliabilityPolicy.BEST_EFFORT
-                if best_effort
-                else ReliabilityPolicy.RELIABLE,
-            )
-            self._subscriptions_by_topic[topic] = RawSubscription(
-                self, topic, JointState, partial(self._on_sensor, topic), profile=profile
-            )
-
-    def play(self, script: Iterable[tuple[int, tuple[float, ...] | None]]) -> None:
-        """Answer so many samples with each of these torques (n,), N·m; None: not at all."""
+    def play(self, script: Iterable[Step]) -> None:
+        """Answer the next samples as a script says."""
         self._script.extend(script)
 
     @property
     def playing(self) -> bool:
         """Whether the script is not over."""
         return bool(self._script)
-
-    def drop(self) -> None:
-        """Forget the rest of the script."""
-        self._script.clear()
 
     def answer(self) -> None:
         """Answer the newest sample; done as it comes, and again to set time going in lockstep."""
@@ -148,59 +141,122 @@ class Conversation(Node):
             self.last_sent = 0.0
             return
         if self.guard is not None and self.guard.reason:
-            torque = self._zero
+            torque = self.zero
         self.answered += 1
-        self._commands.publish(torque)
-        now = time.monotonic()
+        self._publish(torque)
+        now = self.now()
         if self.last_sent:
             self.gap = max(self.gap, now - self.last_sent)
         self.last_sent = now
 
     def let_go(self) -> None:
         """Command zero torque now, more than once, whatever else there was to be done."""
-        self.drop()
+        self._script.clear()
         for _ in range(_FAREWELLS):
-            self._commands.publish(self._zero)
-            time.sleep(0.005)
+            self._publish(self.zero)
+            self._sleep(0.005)
 
-    @contextmanager
-    def intruder(self, spinner: Spinner, patience: float) -> Iterator[None]:
-        """Have a second publisher of commands, which has sent one of zero torque."""
-        second = CommandPublisher(self, topics.COMMANDS, len(self._zero))
-        heard = self._commands.publisher.get_subscription_count()
-        try:
-            self.wait(spinner, lambda: second.publisher.get_subscription_count() >= heard, patience)
-            second.publish(self._zero)
-            yield
-        finally:
-            self.destroy_publisher(second.publisher)
+    def hear(self, topic: str, data: bytes) -> None:
+        """Take a message of a sensor stream; answer if it makes a sample complete."""
+        self._raw[topic].append((self.now_ns(), data))
+        guard = self.guard
+        if guard is not None and topic == topics.JOINT_STATES and not guard.allows(data):
+            self._script.clear()
+        # A sample is complete with the second of its two messages, in either order. Stamps are what
+        # is to be judged, so they are not asked.
+        complete = min(len(kept) for kept in self._raw.values())
+        if complete > self.samples:
+            self.samples = complete
+            self.answer()
 
     def messages(self, topic: str) -> int:
-        """Number of messages that came."""
+        """Return the number of messages that came."""
         return len(self._raw[topic])
 
     def recent(self, topic: str, count: int, step: int) -> list[bytes]:
-        """Every so many-th of the last messages."""
+        """Return every so many-th of the last messages."""
         return [data for _, data in self._raw[topic][-count::step]]
 
     def recorded(self) -> tuple[dict[str, list[Message]], dict[str, int]]:
         """Return the messages by topic, and the numbers of those that cannot be decoded."""
-        streams: dict[str, list[Message]] = {topic: [] for topic in SENSOR_TOPICS}
-        malformed = dict.fromkeys(SENSOR_TOPICS, 0)
+        streams: dict[str, list[Message]] = {}
+        malformed: dict[str, int] = {}
         for topic, kept in self._raw.items():
-            for arrival_ns, data in list(kept):
-                message = _message(arrival_ns, data)
-                if message is None:
-                    malformed[topic] += 1
-                else:
-                    streams[topic].append(message)
+            messages = [_message(arrival_ns, data) for arrival_ns, data in list(kept)]
+            streams[topic] = [message for message in messages if message is not None]
+            malformed[topic] = len(messages) - len(streams[topic])
         return streams, malformed
+
+
+class Conversation(Node, Answering):
+    """The node that talks with a driver.
+
+    ``joints`` are in the order of commands; ``interrupted`` tells whether the user wants to end.
+    """
+
+    def __init__(
+        self,
+        graph: GraphContext,
+        joints: Sequence[str],
+        namespace: str = "",
+        interrupted: Callable[[], bool] = lambda: False,
+    ) -> None:
+        super().__init__(
+            _NODE, namespace=namespace, context=graph.context, use_global_arguments=False
+        )
+        Answering.__init__(self, joints, self._command)
+        self._interrupted: Callable[[], bool] | None = interrupted
+        self.errors: list[Error] = []
+        self.timing: TimingFigures | None = None
+        self.process = ""  # identity of the driver's process, as its heartbeat has it
+        self._sensors: list[RawSubscription] = []
+        self._triggers = {
+            name: self.create_client(Trigger, name)
+            for name in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE)
+        }
+        self.create_subscription(
+            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+        )
+        self.create_subscription(String, topics.alive(topics.SIM_NODE), self._on_alive, qos.LATCHED)
+        self.spinner = Spinner([self], context=graph.context)
+
+    def listen(self) -> None:
+        """Subscribe to the sensor streams, with the reliability that is offered, and command."""
+        # Not before: a driver that is in use takes a second publisher for a fault.
+        self._commands = CommandPublisher(self, topics.COMMANDS, len(self.zero))
+        for topic in SENSOR_TOPICS:
+            offered = self.get_publishers_info_by_topic(str(self.resolve_topic_name(topic)))
+            kinds = {info.qos_profile.reliability for info in offered}
+            # A reader that asks for more than is offered hears nothing at all.
+            best_effort = ReliabilityPolicy.BEST_EFFORT in kinds
+            profile = QoSProfile(
+                history=qos.SAMPLE.history,
+                depth=qos.SAMPLE.depth,
+                reliability=ReliabilityPolicy.BEST_EFFORT
+                if best_effort
+                else ReliabilityPolicy.RELIABLE,
+            )
+            self._sensors.append(
+                RawSubscription(self, topic, JointState, partial(self.hear, topic), profile=profile)
+            )
+
+    @contextmanager
+    def intruder(self, patience: float) -> Iterator[None]:
+        """Have a second publisher of commands, which has sent one of zero torque."""
+        second = CommandPublisher(self, topics.COMMANDS, len(self.zero))
+        heard = self._commands.publisher.get_subscription_count()
+        try:
+            self.wait(lambda: second.publisher.get_subscription_count() >= heard, patience)
+            second.publish(self.zero)
+            yield
+        finally:
+            self.destroy_publisher(second.publisher)
 
     def endpoints(self) -> list[Endpoint]:
         """Return who publishes and listens on the topics of a driver, apart from this node."""
         found: list[Endpoint] = []
         for topic in (*SENSOR_TOPICS, topics.COMMANDS):
-            resolved = self._resolved(topic)
+            resolved = str(self.resolve_topic_name(topic))
             for role, infos in (
                 ("publisher", self.get_publishers_info_by_topic(resolved)),
                 ("subscriber", self.get_subscriptions_info_by_topic(resolved)),
@@ -211,42 +267,53 @@ class Conversation(Node):
     def safety_services(self) -> frozenset[str]:
         """Return the safety services that are there."""
         # Lists of the graph would hold the clients of this node, too.
-        clients = self._clients_by_service.items()
+        clients = self._triggers.items()
         return frozenset(name for name, client in clients if client.service_is_ready())
 
-    def ask(self, service: str) -> Future | None:
-        """Call a service, None if it is not there."""
-        client = self._clients_by_service[service]
-        return client.call_async(Trigger.Request()) if client.service_is_ready() else None
-
-    def call(self, service: str, spinner: Spinner, patience: float) -> Call:
-        """Call a service and wait for the answer."""
-        begin = time.monotonic()
-        future = self.ask(service)
-        if future is None or not spinner.spin_until(future, patience):
+    def call(self, service: str, patience: float, since: float | None = None) -> Call:
+        """Call a service and wait for the answer, whose time counts from now or ``since``."""
+        begin = self.now() if since is None else since
+        client = self._triggers[service]
+        if not client.service_is_ready():
             return Call(success=None)
-        return answered(future, time.monotonic() - begin)
+        future: Future = client.call_async(Trigger.Request())
+        done = self.spinner.spin_until(future, patience)
+        self.check()
+        if not done:
+            return Call(success=None)
+        answer = future.result()
+        return Call(bool(answer.success), str(answer.message), self.now() - begin)
 
-    @staticmethod
-    def wait(spinner: Spinner, condition: Callable[[], bool], patience: float) -> bool:
+    def wait(self, condition: Callable[[], bool], patience: float) -> bool:
         """Spin until a condition is met or a time (s) is over, and tell whether it is met."""
         end = time.monotonic() + patience
-        spinner.spin(lambda: condition() or time.monotonic() > end, period=0.005)
+
+        def over() -> bool:
+            return condition() or time.monotonic() > end or self._stopped()
+
+        self.spinner.spin(over, period=0.005)
+        self.check()
         return condition()
 
-    def _resolved(self, topic: str) -> str:
-        return str(self.resolve_topic_name(topic))
+    def check(self) -> None:
+        """Raise an InterruptionError if the user wants to end.
 
-    def _on_sensor(self, topic: str, data: bytes) -> None:
-        self._raw[topic].append((time.monotonic_ns(), data))
-        if self.guard is not None and topic == topics.JOINT_STATES and not self.guard.look(data):
-            self.drop()
-        # A sample is complete with the second of its two messages, in either order. Stamps are what
-        # is to be judged, so they are not asked.
-        complete = min(len(kept) for kept in self._raw.values())
-        if complete > self.samples:
-            self.samples = complete
-            self.answer()
+        It is raised between two callbacks, and once only: torque must still be ended.
+        """
+        if self._stopped():
+            self._interrupted = None
+            raise InterruptionError("interrupted")
+
+    def _stopped(self) -> bool:
+        return self._interrupted is not None and self._interrupted()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self.spinner.close()
+        self.destroy_node()
+
+    def _command(self, torque: Torque) -> None:
+        self._commands.publish(torque)
 
     def _on_alive(self, message: String) -> None:
         self.process = message.data
@@ -254,18 +321,10 @@ class Conversation(Node):
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:
             if status.level == bytes([Level.ERROR]):
-                self.errors.append(Error(time.monotonic(), status.name, status.message))
+                self.errors.append(Error(self.now(), status.name, status.message))
             if status.name == TimingFigures.STATUS_NAME:
-                try:
+                with suppress(MalformedMessageError):
                     self.timing = TimingFigures.from_values(values_of(status))
-                except MalformedMessageError:
-                    continue
-
-
-def answered(future: Future, seconds: float) -> Call:
-    """Return what a finished call of a service brought."""
-    answer = future.result()
-    return Call(success=bool(answer.success), message=str(answer.message), seconds=seconds)
 
 
 def _message(arrival_ns: int, data: bytes) -> Message | None:
@@ -274,24 +333,17 @@ def _message(arrival_ns: int, data: bytes) -> Message | None:
         names = tuple(str(name) for name in message.name)
     except Exception:  # noqa: BLE001 (of whatever kind: foreign bytes are the finding)
         return None
-    return Message(
-        arrival_ns=arrival_ns,
-        stamp_ns=to_ns(message.header.stamp),
-        names=names,
-        position=tuple(float(value) for value in message.position),
-        effort=tuple(float(value) for value in message.effort),
-    )
+    position, effort = (tuple(map(float, field)) for field in (message.position, message.effort))
+    return Message(arrival_ns, to_ns(message.header.stamp), names, position, effort)
 
 
-def _endpoint(topic: str, role: Any, info: TopicEndpointInfo) -> Endpoint:
+def _endpoint(topic: str, role: Any, info: Any) -> Endpoint:
     profile = info.qos_profile
     return Endpoint(
-        topic=topic,
-        role=role,
-        node=f"{info.node_namespace.rstrip('/')}/{info.node_name}",
-        type=info.topic_type,
+        topic,
+        role,
+        f"{info.node_namespace.rstrip('/')}/{info.node_name}",
+        info.topic_type,
         reliable=profile.reliability is not ReliabilityPolicy.BEST_EFFORT,
         transient=profile.durability is DurabilityPolicy.TRANSIENT_LOCAL,
-        # Fast DDS does not tell of history and depth, which comes as a depth of 0.
-        depth=profile.depth or None,
     )

@@ -1,165 +1,151 @@
-"""Judgement of what a driver does with torque: the joint, the sign, the delay, and the end."""
+"""Judgement of what a driver does with torque: the joint, the sign, the delay, and the end.
+
+Nothing is assumed of arm and friction but that they do the same again when they are pushed again.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from armimp_bringup.driver_check.findings import Finding, inconclusive, judged, not_checked
-from armimp_bringup.driver_check.limits import Limits
-from armimp_bringup.driver_check.responses import (
-    Letting,
-    displacement,
-    first_effect,
-    letting,
-    threshold,
+from armimp_bringup.driver_check.findings import (
+    Finding,
+    Reason,
+    Rule,
+    inconclusive,
+    judged,
+    not_checked,
 )
-from armimp_bringup.driver_check.samples import Ending, Record
+from armimp_bringup.driver_check.record import Call, Ending, Push, Record
 from armimp_common import topics
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 
-_STALE = "stale commands"
-_STOP = "emergency stop"
-_SECOND = "second publisher"
+_STALE, _STOP, _SECOND = "stale commands", "emergency stop", "second publisher"
 _PERIOD = PERIOD_NS / NS_PER_S
-_LEAST = 0.35
-"""Share of the usual motion that counts as one."""
+_USUAL = 0.35  # share of the usual motion that counts as one: chosen
+_GONE = (
+    0.65  # least part of a torque that must be seen to go for all of it to count as gone: chosen
+)
+_BLUR = 0.01  # s; error with which that moment can be seen, measured with the simulated rig
+_ENDING = 5 * _PERIOD + 0.05  # s; until torque that is to go has gone
+_REACTION = 3  # periods from a command to its first effect: chosen
+_ANSWER = 0.5  # s; for the answer of a service: chosen
+_TOLD = 1.5  # s; until a fault is on /diagnostics, where it is repeated every second
+_ENDING_LIMIT = {"bound": 1e3 * _ENDING, "blur": 1e3 * _BLUR}
+_TOLD_LIMIT = {"topic": topics.DIAGNOSTICS, "bound": _TOLD}
+
+_BASELINE = 50  # samples at rest
+_WINDOW, _LEAST = 120, 100  # samples after the end that are looked at, and that there must be
+_OVERLAP = 30  # samples of the window that lie after the end, wherever it is
+_RAMPS = (1, 5, 10, 15, 20, 30, 40, 50, 60, 80)  # tried lengths of the way to zero, samples
+_SIGMAS = 5.0
 
 
-def judge_moves(record: Record, limits: Limits) -> Iterator[Finding]:
+def judge_moves(record: Record) -> Iterator[Finding]:
     """Judge the answers to torque, to its absence, and to the emergency stop."""
+    moves = record.moves
     yield _judge_motion(record)
     yield _judge_obedience(record)
-    yield from _judge_pushes(record, limits)
-    limit = _ending_limit(limits)
-    if record.stale is None:
-        waits = "" if record.paced else "in lockstep time stands still without commands"
-        yield not_checked(_STALE, waits, limit) if waits else _missing(record, _STALE, limit)
+    yield from _judge_pushes(record)
+    if moves.stale is not None:
+        yield from _judge_end(_STALE, record, moves.stale)
+        yield _judge_latch(moves.stale)
+    elif not record.paced:
+        yield not_checked(Rule.GONE, Reason.STANDS_STILL, _STALE, **_ENDING_LIMIT)
     else:
-        yield from _judge_end(_STALE, record, record.stale, limits)
-        yield _judge_latch(record.stale)
-    if record.stop is None:
-        yield _missing(record, _STOP, limit)
+        yield _missing(record, Rule.GONE, _STALE, **_ENDING_LIMIT)
+    if moves.stop is None:
+        yield _missing(record, Rule.GONE, _STOP, **_ENDING_LIMIT)
     else:
-        yield from _judge_stop(record, record.stop, limits)
-    if record.second is None:
-        yield _missing(record, f"{_SECOND}: told", _told_limit(limits))
+        yield from _judge_stop(record, moves.stop)
+    if moves.second is None:
+        yield _missing(record, Rule.TOLD, _SECOND, **_TOLD_LIMIT)
     else:
-        yield from _judge_told(_SECOND, record, record.second, limits)
+        yield from _judge_told(_SECOND, record, moves.second)
 
 
-def _missing(record: Record, check: str, limit: str) -> Finding:
+def _missing(record: Record, rule: Rule, of: str = "", **values: object) -> Finding:
     """Return the finding for something that was not done: why, and whether it was asked for."""
-    if record.broken:
-        return inconclusive(check, f"given up: {record.broken}", limit)
-    if record.troubled:
-        return inconclusive(check, record.skipped, limit)
-    return not_checked(check, record.skipped or "not tried", limit)
+    reason = record.moves.missing or Reason.NOT_TRIED
+    make = not_checked if reason in (Reason.NOT_TRIED, Reason.NOT_ASKED) else inconclusive
+    return make(rule, reason, of, **{**record.moves.values, **values})
 
 
 def _judge_motion(record: Record) -> Finding:
-    check, limit = "torque: motion", f"≤ {record.most:g} rad from where each joint was"
-    if record.moved is None:
-        return _missing(record, check, limit)
-    # Nothing else gives up while the driver goes on obeying.
-    if record.broken and not record.stopped and "torque taken away" in record.broken:
-        return judged(check, False, record.broken, limit)
-    return judged(check, True, f"{record.moved:.3g} rad", limit)
+    moves = record.moves
+    if moves.moved is None:
+        return _missing(record, Rule.MOTION, "torque", most=record.most)
+    lost = moves.missing in (Reason.TOO_FAR, Reason.UNREADABLE)
+    values = {"moved": moves.moved, **moves.values, "most": record.most}
+    return judged(Rule.MOTION, not lost, "torque", why=moves.missing, **values)
 
 
 def _judge_obedience(record: Record) -> Finding:
-    check, limit = "torque: no stop", "no fault while commands come as they should"
-    if record.stopped:
-        return judged(check, False, record.stopped, limit)
-    if record.moved is None or record.broken:
-        return _missing(record, check, limit)
-    figure = "none"
-    if record.repeated:
-        figure += (
-            f"; {record.repeated} repeated, as commands came up to {1e3 * record.gap:.3g} ms apart"
-        )
-    return judged(check, True, figure, limit)
+    moves = record.moves
+    if moves.moved is None or (moves.missing and not moves.fault):
+        return _missing(record, Rule.NO_STOP, "torque")
+    return judged(
+        Rule.NO_STOP,
+        not moves.fault,
+        "torque",
+        fault=moves.fault or "none",
+        repeated=moves.repeated,
+        gap=1e3 * moves.gap,
+    )
 
 
-def _judge_latch(ending: Ending) -> Finding:
-    check, limit = f"{_STALE}: latched", "no torque before the reset, whatever is commanded"
-    if ending.again is None or ending.push is None:
-        return not_checked(check, "not tried", limit)
-    joint = ending.again.joint
-    seen = float(np.abs(displacement(ending.again)[joint]))
-    usual = float(np.abs(displacement(ending.push)[joint]))
-    if usual <= threshold(ending.push.position, ending.push.on)[joint]:
-        return inconclusive(check, "the torque had no effect: try a larger --torque", limit)
-    share = seen / usual
-    return judged(check, share <= _LEAST, f"{100 * share:.0f} % of the usual motion", limit)
-
-
-def _judge_pushes(record: Record, limits: Limits) -> Iterator[Finding]:
-    limit = "each joint turns the way of its torque"
-    sign_limit = "the reading of torque goes the way of the joint"
-    delay_limit = f"≤ {limits.reaction} periods from command to effect"
-    if not record.pushes:
-        yield _missing(record, "torque: joint and sign", limit)
-        yield _missing(record, "torque_sensors: sign", sign_limit)
-        yield _missing(record, "torque: delay", delay_limit)
+def _judge_pushes(record: Record) -> Iterator[Finding]:
+    pushes, names = record.moves.pushes, record.joints
+    if not pushes:
+        yield _missing(record, Rule.WAYS, "torque")
+        yield _missing(record, Rule.SENSOR_SIGN, "torque_sensors")
+        yield _missing(record, Rule.DELAY, "torque", bound=_REACTION)
         return
     ways = _ways(record)
-    yield _judge_directions(record, ways, limit)
-    if ways.mixed:
-        reason = "torque acts on another joint"
-        yield inconclusive("torque_sensors: sign", reason, sign_limit)
-        yield inconclusive("torque: delay", reason, delay_limit)
-        return
-    answers = [first_effect(push) for push in record.pushes]
-    seen = [answer for answer in answers if answer is not None]
-    if len(seen) < len(answers):
-        reason = "readings of torque do not answer: try a larger --torque"
-        yield inconclusive("torque_sensors: sign", reason, sign_limit)
+    yield _judge_ways(record, ways)
+    effects = [first_effect(push) for push in pushes]
+    seen = [effect for effect in effects if effect is not None]
+    reason = Reason.MIXED if ways.mixed else Reason.DEAF
+    if ways.mixed or len(seen) < len(effects):
+        yield inconclusive(Rule.SENSOR_SIGN, reason, "torque_sensors")
     else:
         changes = [
-            change * sign * float(np.sign(push.torque))
-            for (_, change), sign, push in zip(seen, ways.signs, record.pushes, strict=True)
+            effect.change * sign * float(np.sign(push.torque))
+            for effect, sign, push in zip(seen, ways.signs, pushes, strict=True)
         ]
-        figure = ", ".join(
-            f"{record.joints[push.joint]} {change:+.3g} N·m"
-            for push, change in zip(record.pushes, changes, strict=True)
+        told = (
+            f"{names[push.joint]} {change:+.3g} N·m"
+            for push, change in zip(pushes, changes, strict=True)
         )
-        yield judged("torque_sensors: sign", min(changes) > 0.0, figure, sign_limit)
-    if seen:
-        worst = max(samples for samples, _ in seen)
-        figure = f"{worst} periods"
-        yield judged("torque: delay", worst <= limits.reaction, figure, delay_limit)
+        yield judged(
+            Rule.SENSOR_SIGN, min(changes) > 0.0, "torque_sensors", changes=", ".join(told)
+        )
+    if ways.mixed or not seen:
+        yield inconclusive(Rule.DELAY, reason, "torque", bound=_REACTION)
     else:
-        yield inconclusive("torque: delay", "readings of torque do not answer", delay_limit)
+        worst = max(effect.samples for effect in seen)
+        yield judged(Rule.DELAY, worst <= _REACTION, "torque", periods=worst, bound=_REACTION)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Ways:
-    """Which way joints turned under torque.
+class _Ways(NamedTuple):
+    """Which way joints turned under torque."""
 
-    Attributes
-    ----------
-    angles : motion of the pushed joint in each push, rad
-    signs : 1, or -1 where that is clearly against the torque
-    still : joints that did not move, though nothing else did
-    mixed : what is mixed up
-    """
-
-    angles: tuple[float, ...]
-    signs: tuple[float, ...]
-    still: tuple[str, ...]
-    mixed: tuple[str, ...]
+    angles: list[float]  # motion of the pushed joint in each push, rad
+    signs: list[float]  # 1, or -1 where that is clearly against the torque
+    still: list[str]  # joints that did not move, though nothing else did
+    mixed: list[str]  # what is mixed up
 
 
 def _ways(record: Record) -> _Ways:
-    moved = np.array([displacement(push) / push.torque for push in record.pushes]).T
-    clear = np.array([threshold(p.position, p.on) / abs(p.torque) for p in record.pushes]).T
-    order = [push.joint for push in record.pushes]
-    columns = range(len(order))
-    own = np.array([moved[joint, column] for column, joint in enumerate(order)])
-    own_clear = np.array([clear[joint, column] for column, joint in enumerate(order)])
+    pushes = record.moves.pushes
+    moved = np.array([displacement(push) / push.torque for push in pushes]).T
+    clear = np.array([threshold(p.position, p.on) / abs(p.torque) for p in pushes]).T
+    order, columns = [push.joint for push in pushes], range(len(pushes))
+    own, own_clear = moved[order, columns], clear[order, columns]
     signs = np.where(own < -own_clear, -1.0, 1.0)
     moving = np.any(np.abs(moved) > clear, axis=0)
     names = [record.joints[joint] for joint in order]
@@ -176,90 +162,205 @@ def _ways(record: Record) -> _Ways:
             for a in columns
             if moving[a] and abs(own[a]) <= own_clear[a]
         ]
-    return _Ways(
-        angles=tuple((own * [push.torque for push in record.pushes]).tolist()),
-        signs=tuple(signs.tolist()),
-        still=tuple(names[a] for a in columns if not moving[a]),
-        mixed=tuple(mixed),
-    )
+    angles = (own * [push.torque for push in pushes]).tolist()
+    still = [names[a] for a in columns if not moving[a]]
+    return _Ways(angles, signs.tolist(), still, mixed)
 
 
-def _judge_directions(record: Record, ways: _Ways, limit: str) -> Finding:
-    check = "torque: joint and sign"
-    names = [record.joints[push.joint] for push in record.pushes]
-    wrong = ways.mixed or tuple(
+def _judge_ways(record: Record, ways: _Ways) -> Finding:
+    pushes = record.moves.pushes
+    names = [record.joints[push.joint] for push in pushes]
+    turned = [
         f"{name} turns against its torque"
         for name, sign in zip(names, ways.signs, strict=True)
         if sign < 0.0
-    )
-    if wrong:
-        return judged(check, False, "; ".join(wrong), limit)
+    ]
+    if wrong := ways.mixed or turned:
+        return judged(Rule.WAYS, False, "torque", ways="; ".join(wrong))
     if ways.still:
-        reason = f"{' and '.join(ways.still)} did not move: try a larger --torque"
-        return inconclusive(check, reason, limit)
-    figure = ", ".join(
+        joints = " and ".join(ways.still)
+        return inconclusive(Rule.WAYS, Reason.NO_MOTION, "torque", joints=joints)
+    told = (
         f"{name} {angle:+.3g} rad at {push.torque:+g} N·m"
-        for name, angle, push in zip(names, ways.angles, record.pushes, strict=True)
+        for name, angle, push in zip(names, ways.angles, pushes, strict=True)
     )
-    return judged(check, True, figure, limit)
+    return judged(Rule.WAYS, True, "torque", ways=", ".join(told))
 
 
-def _judge_stop(record: Record, ending: Ending, limits: Limits) -> Iterator[Finding]:
-    call, limit = ending.stop, f"success within {limits.answer:g} s"
-    check = f"{_STOP}: answer"
+def _judge_latch(ending: Ending) -> Finding:
+    again, push = ending.again, ending.push
+    if again is None or push is None:
+        return not_checked(Rule.LATCHED, Reason.NOT_TRIED, _STALE)
+    usual = float(np.abs(displacement(push)[again.joint]))
+    if usual <= threshold(push.position, push.on)[again.joint]:
+        return inconclusive(Rule.LATCHED, Reason.NO_EFFECT, _STALE)
+    share = float(np.abs(displacement(again)[again.joint])) / usual
+    return judged(Rule.LATCHED, share <= _USUAL, _STALE, share=100 * share)
+
+
+def _judge_stop(record: Record, ending: Ending) -> Iterator[Finding]:
+    call = ending.stop
     if call is None or call.success is None:
-        yield judged(check, False, "no answer", limit)
+        yield judged(Rule.ANSWER, False, _STOP, why=Reason.NO_ANSWER, bound=_ANSWER)
         return
-    figure = f"{'success' if call.success else f'refused: {call.message}'}, {call.seconds:.3f} s"
-    yield judged(check, call.success and call.seconds <= limits.answer, figure, limit)
-    yield from _judge_end(_STOP, record, ending, limits)
+    good = call.success and call.seconds <= _ANSWER
+    answer = "success" if call.success else f"refused: {call.message}"
+    yield judged(Rule.ANSWER, good, _STOP, answer=answer, seconds=call.seconds, bound=_ANSWER)
+    yield from _judge_end(_STOP, record, ending)
 
 
-def _judge_end(check: str, record: Record, ending: Ending, limits: Limits) -> Iterator[Finding]:
-    limit = _ending_limit(limits)
-    if ending.push is None or ending.released is None or ending.held is None:
-        if record.troubled:
-            yield _missing(record, check, limit)
+def _judge_end(of: str, record: Record, ending: Ending) -> Iterator[Finding]:
+    moves = record.moves
+    if ending.push is None or moves.released is None or moves.held is None:
+        asked = moves.missing not in (None, Reason.NOT_ASKED)
+        if asked:
+            yield _missing(record, Rule.GONE, of, **_ENDING_LIMIT)
         else:
-            yield not_checked(check, "no torque was there: --move", limit)
+            yield not_checked(Rule.GONE, Reason.NO_TORQUE, of, **_ENDING_LIMIT)
     else:
-        found = letting(ending.push, ending.released, ending.held)
-        yield _judge_letting(check, found, limits, limit)
-    yield from _judge_told(check, record, ending, limits)
+        yield _judge_letting(of, letting(ending.push, moves.released, moves.held))
+    yield from _judge_told(of, record, ending)
 
 
-def _told_limit(limits: Limits) -> str:
-    return f"status ERROR on {topics.DIAGNOSTICS} within {limits.told:g} s"
+def _judge_letting(of: str, found: Letting | None) -> Finding:
+    if found is None:
+        return inconclusive(Rule.GONE, Reason.NO_EFFECT, of, **_ENDING_LIMIT)
+    delay, stays = found.delay * _PERIOD, 100 * max(1 - found.share, 0)
+    gone = found.share >= _GONE
+    good, why = gone and delay <= _ENDING + _BLUR, None if gone else Reason.STAYS
+    values = {"delay": 1e3 * delay, "stays": stays, **_ENDING_LIMIT}
+    return judged(Rule.GONE, good, of, why=why, **values)
 
 
-def _judge_told(check: str, record: Record, ending: Ending, limits: Limits) -> Iterator[Finding]:
-    limit = _told_limit(limits)
+def _judge_told(of: str, record: Record, ending: Ending) -> Iterator[Finding]:
     told = ending.told
     if told is None and record.faults:
         # That would go on, whatever the driver has to say.
-        yield inconclusive(f"{check}: told", f"there was a fault before: {record.faults[0]}", limit)
+        fault = record.faults[0]
+        yield inconclusive(Rule.TOLD, Reason.FAULT_AT_REST, of, fault=fault, **_TOLD_LIMIT)
     else:
-        figure = "none" if told is None else f"after {told:.3f} s"
-        yield judged(f"{check}: told", told is not None and told <= limits.told, figure, limit)
-    limit = "granted under zero torque"
-    reset = ending.reset
-    if reset is None or reset.success is None:
-        yield judged(f"{check}: reset", False, "no answer", limit)
+        good, why = told is not None and told <= _TOLD, Reason.NEVER if told is None else None
+        yield judged(Rule.TOLD, good, of, why=why, told=told, **_TOLD_LIMIT)
+    reset = ending.reset or Call(success=None)
+    if reset.success is None:
+        yield judged(Rule.RESET, False, of, why=Reason.NO_ANSWER)
     else:
-        figure = "granted" if reset.success else f"refused: {reset.message}"
-        yield judged(f"{check}: reset", reset.success, figure, limit)
+        answer = "granted" if reset.success else f"refused: {reset.message}"
+        yield judged(Rule.RESET, reset.success, of, answer=answer)
 
 
-def _ending_limit(limits: Limits) -> str:
-    return f"torque gone within {1e3 * limits.ending:g} ms (± {1e3 * limits.blur:g} ms)"
+def displacement(push: Push) -> NDArray[np.float64]:
+    """Mean change of each angle (n,), rad, in the second half of the push."""
+    position = push.position
+    later = np.mean(position[:, (push.on + push.off) // 2 : push.off + 1], axis=1)
+    found: NDArray[np.float64] = later - _baseline(position, push.on)
+    return found
 
 
-def _judge_letting(check: str, found: Letting | None, limits: Limits, limit: str) -> Finding:
-    if found is None:
-        return inconclusive(check, "the torque had no effect: try a larger --torque", limit)
-    if found.share < limits.share:
-        figure = f"{100 * max(1 - found.share, 0):.0f} % of the torque seems to stay"
-        return judged(check, False, figure, limit)
-    delay = found.delay * _PERIOD
-    good = delay <= limits.ending + limits.blur
-    return judged(check, good, f"after about {1e3 * delay:.0f} ms", limit)
+def threshold(values: NDArray[np.float64], on: int) -> NDArray[np.float64]:
+    """Change (n,) of readings (n, N) that is no noise: five sigma at rest, and over one count."""
+    rest = values[:, max(on - _BASELINE, 0) : on + 1]
+    changes = np.abs(np.diff(np.sort(values, axis=1), axis=1))
+    count = np.array([np.min(row[row > 1e-9], initial=np.inf) for row in changes])
+    # Unquantised readings have steps of any size; those of noise are below five sigma anyway.
+    count = np.where(np.isfinite(count), count, 0.0)
+    noise: NDArray[np.float64] = np.maximum(_SIGMAS * np.std(rest, axis=1), 1.5 * count)
+    return noise
+
+
+class Effect(NamedTuple):
+    """The first answer of a reading of torque, and how it changed then (mean of three), N·m."""
+
+    samples: int  # since the one which the first command answered
+    change: float
+
+
+def first_effect(push: Push) -> Effect | None:
+    """When, and with what sign, the reading of torque answers; None if it doesn't."""
+    effort = push.effort
+    change = effort[push.joint] - _baseline(effort, push.on)[push.joint]
+    bound = threshold(effort, push.on)[push.joint]
+    seen = np.flatnonzero(np.abs(change[push.on + 1 : push.off + 1]) > bound)
+    if not seen.size:
+        return None
+    first = push.on + 1 + int(seen[0])
+    return Effect(first - push.on, float(np.mean(change[first : first + 3])))
+
+
+@dataclass(frozen=True)
+class Letting:
+    """How the effect of a torque ended.
+
+    Attributes
+    ----------
+    share : part of the torque that went, 1 if all of it
+    delay : samples from ``off`` until it had gone
+    """
+
+    share: float
+    delay: int
+
+
+def letting(ended: Push, released: Push, held: Push) -> Letting | None:
+    """Find when and how far the torque of a push went after ``off``, None if it had no effect.
+
+    Parameters
+    ----------
+    ended : Push
+        The push in question.
+    released : Push
+        The same, ended by a command of zero torque: what the end of it looks like.
+    held : Push
+        The same, but longer: how the readings would have gone on.
+
+    What ``ended`` differs from ``held`` by after its end is compared with what ``released`` does,
+    as if the torque had gone in a straight line: at every delay, of every length, by least squares.
+    """
+    length = min(_WINDOW, *(_room(push, ended) for push in (ended, held)))
+    size = min(_WINDOW, *(_room(push, released) for push in (released, held)))
+    if min(length, size) < _LEAST:
+        return None
+    for kind in ("effort", "position"):  # torque is the sharper witness, as it feels acceleration
+        pattern = _difference(kind, held, released, size)
+        bound = threshold(getattr(held, kind), held.on)[held.joint]
+        if float(np.max(np.abs(pattern))) > bound:
+            break
+    else:
+        return None
+    rest = _difference(kind, held, ended, length)
+    best, found = 0.0, Letting(0.0, 0)
+    for ramp in _RAMPS:
+        faded = np.convolve(pattern, np.full(ramp, 1.0 / ramp))[:size]
+        for start in range(length - _OVERLAP):
+            model = faded[: length - start]
+            part = rest[start : start + model.size]
+            product, power = float(model @ part), float(model @ model)
+            share = min(product / power, 1.0) if power > 0.0 else 0.0  # not more than there was
+            explained = share * (2.0 * product - share * power)
+            if share > 0.0 and explained > best:
+                best, found = explained, Letting(share, start + ramp - 1)
+    return found
+
+
+def _room(push: Push, ended: Push) -> int:
+    """Samples that a push has after the end of another one, both counted from their beginning."""
+    return int(push.position.shape[1]) - (push.on + ended.off - ended.on + 1)
+
+
+def _difference(kind: str, held: Push, ended: Push, length: int) -> NDArray[np.float64]:
+    """What the readings of the pushed joint differ by after the end of ``ended``.
+
+    They are compared at the last sample before, as friction leaves each push at another angle.
+    """
+    found = []
+    for push in (held, ended):
+        values: NDArray[np.float64] = getattr(push, kind)[push.joint]
+        first = push.on + ended.off - ended.on + 1
+        found.append(values[first : first + length] - np.mean(values[first - 5 : first]))
+    difference: NDArray[np.float64] = found[0] - found[1]
+    return difference
+
+
+def _baseline(values: NDArray[np.float64], on: int) -> NDArray[np.float64]:
+    mean: NDArray[np.float64] = np.mean(values[:, max(on - _BASELINE, 0) : on + 1], axis=1)
+    return mean

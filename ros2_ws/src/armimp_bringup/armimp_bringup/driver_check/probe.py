@@ -3,53 +3,71 @@
 from __future__ import annotations
 
 import gc
+import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 
 from armimp_bringup.driver_check.conversation import Conversation, Error
-from armimp_bringup.driver_check.interruption import InterruptibleSpinner
-from armimp_bringup.driver_check.moves import Mover, Moves, extract
-from armimp_bringup.driver_check.samples import SENSOR_TOPICS, Message, Record
-from armimp_bringup.driver_check.stream_rules import values_in_order
-from armimp_bringup.driver_check.witness import Witness
+from armimp_bringup.driver_check.findings import Reason
+from armimp_bringup.driver_check.moves import CheckOptions, Mover
+from armimp_bringup.driver_check.record import (
+    SENSOR_TOPICS,
+    Message,
+    Moves,
+    Record,
+    Stalls,
+    readings,
+)
 from armimp_bringup.graph import GraphContext
 from armimp_common import topics
 from armimp_common.errors import GraphError
-from armimp_common.executor import Spinner, stop_on_signals
+from armimp_common.executor import stop_on_signals
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.process import waited_ns
+from armimp_common.realtime import LATE_NS, Pacer, wake_up_exactly
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 
 _PATIENCE, _LONG = 10.0, 60.0
 _LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class CheckOptions:
-    """What a user asks of a check.
+class StallWitness:
+    """A thread that wants to wake up each millisecond, and notes when it could not."""
 
-    Attributes
-    ----------
-    joints : names, in the order of commands
-    node : name of the driver
-    duration : time of the recording (s); in lockstep it counts in samples of 1 ms
-    move : whether torque may be commanded
-    torque : how much (N·m)
-    most : how far torque may move a joint (rad)
-    namespace : of the driver
-    """
+    def __init__(self) -> None:
+        self._found: list[tuple[int, int]] = []
+        self._ended = threading.Event()
+        self._pacer = Pacer(PERIOD_NS)
+        self._begin_ns = self._pacer.now()
+        self._thread = threading.Thread(target=self._run, name="stall witness", daemon=True)
+        self._thread.start()
 
-    joints: tuple[str, ...]
-    node: str = topics.SIM_NODE
-    duration: float = 5.0
-    move: bool = False
-    torque: float = 1.0
-    most: float = 0.3
-    namespace: str = ""
+    def _run(self) -> None:
+        wake_up_exactly()
+        pacer, tick = self._pacer, 0
+        pacer.start()
+        while not self._ended.is_set():
+            tick += 1
+            due_ns = pacer.deadline_ns(tick)
+            pacer.wait(tick)
+            now_ns = pacer.now()
+            if now_ns - due_ns > LATE_NS:
+                self._found.append((due_ns, now_ns))
+                # Deadlines that passed meanwhile belong to the same stall.
+                tick += (now_ns - due_ns) // PERIOD_NS
+
+    def stalls(self) -> Stalls:
+        """Return what was noted so far."""
+        intervals = np.array(self._found, dtype=np.int64).reshape(-1, 2)
+        return Stalls(intervals_ns=intervals, watched_ns=self._pacer.now() - self._begin_ns)
+
+    def close(self) -> None:
+        """Watch no more."""
+        self._ended.set()
+        self._thread.join()
 
 
 def probe(options: CheckOptions, domain_id: int | None) -> Record:
@@ -62,41 +80,37 @@ def probe(options: CheckOptions, domain_id: int | None) -> Record:
     InterruptionError
         After SIGINT or SIGTERM, with zero torque commanded.
     """
-    with GraphContext(domain_id) as graph:
-        node = Conversation(graph, options.joints, options.namespace)
+    with GraphContext(domain_id) as graph, stop_on_signals() as stopped:
+        node = Conversation(graph, options.joints, options.namespace, stopped)
         # A collection at the wrong moment would keep commands back.
         collecting = gc.isenabled()
         gc.disable()
-        witness = Witness()
+        witness = StallWitness()
         try:
-            with (
-                stop_on_signals() as stopped,
-                InterruptibleSpinner([node], context=graph.context, stopped=stopped) as spinner,
-            ):
-                return _Probe(options, node, spinner, witness).record()
+            return _Probe(options, node, witness).record()
         finally:
             witness.close()
             if collecting:
                 gc.enable()
-            node.destroy_node()
+            node.close()
 
 
 class _Probe:
-    def __init__(
-        self, options: CheckOptions, node: Conversation, spinner: Spinner, witness: Witness
-    ) -> None:
-        self._options, self._node, self._spinner = options, node, spinner
-        self._witness = witness
-        self._zero = (0.0,) * len(options.joints)
+    def __init__(self, options: CheckOptions, node: Conversation, witness: StallWitness) -> None:
+        self._options, self._node, self._witness = options, node, witness
+        self._manager = LifecycleManager(
+            node,
+            [options.node],
+            spin_until=node.spinner.spin_until,
+            timeout=_LONG,
+            check=node.check,
+        )
         self._paced, self._lead = False, 1
 
     def record(self) -> Record:
         node, options = self._node, self._options
-        manager = LifecycleManager(
-            node, [options.node], spin_until=self._spinner.spin_until, timeout=_LONG
-        )
-        state = self._find(manager)
-        with self._active(manager, state):
+        state = self._find()
+        with self._active(state):
             self._paced = self._listen()
             before = waited_ns(node.process)
             first = self._record_at_rest()
@@ -104,28 +118,28 @@ class _Probe:
             kept, malformed = node.recorded()
             answers, faults = node.answered, list(node.errors)
             streams = {topic: messages[first:] for topic, messages in kept.items()}
+            known = frozenset(error.name for error in faults)
+            mover = Mover(node, options, None if self._paced else self._lead, known)
+            begin: dict[str, int] = {}
             trouble = self._trouble(streams, malformed, faults)
-            mover = Mover(
-                node,
-                self._spinner,
-                joints=options.joints,
-                torque=options.torque,
-                most=options.most,
-                paced=self._paced,
-                lead=self._lead,
-                known=frozenset(error.name for error in faults),
-            )
-            moves, begin = Moves(), {}
-            if options.move and not trouble:
-                self._begin_to_answer(manager, state)
+            if options.move and trouble is None:
+                self._begin_to_answer(state)
                 begin = {topic: node.messages(topic) for topic in kept}
                 moves = mover.move()
-                if not moves.broken:
+                if not moves.missing:
                     self._leave(state)
-            elif topics.SIM_STOP_SERVICE in node.safety_services():
-                moves = Moves(stop=mover.stop())
+            else:
+                stops = topics.SIM_STOP_SERVICE in node.safety_services()
+                moves = mover.stop_at_rest() if stops else Moves()
+                moves.missing = Reason.NOT_ASKED
+                if options.move and trouble is not None:
+                    moves.missing, moves.values = trouble
             endpoints, services = node.endpoints(), node.safety_services()
         everything, malformed = node.recorded()
+        mover.readings |= {
+            topic: readings(options.joints, topic, messages)
+            for topic, messages in everything.items()
+        }
         return Record(
             joints=options.joints,
             paced=self._paced,
@@ -136,31 +150,25 @@ class _Probe:
             answered=answers,
             services=services,
             lifecycle=state,
-            skipped=trouble if options.move else "not without --move",
-            troubled=options.move and bool(trouble),
             most=options.most,
             faults=[str(error) for error in faults],
             stalls=self._witness.stalls(),
             waited=None if before is None or after is None else (after - before) / NS_PER_S,
+            moves=moves,
             timing=moves.timing or node.timing,
-            **extract(moves, everything, options.joints, options.torque),
         )
 
-    def _find(self, manager: LifecycleManager) -> str | None:
+    def _find(self) -> str | None:
         """Wait for a driver; return its state, None if it is no lifecycle node."""
-        node = self._node
-
-        def publishing() -> bool:
-            return any(end.role == "publisher" for end in node.endpoints())
-
+        node, manager = self._node, self._manager
         end = time.monotonic() + _PATIENCE
         while True:
             try:
                 manager.wait_for_nodes(0.2)
             except GraphError:
-                if publishing():
+                if any(one.role == "publisher" for one in node.endpoints()):
                     # Its services may be discovered after its topics.
-                    node.wait(self._spinner, lambda: False, 1.0)
+                    node.wait(lambda: False, 1.0)
                     try:
                         manager.wait_for_nodes(0.0)
                     except GraphError:
@@ -175,16 +183,15 @@ class _Probe:
             return manager.state(self._options.node)
 
     @contextmanager
-    def _active(self, manager: LifecycleManager, state: str | None) -> Iterator[None]:
+    def _active(self, state: str | None) -> Iterator[None]:
         """Have the driver active, and bring it back to where it was."""
-        name = self._options.node
+        name, node, manager = self._options.node, self._node, self._manager
         if state == "unconfigured":
             manager.configure(name)
         elif state not in (None, "inactive", "active"):
             raise GraphError(f"node {name} is {state}: it has to be started anew")
         try:
-            node = self._node
-            node.wait(self._spinner, self._complete, 1.0)
+            node.wait(self._complete, 1.0)
             others = {
                 end.node
                 for end in node.endpoints()
@@ -213,63 +220,62 @@ class _Probe:
 
     def _listen(self) -> bool:
         """Whether samples come without commands."""
-        node = self._node
-        node.wait(self._spinner, lambda: False, _LISTEN)
-        return max(node.messages(topic) for topic in SENSOR_TOPICS) > 20
+        self._node.wait(lambda: False, _LISTEN)
+        return max(self._node.messages(topic) for topic in SENSOR_TOPICS) > 20
 
     def _record_at_rest(self) -> int:
         """Record, without commands or under zero torque; return the number of the first sample."""
         node, duration = self._node, self._options.duration
         if self._paced:
             first = node.samples
-            node.wait(self._spinner, lambda: False, duration)
+            node.wait(lambda: False, duration)
             return first
-        node.play([(round(duration * NS_PER_S / PERIOD_NS), self._zero)])
+        node.play([(round(duration * NS_PER_S / PERIOD_NS), node.zero)])
         node.answer()
         last = -1
         while node.playing and node.samples > last:
             last = node.samples
-            node.wait(self._spinner, lambda: not node.playing, _SILENCE)
+            node.wait(lambda: not node.playing, _SILENCE)
         # The answer to the last command is still to come. Of a driver that was active before, the
         # first sample was missed.
-        node.wait(self._spinner, lambda: node.samples > node.answered, 1.0)
+        node.wait(lambda: node.samples > node.answered, 1.0)
         # Those that no command has asked for may still be on their way.
-        node.wait(self._spinner, lambda: node.samples > node.answered + 1, _LATER)
+        node.wait(lambda: node.samples > node.answered + 1, _LATER)
         self._lead = node.samples - node.answered
         return 0
 
-    def _begin_to_answer(self, manager: LifecycleManager, state: str | None) -> None:
+    def _begin_to_answer(self, state: str | None) -> None:
         """Answer every sample from now on; if possible also for the driver, from its first one."""
         node, name = self._node, self._options.node
         if not self._paced:
             return
         again = state in ("unconfigured", "inactive")
         if again:
-            manager.deactivate(name)
+            self._manager.deactivate(name)
         # What piled up meanwhile must not be answered.
-        node.wait(self._spinner, lambda: False, _LISTEN)
-        node.torque = self._zero
+        node.wait(lambda: False, _LISTEN)
+        node.torque = node.zero
         if again:
-            manager.activate(name)
+            self._manager.activate(name)
 
     def _leave(self, state: str | None) -> None:
         """Have a driver that stays active forget the silence which begins now, as for a fault."""
         if self._paced and state in (None, "active"):
             self._node.torque = None
-            self._node.wait(self._spinner, lambda: False, _LISTEN)
-            self._node.call(topics.SIM_RESET_SERVICE, self._spinner, _PATIENCE)
+            self._node.wait(lambda: False, _LISTEN)
+            self._node.call(topics.SIM_RESET_SERVICE, _PATIENCE)
 
     def _trouble(
         self,
-        streams: dict[str, list[Message]],
-        malformed: dict[str, int],
+        streams: Mapping[str, Sequence[Message]],
+        malformed: Mapping[str, int],
         faults: Sequence[Error],
-    ) -> str:
+    ) -> tuple[Reason, dict[str, object]] | None:
         """Return why it would not be wise to command torque."""
         for topic, kept in streams.items():
-            values = values_in_order(self._options.joints, topic, kept)
+            values = readings(self._options.joints, topic, kept)
             if malformed[topic] or not kept or values.shape[1] != len(kept):
-                return f"{topic} is not sound enough to command torque"
+                return Reason.UNSOUND, {"topic": topic}
             if not np.all(np.isfinite(values)):
-                return f"{topic} is not finite: no torque is commanded"
-        return f"there is a fault at rest: {faults[0]}" if faults else ""
+                return Reason.NOT_FINITE, {"topic": topic}
+        return (Reason.FAULT_AT_REST, {"fault": str(faults[0])}) if faults else None

@@ -1,0 +1,173 @@
+"""What the checker does with torque in real time, on a clock that is counted."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from armimp_bringup.driver_check.conversation import Answering, Error, Torque
+from armimp_bringup.driver_check.findings import Finding, Reason, Verdict, with_verdict
+from armimp_bringup.driver_check.moves import CheckOptions, Mover
+from armimp_bringup.driver_check.record import SENSOR_TOPICS, Call, Moves, Record, readings
+from armimp_bringup.driver_check.rules import judge
+from armimp_common.cdr import JointStateEncoder
+from armimp_common.topics import (
+    JOINT_STATES,
+    NS_PER_S,
+    PERIOD_NS,
+    SIM_STOP_SERVICE,
+    TORQUE_SENSORS,
+    VALUE_FIELD,
+)
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.simulator import SimulatedRig
+
+JOINTS = ("shoulder", "elbow")
+ZERO = (0.0, 0.0)
+PATIENCE, RAMP = 5, 10
+
+
+class Driver(Answering):
+    """A driver in real time and the checker in front of it, on one clock.
+
+    `watchdog` tells whether it lets go without commands, `latches` whether it then waits for a
+    reset. While the checker is `held_up`, nothing that the driver sends reaches it.
+    """
+
+    def __init__(
+        self,
+        *,
+        watchdog: bool = True,
+        latches: bool = True,
+        held_up: Callable[[int], bool] = lambda _: False,
+        moody: bool = False,
+    ) -> None:
+        self.time_ns, self.tick = NS_PER_S, 0
+        super().__init__(JOINTS, self.obey, now_ns=lambda: self.time_ns, sleep=lambda _: None)
+        self.rig = SimulatedRig(SimulatorParameters.preset())
+        self.watchdog, self.latches, self.held_up, self.moody = watchdog, latches, held_up, moody
+        self.encoders = {
+            topic: JointStateEncoder(JOINTS, field)
+            for topic, field in VALUE_FIELD.items()
+            if topic in SENSOR_TOPICS
+        }
+        self.errors: list[Error] = []
+        self.timing = None
+        self.commanded: Torque = ZERO
+        self.applied: Torque = ZERO
+        self.fault, self.silent, self.fading = "", -1, 0
+        self.waiting: list[tuple[str, bytes]] = []
+
+    def obey(self, torque: Torque) -> None:
+        self.silent, self.commanded = 0, torque
+        if self.fault == "no command" and not self.latches:
+            self.fault = ""
+
+    def latch(self, fault: str) -> None:
+        if not self.fault:
+            self.fault, self.fading = fault, RAMP
+            self.errors.append(Error(self.now(), "arm_sim: rig", fault))
+
+    def step(self) -> None:
+        self.time_ns += PERIOD_NS
+        self.tick += 1
+        if self.silent >= 0:
+            self.silent += 1
+        if self.watchdog and self.silent > PATIENCE:
+            self.latch("no command")
+        if self.moody and self.tick > 3000:
+            self.latch("the mood")
+        if self.fault:
+            self.fading = max(self.fading - 1, 0)
+            share = self.fading / RAMP
+            self.applied = (share * self.applied[0], share * self.applied[1])
+        else:
+            self.applied = self.commanded
+        self.rig.step(self.applied)
+        for topic, values in (
+            (JOINT_STATES, self.rig.position),
+            (TORQUE_SENSORS, self.rig.torque),
+        ):
+            self.waiting.append((topic, self.encoders[topic].encode(self.time_ns, values)))
+        if not self.held_up(self.tick):
+            arrived, self.waiting = self.waiting, []
+            for topic, data in arrived:
+                self.hear(topic, data)
+
+    def wait(self, condition: Callable[[], bool], patience: float) -> bool:
+        end = self.now() + patience
+        while not condition() and self.now() < end:
+            self.step()
+        return condition()
+
+    def call(self, service: str, patience: float, since: float | None = None) -> Call:
+        self.step()
+        if service == SIM_STOP_SERVICE:
+            self.latch("emergency stop")
+            return Call(success=True)
+        if self.commanded != ZERO:
+            return Call(success=False, message="there is torque")
+        self.fault = ""
+        return Call(success=True)
+
+    @contextmanager
+    def intruder(self, patience: float) -> Iterator[None]:
+        self.step()
+        self.latch("second publisher")
+        yield
+
+
+def moved(driver: Driver) -> tuple[Moves, dict[str, Finding]]:
+    """Let the checker move a driver, and judge it."""
+    checker: Any = driver
+    mover = Mover(checker, CheckOptions(joints=JOINTS, move=True), None, frozenset())
+    moves = mover.move()
+    streams, _ = driver.recorded()
+    mover.readings |= {topic: readings(JOINTS, topic, streams[topic]) for topic in SENSOR_TOPICS}
+    record = Record(
+        joints=JOINTS, paced=True, endpoints=[], streams={}, moving=streams, moves=moves, most=0.3
+    )
+    told = ("torque:", "torque_sensors: sign", "stale", "emergency stop", "second publisher")
+    return moves, {one.check: one for one in judge(record) if one.check.startswith(told)}
+
+
+@pytest.mark.parametrize(
+    ("defects", "expected"),
+    [
+        ({}, []),
+        (
+            {"watchdog": False},
+            ["stale commands", "stale commands: told", "stale commands: latched"],
+        ),
+        ({"latches": False}, ["stale commands: latched"]),
+    ],
+)
+def test_what_a_driver_does_without_commands_is_seen_in_real_time(
+    defects: dict[str, bool], expected: list[str]
+) -> None:
+    moves, findings = moved(Driver(**defects))  # type: ignore[arg-type]
+    assert with_verdict(findings.values(), Verdict.FAIL) == expected
+    assert with_verdict(findings.values(), Verdict.INCONCLUSIVE) == []
+    assert moves.repeated == 0
+
+
+def test_moves_in_which_commands_were_held_up_are_made_anew() -> None:
+    moves, findings = moved(Driver(held_up=lambda tick: tick in range(1500, 1510)))
+    assert moves.repeated == 1
+    assert 0.009 < moves.gap < 0.012
+    assert findings["torque: no stop"].verdict is Verdict.PASS
+    assert findings["stale commands"].verdict is Verdict.PASS
+
+
+def test_when_commands_are_held_up_again_and_again_expect_no_verdict() -> None:
+    moves, findings = moved(Driver(held_up=lambda tick: tick % 500 < 10))
+    assert moves.missing is Reason.INTERRUPTIONS
+    assert findings["torque: no stop"].verdict is Verdict.INCONCLUSIVE
+    assert findings["torque: motion"].verdict is Verdict.PASS
+
+
+def test_a_driver_that_stops_under_regular_commands_is_named() -> None:
+    moves, findings = moved(Driver(moody=True))
+    assert (moves.missing, moves.fault) == (Reason.STOPPED, "arm_sim: rig: the mood")
+    assert findings["torque: no stop"].verdict is Verdict.FAIL
