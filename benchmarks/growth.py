@@ -9,8 +9,9 @@ from pathlib import Path
 from statistics import median
 
 from armimp_bringup.bench import Measured
-from armimp_bringup.config import load_config, node_parameters
+from armimp_bringup.config import load_config
 from armimp_bringup.offline_estimate import estimate_bags
+from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.experiment import Experiment
 from armimp_estimation.parameters import EstimatorParameters

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter_ns
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import node_parameters
 from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateDecoder, JointStateEncoder
 from armimp_common.errors import DataError, MalformedMessageError
 from armimp_common.status import Phase, TrialStatus

@@ -10,7 +10,8 @@ inertia remains. A law that is worth it moves into the controller: see docs/exte
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_control.laws.layout import DAMPING, STIFFNESS
 from armimp_control.perturbation import perturbation
 from armimp_sim.plant import Plant

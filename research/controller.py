@@ -13,8 +13,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from armimp_bringup.config import ExperimentConfig, NodeParameters, Overrides, node_parameters
+from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study.conditions import Condition, parse_seeds
 from armimp_bringup.study.engine import Batch, Provenance, condition_config, estimate_condition
 from armimp_bringup.terminal import leave_terminal, phase

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from armimp_bringup.bench import available_cores
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_together
+from armimp_bringup.parameters import node_parameters
 from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.backends import as_ready
 from armimp_bringup.terminal import progress

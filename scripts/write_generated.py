@@ -10,7 +10,8 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import node_parameters
 from armimp_common.schema import defaults, flatten, leaves, to_params_yaml
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_estimation.parameters import EstimatorParameters

@@ -19,9 +19,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.config import CheckOptions, ExperimentConfig
 from armimp_bringup.driver_check.findings import Finding
-from armimp_bringup.driver_check.moves import CheckOptions
 from armimp_bringup.driver_check.probe import probe
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.orchestrator import run_experiment

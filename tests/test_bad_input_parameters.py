@@ -9,7 +9,8 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from armimp_bringup.config import ExperimentConfig, NodeParameters, load_config, node_parameters
+from armimp_bringup.config import ExperimentConfig, load_config
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import flatten
 from armimp_control.parameters import ControllerParameters

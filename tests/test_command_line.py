@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_bringup.config import ExperimentConfig, load_config, node_parameters
+from armimp_bringup.config import ExperimentConfig, load_config
+from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import DATA_STREAMS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 
@@ -266,12 +267,12 @@ def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("2", "'2' is no share such as 2% or 0.02; did you mean 2%?"),
-        ("0", "'0' is no share"),
-        ("100%", "'100%' is no share"),
-        ("-1%", "'-1%' is no share"),
-        ("nan", "'nan' is no share"),
-        ("two", "'two' is no share"),
+        ("2", '= "2": is no share such as 2% or 0.02; did you mean 2%?'),
+        ("0", '"0": is no share'),
+        ("100%", '"100%": is no share'),
+        ("-1%", '"-1%": is no share'),
+        ("nan", '"nan": is no share'),
+        ("two", '"two": is no share'),
     ],
 )
 def test_when_the_bound_of_errors_is_no_share_expect_the_text(

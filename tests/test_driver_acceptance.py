@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline_estimate import Declared, estimate_bags
+from armimp_bringup.config import Declared, ExperimentConfig
+from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE

@@ -16,10 +16,9 @@ import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.config import CheckOptions, ExperimentConfig
 from armimp_bringup.driver_check.command import ask
 from armimp_bringup.driver_check.findings import Finding, Verdict, with_verdict
-from armimp_bringup.driver_check.moves import CheckOptions
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import COMMANDS, CONTROLLER_NODE, ESTIMATOR_NODE
@@ -144,11 +143,11 @@ def test_the_command_prints_findings_and_its_status_tells_whether_any_failed(
         (["--joints", "9"], "--joints: 9 is not within 1 to 7"),
         (["--joints", "2", "--joint", "elbow"], "two ways to say the same"),
         (["--joint", "elbow", "--joint", "elbow"], "names are not distinct"),
-        (["--torque", "-1"], "--torque: -1 N·m is not above 0"),
-        (["--torque", "21"], "--torque: 21 N·m is not above 0 and at most 20"),
-        (["--most-motion", "nan"], "--most-motion: nan rad is not above 0 and at most 1"),
+        (["--torque", "-1"], "parameter 'torque' = -1.0"),
+        (["--torque", "21"], "parameter 'torque' = 21.0: input should be less than or equal to 20"),
+        (["--most-motion", "nan"], "parameter 'most_motion' = nan"),
         (["--move"], "--move: there is nobody to ask; --yes says that it is safe"),
-        (["--duration", "0"], "--duration: 0 is not within"),
+        (["--duration", "0"], "parameter 'duration' = 0.0"),
     ],
 )
 def test_wrong_options_end_in_one_line(
@@ -170,7 +169,7 @@ def test_before_anything_moves_somebody_is_asked_and_only_yes_is_one(
     terminal = io.StringIO(answer)
     monkeypatch.setattr(terminal, "isatty", lambda: True)
     monkeypatch.setattr(sys, "stdin", terminal)
-    options = CheckOptions(joints=JOINTS, move=True, torque=2.0, most=0.1)
+    options = CheckOptions(joints=JOINTS, move=True, torque=2.0, most_motion=0.1)
     if allowed:
         ask(options, 5)
     else:

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.command import about
 from armimp_bringup.driver_check.findings import Rule, Verdict, judged, report
-from armimp_bringup.driver_check.moves import CheckOptions
 from armimp_bringup.driver_check.record import Ending, Moves, Record
 from armimp_bringup.driver_check.rules import judge
 from armimp_common.schema import leaves

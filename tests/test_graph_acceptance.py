@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
+from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.identify import identify
 from armimp_estimation.mbk import MBK

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.parameters import node_parameters
 from armimp_common.status import Phase
 from armimp_common.topics import (
     COMMANDS,

@@ -12,11 +12,12 @@ from typing import Any
 import pytest
 
 from armimp_bringup import orchestrator
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.health import main as health
 from armimp_bringup.health import state_of
 from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.supervisor import Progress
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError

@@ -23,10 +23,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
+from armimp_bringup.parameters import node_parameters
 from armimp_bringup.replay import replay_bags
 from armimp_bringup.supervisor import Progress
 from armimp_common.heartbeat import Presence

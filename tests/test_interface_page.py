@@ -12,7 +12,8 @@ import pytest
 from pydantic import BaseModel
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 
-from armimp_bringup.config import ExperimentConfig, bag_metadata, node_parameters
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import bag_metadata, node_parameters
 from armimp_common import qos
 from armimp_common.realtime import LATE_NS
 from armimp_common.schema import leaves

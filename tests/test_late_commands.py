@@ -8,7 +8,8 @@ from collections.abc import Mapping
 import pytest
 from pydantic import JsonValue
 
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import TrialStatus
 from armimp_common.topics import PERIOD_NS

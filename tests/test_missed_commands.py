@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import node_parameters
 from armimp_common.realtime import Pacer, TimingLimits
 from armimp_common.status import TrialStatus
 from armimp_common.topics import PERIOD_NS

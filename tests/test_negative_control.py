@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from pydantic import JsonValue
 
 from armimp_bringup.cli import main
-from armimp_bringup.config import ExperimentConfig, NodeParameters, load_config, node_parameters
+from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.offline import run_offline
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_estimation.bags import read_bag
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK

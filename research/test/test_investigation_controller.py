@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import node_parameters
 from armimp_common.errors import ConfigurationError
 from research.controller import (
     DITHER,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.config import NodeParameters
+from armimp_bringup.parameters import NodeParameters
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.identify import Identification, identify

@@ -191,17 +191,10 @@ def simulate(**options: Any) -> Recording:
     ConfigurationError
         If there is no such option, or its value is out of range.
     """
-    from pydantic import ValidationError
-
-    from armimp_bringup.config import ExperimentConfig
+    from armimp_bringup.config import load_config
     from armimp_bringup.simulated import simulate as run_without_ros
 
-    try:
-        config = ExperimentConfig(**options)
-    except ValidationError as error:
-        first = error.errors()[0]
-        name = ".".join(map(str, first["loc"]))
-        raise ConfigurationError(f"{name}: {first['msg']}: {first['input']!r}") from None
+    config = load_config(None, options)
     (experiment,) = run_without_ros([config])
     return Recording(
         trials=experiment.records,

@@ -90,7 +90,7 @@ def test_when_arrays_are_no_good_expect_one_line_that_says_where(
 def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
     with pytest.raises(armimp.ArmimpError, match="frictoin"):
         armimp.simulate(frictoin=3)
-    with pytest.raises(armimp.ArmimpError, match=r"friction: .*: 7"):
+    with pytest.raises(armimp.ArmimpError, match="'friction' = 7"):
         armimp.simulate(friction=7)
     with pytest.raises(armimp.ArmimpError, match="timing: 'never'"):
         armimp.Recording.from_arrays([], [], [], rate=1.0, timing="never")

@@ -6,10 +6,9 @@ Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupt
 from __future__ import annotations
 
 import atexit
-import math
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from datetime import datetime
 from importlib.util import find_spec
@@ -19,14 +18,14 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.exceptions import TyperException
 
+from armimp_bringup.config import CheckOptions, Declared, ExperimentConfig
+from armimp_bringup.options import options_of
 from armimp_bringup.resources import require_open_files
 from armimp_bringup.terminal import Display, phase, repair_streams, say
 from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
 _INTERRUPTED = 130
 """What shells make of a program that SIGINT has ended; typer's own status for it, too."""
-_ESTIMATOR_NAMES = ("welch_siso", "welch_full", "lpm_full", "direct")
-
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -34,6 +33,38 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
     help="Measure the multi-joint mechanical impedance of a human arm.",
 )
+
+_Bags = Annotated[
+    list[Path],
+    typer.Argument(
+        help="Directories of runs, rosbag2 directories (or a folder of them), .mcap or .db3 files."
+    ),
+]
+_AllowGaps = Annotated[
+    bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
+]
+_Trust = Annotated[
+    bool, typer.Option("--trust", help="Lift the limits on what a bag may hold for its size.")
+]
+_Out = Annotated[
+    Path | None, typer.Option("--out", help="New directory for the results.", show_default="none")
+]
+_NewDirectory = Annotated[
+    Path | None,
+    typer.Option("--out", help="New directory for the results.", show_default="results/NAME-TIME"),
+]
+_Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
+_Config = Annotated[
+    Path | None,
+    typer.Option(help="YAML file with any of these options, and with parameters of the nodes."),
+]
+_DomainId = Annotated[
+    int | None,
+    typer.Option(
+        help="ROS domain, 0 to 232; by default one that is free, or ROS_DOMAIN_ID where nodes are "
+        "those of others."
+    ),
+]
 
 
 def _print_version(wanted: bool) -> None:
@@ -54,181 +85,16 @@ def _armimp(
     pass
 
 
-def _choices(*values: object) -> Callable[[], list[str]]:
-    """What a shell offers for an option."""
-    return lambda: [str(value) for value in values]
-
-
-def _default(text: str) -> Any:
-    """The default that a help page shows where None leaves it to a configuration file."""
-    return {"show_default": text}
-
-
-_Bags = Annotated[
-    list[Path],
-    typer.Argument(
-        help="Directories of runs, rosbag2 directories (or a folder of them), .mcap or .db3 files."
-    ),
-]
-_Estimators = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--estimator",
-        help=f"Estimator: {', '.join(_ESTIMATOR_NAMES)}. May be given more than once.",
-        autocompletion=_choices(*_ESTIMATOR_NAMES),
-        **_default("welch_siso and lpm_full"),
-    ),
-]
-_AllowGaps = Annotated[
-    bool, typer.Option("--allow-gaps", help="Use the intact parts of trials that lost samples.")
-]
-_Trust = Annotated[
-    bool, typer.Option("--trust", help="Lift the limits on what a bag may hold for its size.")
-]
-_TorqueDelay = Annotated[
-    float | None,
-    typer.Option(
-        help="How late torque readings are, s, negative if they are early.",
-        **_default("as recorded with the bags, else fitted"),
-    ),
-]
-_TorqueTiming = Annotated[
-    str | None,
-    typer.Option(
-        help="When torques are read: before, after, mid, mean or simultaneous.",
-        autocompletion=_choices("before", "after", "mid", "mean", "simultaneous"),
-        **_default("as recorded with the bags, else found"),
-    ),
-]
-_TorqueUncertainty = Annotated[
-    float | None,
-    typer.Option(
-        help="Standard error of what is told of that, s.", **_default("20 µs where it is told")
-    ),
-]
-_Rate = Annotated[
-    float | None,
-    typer.Option(
-        help="Sampling rate, Hz, if an uncustomary one is right.", **_default("found by itself")
-    ),
-]
-_Out = Annotated[
-    Path | None, typer.Option("--out", help="New directory for the results.", show_default="none")
-]
-_NewDirectory = Annotated[
-    Path | None,
-    typer.Option("--out", help="New directory for the results.", **_default("results/NAME-TIME")),
-]
-_Json = Annotated[bool, typer.Option("--json", help="Print summary.json instead of tables.")]
-_Config = Annotated[
-    Path | None,
-    typer.Option(help="YAML file with any of these options, and with parameters of the nodes."),
-]
-_Joints = Annotated[
-    int | None,
-    typer.Option(
-        help="Joints of the preset arm, 1 to 7; 2 is the paper's arm of shoulder and elbow.",
-        autocompletion=_choices(*range(1, 8)),
-        **_default("2"),
-    ),
-]
-_Duration = Annotated[
-    float | None, typer.Option(help="Length of each trial, s; 2 to 9000.", **_default("50"))
-]
-_DomainId = Annotated[
-    int | None, typer.Option(help="ROS domain, 0 to 232.", **_default("one that is free"))
-]
-_Workers = Annotated[
-    int | None, typer.Option(help="Number of threads.", **_default("one for each core"))
-]
-
-
 @app.command()
-def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
+@options_of(ExperimentConfig)
+def run(
     config: _Config = None,
-    friction: Annotated[
-        int | None,
-        typer.Option(
-            help="Level of joint friction: 0 none; 1, 2, 3 Coulomb friction of 0.4, 1, 2 N·m.",
-            autocompletion=_choices(0, 1, 2, 3),
-            **_default("3"),
-        ),
-    ] = None,
-    resolution: Annotated[
-        int | None,
-        typer.Option(
-            help="Level of sensor resolution: 0 exact; 1, 2, 3 encoder steps of 360°/204800, "
-            "/102400, /51200 and torque steps of 5, 10, 20 mN·m.",
-            autocompletion=_choices(0, 1, 2, 3),
-            **_default("3"),
-        ),
-    ] = None,
-    perturbation: Annotated[
-        int | None,
-        typer.Option(
-            help="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder and "
-            "1.8, 3.6, 5.4 N·m at the elbow.",
-            autocompletion=_choices(1, 2, 3),
-            **_default("3"),
-        ),
-    ] = None,
-    duration: _Duration = None,
-    seed: Annotated[
-        int | None, typer.Option(help="Seed of all random signals.", **_default("1"))
-    ] = None,
-    mode: Annotated[
-        str | None,
-        typer.Option(
-            help="How time passes: lockstep (as fast as the machine, repeatable) or realtime "
-            "(1 kHz by the wall clock).",
-            autocompletion=_choices("lockstep", "realtime"),
-            **_default("lockstep"),
-        ),
-    ] = None,
-    processes: Annotated[
-        str | None,
-        typer.Option(
-            help="Where the nodes live: composed (in one process), separate (one for each) or "
-            "external (started by others).",
-            autocompletion=_choices("composed", "separate", "external"),
-            **_default("composed; separate in realtime"),
-        ),
-    ] = None,
-    priority: Annotated[
-        int | None,
-        typer.Option(
-            help="SCHED_FIFO priority of rig and controller in realtime, 1 to 99; 0: ordinary.",
-            **_default("0"),
-        ),
-    ] = None,
-    joints: _Joints = None,
-    estimator: _Estimators = None,
-    target_error: Annotated[
-        str | None,
-        typer.Option(
-            help="End a trial once the standard errors of M, B, K are below: 2% or 0.02.",
-            **_default("never"),
-        ),
-    ] = None,
-    torque_delay: Annotated[
-        float | None,
-        typer.Option(
-            help="How late torque readings are, s, for the estimates to correct.",
-            **_default("as simulated"),
-        ),
-    ] = None,
     out: _NewDirectory = None,
-    domain_id: Annotated[
-        int | None,
-        typer.Option(
-            help="ROS domain, 0 to 232.",
-            **_default("one that is free; with external nodes ROS_DOMAIN_ID"),
-        ),
-    ] = None,
+    domain_id: _DomainId = None,
     json: _Json = False,
+    **options: Any,
 ) -> int:
     """Run the experiment through the node graph: one trial for each joint, then the result."""
-    share = None if target_error is None else _share(target_error)
     with Display() as display:
         display.phase("starting")
         from armimp_common.compiled import on_compiling, spare_linear_algebra
@@ -241,24 +107,8 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         from armimp_common.executor import stop_on_signals
         from armimp_common.status import Phase
 
-        settings = load_config(
-            config,
-            {
-                "friction": friction,
-                "resolution": resolution,
-                "perturbation": perturbation,
-                "duration": duration,
-                "seed": seed,
-                "mode": mode,
-                "processes": processes,
-                "priority": priority,
-                "joints": joints,
-                "estimators": tuple(estimator) if estimator else None,
-                "target_error": share,
-                "torque_delay": torque_delay,
-            },
-        )
-        directory = out if out is not None else _new_directory("run")
+        settings = load_config(config, options)
+        directory = out or _new_directory("run")
         stopwatch = Stopwatch()
 
         def note(entered: Phase) -> None:
@@ -280,41 +130,36 @@ def run(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
 
 
 @app.command()
-def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
+@options_of(Declared)
+@options_of(ExperimentConfig, "estimators")
+def estimate(
     bags: _Bags,
-    estimator: _Estimators = None,
     namespace: Annotated[
-        str | None, typer.Option(help="Namespace of the topics.", **_default("found by itself"))
+        str | None, typer.Option(help="Namespace of the topics; by default found by itself.")
     ] = None,
     allow_gaps: _AllowGaps = False,
-    torque_timing: _TorqueTiming = None,
-    torque_delay: _TorqueDelay = None,
-    torque_uncertainty: _TorqueUncertainty = None,
-    rate: _Rate = None,
     trust: _Trust = False,
     out: _Out = None,
     json: _Json = False,
+    estimators: list[str] | None = None,
+    **options: Any,
 ) -> int:
     """Estimate the impedance from bags, one trial for each joint among them."""
     with Display() as display:
         display.phase("starting")
-        from armimp_bringup.offline_estimate import Declared, estimate_bags
+        from armimp_bringup.config import checked
+        from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
         from armimp_bringup.resources import prepare_directory
         from armimp_estimation.bags.storage import find_bags
 
-        declared = Declared(
-            torque_timing=torque_timing,
-            torque_delay=torque_delay,
-            torque_uncertainty=torque_uncertainty,
-            rate=rate,
-        )
+        declared = checked(Declared, options)
         bags = find_bags(bags)
         if out is not None:
             prepare_directory(out)
         conclusion, notes = estimate_bags(
             bags,
-            tuple(estimator or ()),
+            tuple(estimators or ()),
             namespace=namespace,
             allow_gaps=allow_gaps,
             declared=declared,
@@ -329,14 +174,15 @@ def estimate(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
 
 
 @app.command()
+@options_of(ExperimentConfig, "estimators")
 def replay(
     bags: _Bags,
-    estimator: _Estimators = None,
     allow_gaps: _AllowGaps = False,
     trust: _Trust = False,
     out: _Out = None,
     domain_id: _DomainId = None,
     json: _Json = False,
+    estimators: list[str] | None = None,
 ) -> int:
     """Play bags through the graph into a live estimator node."""
     with Display() as display:
@@ -347,11 +193,10 @@ def replay(
         from armimp_estimation.bags.storage import find_bags
 
         bags = find_bags(bags)
-
         with stop_on_signals() as stopped:
             summary = replay_bags(
                 bags,
-                tuple(estimator or ()),
+                tuple(estimators or ()),
                 out,
                 allow_gaps=allow_gaps,
                 trust=trust,
@@ -364,13 +209,14 @@ def replay(
 
 
 @app.command()
-def reproduce(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
+@options_of(ExperimentConfig, "joints", "duration", "estimators")
+def reproduce(
     out: Annotated[
         Path | None,
         typer.Option(
             "--out",
             help="Directory, new or of a study to go on with.",
-            **_default("results/study-TIME"),
+            show_default="results/study-TIME",
         ),
     ] = None,
     only: Annotated[
@@ -378,28 +224,26 @@ def reproduce(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         typer.Option(
             help="Levels, as in friction=0+3,resolution=0; more than once: all of these. "
             "The levels are those of `armimp run --help`.",
-            **_default("all 48 conditions"),
+            show_default="all 48 conditions",
         ),
     ] = None,
     seeds: Annotated[str, typer.Option(help="Seeds, as in 77 or 0:10 or 1,5,10:20.")] = "0",
-    workers: _Workers = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Number of threads.", show_default="one for each core")
+    ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
             help="Scheduler of a dask cluster to run on: tcp://host:port.",
-            **_default("none, threads of this machine"),
+            show_default="none, threads of this machine",
         ),
     ] = None,
     config: Annotated[
         Path | None, typer.Option(help="YAML file; its levels and seed do not count.")
     ] = None,
-    joints: _Joints = None,
-    duration: _Duration = None,
-    estimator: _Estimators = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
-    json: Annotated[
-        bool, typer.Option("--json", help="Print verdict.json instead of a table.")
-    ] = False,
+    json: _Json = False,
+    **options: Any,
 ) -> int:
     """Reproduce the paper's study: all levels of friction, resolution and perturbation."""
     with Display() as display:
@@ -412,16 +256,14 @@ def reproduce(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
         return run_study(
             ReproduceOptions(
                 config=config,
-                out=out if out is not None else _new_directory("study"),
+                out=out or _new_directory("study"),
                 only=only or (),
                 seeds=seeds,
                 workers=workers,
                 scheduler=scheduler,
-                joints=joints,
-                duration=duration,
-                estimators=estimator,
                 figures=figures,
                 json=json,
+                **options,
             )
         )
 
@@ -432,7 +274,7 @@ def bench(
         list[str] | None,
         typer.Argument(metavar="[NAME]...", help="speed or jitter.", show_default="both"),
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+    json: _Json = False,
 ) -> int:
     """Measure how fast and how regular the node graph is on this machine."""
     from armimp_bringup.bench import bench as run_bench
@@ -441,42 +283,31 @@ def bench(
 
 
 @app.command()
-def check_driver(  # noqa: PLR0913, PLR0917 (typer makes an option of each)
-    domain_id: Annotated[
-        int | None, typer.Option(help="ROS domain of the driver.", **_default("ROS_DOMAIN_ID"))
-    ] = None,
-    joints: _Joints = None,
+@options_of(CheckOptions, "node", "namespace", "duration", "move", "torque", "most_motion")
+@options_of(ExperimentConfig, "joints")
+def check_driver(
+    domain_id: _DomainId = None,
     joint: Annotated[
         list[str] | None, typer.Option(help="Name of a joint, in the order of commands; repeat.")
     ] = None,
-    node: Annotated[str, typer.Option(help="Name of the node.")] = "arm_sim",
-    namespace: Annotated[str, typer.Option(help="Namespace of the driver.")] = "",
-    duration: Annotated[float, typer.Option(help="Length of the recording, s.")] = 5.0,
-    move: Annotated[
-        bool, typer.Option("--move", help="Command torque too: nobody may be in the rig.")
-    ] = False,
-    torque: Annotated[float, typer.Option(help="How much torque, N·m; at most 20.")] = 1.0,
-    most_motion: Annotated[
-        float, typer.Option(help="Motion of a joint at which torque is taken away, rad.")
-    ] = 0.3,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether --move is safe.")] = False,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
+    json: _Json = False,
+    joints: int | None = None,
+    **options: Any,
 ) -> int:
     """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
+    from armimp_bringup.config import checked
     from armimp_bringup.driver_check.command import check_driver as judge_driver
     from armimp_bringup.driver_check.command import expected_joints
-    from armimp_bringup.driver_check.moves import CheckOptions
 
-    options = CheckOptions(
-        joints=expected_joints(joints, joint or ()),
-        node=node,
-        duration=duration,
-        move=move,
-        torque=torque,
-        most=most_motion,
-        namespace=namespace,
+    given = {name: value for name, value in options.items() if value is not None}
+    names = expected_joints(joints, joint or ())
+    return judge_driver(
+        checked(CheckOptions, {"joints": names, **given}),
+        domain_id=domain_id,
+        yes=yes,
+        as_json=json,
     )
-    return judge_driver(options, domain_id=domain_id, yes=yes, as_json=json)
 
 
 def main(
@@ -520,25 +351,6 @@ def main(
     if status == _INTERRUPTED:
         say("armimp: interrupted")
     return status if isinstance(status, int) else 0
-
-
-def _share(text: str) -> float:
-    """A share such as ``2%`` or ``0.02``.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is none, or as large as the whole.
-    """
-    percent = text.rstrip().endswith("%")
-    try:
-        share = float(text.rstrip().removesuffix("%")) / (100.0 if percent else 1.0)
-    except ValueError:
-        share = math.nan
-    if not 0.0 < share < 1.0:
-        hint = "" if percent or not share >= 1.0 else f"; did you mean {text.strip()}%?"
-        raise ConfigurationError(f"--target-error: {text!r} is no share such as 2% or 0.02{hint}")
-    return share
 
 
 def tell_of_compiling() -> None:

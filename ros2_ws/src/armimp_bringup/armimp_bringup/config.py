@@ -1,74 +1,125 @@
-"""The configuration of an experiment, and the parameters of the nodes that follow from it."""
+"""The configuration of an experiment: what a user decides, in a file or by options."""
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-import numpy as np
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    model_validator,
+)
 
-from armimp_bringup.offline import Rig
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import Loader, build, check_names, explain, flatten, load_yaml
-from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
-from armimp_common.versions import git_revision, versions
-from armimp_control.parameters import ControllerParameters
+from armimp_common.schema import Loader, check_names, explain, load_yaml
+from armimp_common.topics import SIM_NODE
 from armimp_estimation.atomic_write import read_text, require_text
-from armimp_estimation.conclusion import TIMING_KEY
-from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
-from armimp_sim.parameters import SimulatorParameters
 
 Overrides = dict[str, JsonValue]
+ModelT = TypeVar("ModelT", bound=BaseModel)
+ESTIMATOR_NAMES = ("welch_siso", "welch_full", "lpm_full", "direct")
 _MOST_BYTES = 1 << 18
-_LARGEST = 1e20
-"""Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
+_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _share(value: object) -> object:
+    """A share that may be written in per cent, as 2%."""
+    if not isinstance(value, str):
+        return value
+    percent = value.strip().endswith("%")
+    try:
+        share = float(value.strip().removesuffix("%")) / (100.0 if percent else 1.0)
+    except ValueError:
+        share = math.nan
+    if not 0.0 < share < 1.0:
+        hint = "" if percent or not share >= 1.0 else f"; did you mean {value.strip()}%?"
+        raise ValueError(f"is no share such as 2% or 0.02{hint}")
+    return share
 
 
 class ExperimentConfig(BaseModel):
-    """What a user decides; everything else has its default in the parameters of the nodes."""
+    """What a user decides; everything else has its default in the parameters of the nodes.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    Each field but those of single nodes is an option of ``armimp run``, whose help is made of the
+    description.
+    """
+
+    model_config = _FROZEN
 
     joints: Literal[1, 2, 3, 4, 5, 6, 7] = Field(
-        default=2, description="number of joints of the preset arm"
+        default=2,
+        description="Joints of the preset arm, 1 to 7; 2 is the paper's arm of shoulder and elbow.",
     )
-    friction: int = Field(default=3, ge=0, le=3, description="friction level")
-    resolution: int = Field(default=3, ge=0, le=3, description="sensor resolution level, Table II")
-    perturbation: int = Field(default=3, ge=1, le=3, description="perturbation level, Table III")
-    duration: float = Field(default=50.0, ge=2.0, le=9000.0, description="of each trial (s)")
-    seed: int = Field(default=1, ge=0, lt=2**63, description="of all random signals")
-    mode: Literal["lockstep", "realtime"] = Field(default="lockstep", description="how time passes")
+    friction: int = Field(
+        default=3,
+        ge=0,
+        le=3,
+        description="Level of joint friction: 0 none; 1, 2, 3 Coulomb friction of 0.4, 1, 2 N·m.",
+    )
+    resolution: int = Field(
+        default=3,
+        ge=0,
+        le=3,
+        description="Level of sensor resolution: 0 exact; 1, 2, 3 encoder steps of 360°/204800, "
+        "/102400, /51200 and torque steps of 5, 10, 20 mN·m.",
+    )
+    perturbation: int = Field(
+        default=3,
+        ge=1,
+        le=3,
+        description="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder "
+        "and 1.8, 3.6, 5.4 N·m at the elbow.",
+    )
+    duration: float = Field(
+        default=50.0, ge=2.0, le=9000.0, description="Length of each trial, s; 2 to 9000."
+    )
+    seed: int = Field(default=1, ge=0, lt=2**63, description="Seed of all random signals.")
+    mode: Literal["lockstep", "realtime"] = Field(
+        default="lockstep",
+        description="How time passes: lockstep (as fast as the machine, repeatable) or realtime "
+        "(1 kHz by the wall clock).",
+    )
     processes: Literal["composed", "separate", "external"] = Field(
         default="composed",
-        description="all nodes in one process, one process for each, or started by others; "
-        "separate in realtime",
+        description="Where the nodes live: composed (in one process), separate (one for each, as "
+        "by default in realtime) or external (started by others).",
     )
     priority: int = Field(
-        default=0, ge=0, le=99, description="SCHED_FIFO priority of rig and controller in realtime"
+        default=0,
+        ge=0,
+        le=99,
+        description="SCHED_FIFO priority of rig and controller in realtime, 1 to 99; 0: ordinary.",
     )
     estimators: tuple[str, ...] = Field(
-        default=("welch_siso", "lpm_full"), description="estimators of the result"
+        default=("welch_siso", "lpm_full"),
+        description=f"Estimator: {', '.join(ESTIMATOR_NAMES)}. May be given more than once.",
     )
-    target_error: float = Field(
+    target_error: Annotated[float, BeforeValidator(_share)] = Field(
         default=0.0,
         ge=0.0,
         lt=1.0,
-        description="relative standard error of M, B and K below which a trial ends; 0: never",
+        json_schema_extra={"type": "string"},  # of the option: in words of its own
+        description="End a trial once the relative standard errors of M, B, K are below: 2% or "
+        "0.02; 0: never.",
     )
     torque_delay: float | None = Field(
         default=None,
         ge=0.0,
         le=0.1,
-        description="how late torque readings are, for the estimates (s); none: as simulated",
+        description="How late torque readings are, s, for the estimates to correct; by default as "
+        "simulated.",
     )
-    arm_sim: Overrides = Field(default={}, description="parameters of that node to override")
-    imbic_controller: Overrides = Field(default={}, description="likewise")
-    impedance_estimator: Overrides = Field(default={}, description="likewise")
+    arm_sim: Overrides = Field(default={}, description="Parameters of that node to override.")
+    imbic_controller: Overrides = Field(default={}, description="Likewise.")
+    impedance_estimator: Overrides = Field(default={}, description="Likewise.")
 
     @model_validator(mode="before")
     @classmethod
@@ -77,6 +128,76 @@ class ExperimentConfig(BaseModel):
         if isinstance(values, Mapping) and values.get("mode") == "realtime":
             return {"processes": "separate", **values}
         return values
+
+
+class Declared(BaseModel):
+    """What a user tells of a recording, in the place of what the bags say; None: nothing."""
+
+    model_config = _FROZEN
+
+    torque_timing: Literal["before", "after", "mid", "mean", "simultaneous"] | None = Field(
+        default=None,
+        description="When torques are read: before, after, mid, mean or simultaneous; by default "
+        "as recorded with the bags, else found.",
+    )
+    torque_delay: float | None = Field(
+        default=None,
+        ge=-0.1,
+        le=0.1,
+        description="How late torque readings are beyond that, s, negative if they are early; by "
+        "default as recorded with the bags, else fitted.",
+    )
+    torque_uncertainty: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=0.1,
+        description="Standard error of what is told of that, s; by default 20 µs.",
+    )
+    rate: float | None = Field(
+        default=None,
+        ge=200.0,
+        le=4000.0,
+        description="Sampling rate, Hz, if an uncustomary one is right.",
+    )
+
+
+class CheckOptions(BaseModel):
+    """What a user asks of a check of a driver."""
+
+    model_config = _FROZEN
+
+    joints: tuple[str, ...]
+    node: str = Field(default=SIM_NODE, description="Name of the node.")
+    namespace: str = Field(default="", description="Namespace of the driver.")
+    duration: float = Field(
+        default=5.0, ge=1.0, le=3600.0, description="Length of the recording, s."
+    )
+    move: bool = Field(default=False, description="Command torque too: nobody may be in the rig.")
+    # A slip of the keyboard must not become a blow.
+    torque: float = Field(
+        default=1.0, gt=0.0, le=20.0, description="How much torque, N·m; at most 20."
+    )
+    most_motion: float = Field(
+        default=0.3,
+        gt=0.0,
+        le=1.0,
+        description="Motion of a joint at which torque is taken away, rad; at most 1.",
+    )
+
+
+def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
+    """Return the instance of a model with these values.
+
+    Raises
+    ------
+    ConfigurationError
+        If one does not exist or is wrong: one line that names it.
+    """
+    check_names(map(str, values), model.model_fields)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise ConfigurationError(explain(error)) from None
 
 
 class _Loader(Loader):  # type: ignore[misc]
@@ -107,232 +228,26 @@ def load_config(path: Path | None, options: Mapping[str, Any]) -> ExperimentConf
     ConfigurationError
         If the file can't be read, or a value is wrong: one line that names it.
     """
-    values: dict[str, Any] = {}
-    if path is not None:
-        try:
-            require_text(path)
-            loaded = load_yaml(read_text(path, _MOST_BYTES), _Loader)
-        except OSError as error:
-            raise ConfigurationError(f"{path}: {error.strerror}") from None
-        except UnicodeDecodeError:
-            raise ConfigurationError(f"{path}: is not a text file") from None
-        except yaml.YAMLError as error:
-            reason = " ".join(str(error).split())
-            raise ConfigurationError(f"{path}: cannot be read as YAML: {reason:.300}") from None
-        if loaded is not None and not isinstance(loaded, dict):
-            raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
-        values.update(loaded or {})
-    values.update({name: value for name, value in options.items() if value is not None})
-    where = f"{path}: " if path is not None else ""
+    given = {name: value for name, value in options.items() if value is not None}
+    values = {**({} if path is None else _read(path)), **given}
     try:
-        check_names(map(str, values), ExperimentConfig.model_fields)
+        return checked(ExperimentConfig, values)
     except ConfigurationError as error:
+        where = f"{path}: " if path is not None else ""
         raise ConfigurationError(f"{where}{error}") from None
+
+
+def _read(path: Path) -> dict[str, Any]:
     try:
-        return ExperimentConfig.model_validate(values)
-    except ValidationError as error:
-        raise ConfigurationError(f"{where}{explain(error)}") from None
-
-
-@dataclass(frozen=True, kw_only=True)
-class NodeParameters:
-    """The parameters of the three nodes."""
-
-    simulator: SimulatorParameters
-    controller: ControllerParameters
-    estimator: EstimatorParameters
-
-    def by_node(self) -> dict[str, BaseModel]:
-        """Parameters by the name of the node."""
-        return {
-            SIM_NODE: self.simulator,
-            CONTROLLER_NODE: self.controller,
-            ESTIMATOR_NODE: self.estimator,
-        }
-
-    def rig(self) -> Rig:
-        """The same experiment for the offline loop."""
-        return Rig(
-            plant=self.simulator.plant_config(),
-            voluntary=self.simulator.voluntary_config(),
-            controller=self.controller.law_config(),
-            safety=self.controller.safety_config(),
-            perturbation=self.controller.perturbation_config(),
-            sequence=self.controller.sequence_config(),
-            seed=self.controller.seed,
-        )
-
-
-def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodeParameters:
-    """Parameters of the nodes for an experiment.
-
-    Parameters
-    ----------
-    config : ExperimentConfig
-    directory : Path or None
-        Where the results go.
-
-    Raises
-    ------
-    ConfigurationError
-        If an override names no parameter, or a value is wrong, or the loop would be unstable.
-    """
-    try:
-        return _node_parameters(config, directory)
-    except (ArithmeticError, ValidationError, np.linalg.LinAlgError) as error:
-        # Each value is within its limits, but they do not go together.
-        reason = str(error.args[-1] if error.args else error).splitlines()[0]
-        raise ConfigurationError(f"nothing can be computed with these values: {reason}") from None
-
-
-def _node_parameters(config: ExperimentConfig, directory: Path | None) -> NodeParameters:
-    time = _time_of(config)
-    simulator = _overridden(
-        _overridden(
-            SimulatorParameters.preset(
-                joints=config.joints,
-                friction=config.friction,
-                resolution=config.resolution,
-                seed=config.seed,
-            ),
-            SIM_NODE,
-            time,
-        ),
-        SIM_NODE,
-        config.arm_sim,
-    )
-    plant = simulator.plant_config()
-    controller = _overridden(
-        _overridden(
-            ControllerParameters.preset(
-                joints=simulator.joints,
-                posture=plant.arm.posture,
-                robot_inertia=plant.robot.mass_matrix(plant.arm.posture),
-                arm_inertia=plant.arm.inertia,
-                perturbation=config.perturbation,
-                duration=config.duration,
-                seed=config.seed,
-                encoder_resolution=plant.sensors.encoder_resolution,
-            ),
-            CONTROLLER_NODE,
-            {**time, **_known_of(simulator)},
-        ),
-        CONTROLLER_NODE,
-        config.imbic_controller,
-    )
-    if config.target_error:
-        sequence = controller.sequence.model_copy(update={"may_end_early": True})
-        controller = controller.model_copy(update={"sequence": sequence})
-    controller.check()
-    controller.perturbation_config()
-    if simulator.mode != controller.mode:
-        raise ConfigurationError(
-            f"{SIM_NODE}: parameter 'mode' is {simulator.mode!r}, that of {CONTROLLER_NODE} "
-            f"{controller.mode!r}: they must be the same"
-        )
-    estimator = EstimatorParameters(
-        joints=simulator.joints,
-        estimators=config.estimators,
-        target_error=config.target_error,
-        torque=TorqueParameters(
-            delay=simulator.sensors.torque_delay,
-            cutoff=simulator.sensors.torque_cutoff,
-            order=simulator.sensors.torque_order,
-            actuator_lag=simulator.actuators.lag,
-        ),
-        directory="" if directory is None else str(directory),
-        metadata=json.dumps(bag_metadata(config, simulator, controller)),
-    )
-    estimator = _overridden(estimator, ESTIMATOR_NODE, config.impedance_estimator)
-    if config.torque_delay is not None:
-        estimator = _overridden(estimator, ESTIMATOR_NODE, {"torque.delay": config.torque_delay})
-    estimator.bag_metadata()
-    return NodeParameters(simulator=simulator, controller=controller, estimator=estimator)
-
-
-def _known_of(simulator: SimulatorParameters) -> Overrides:
-    """What the controller knows of drives and transducers: all that is simulated of them."""
-    known = {
-        "known.actuator_lag": simulator.actuators.lag,
-        "known.torque_delay": simulator.sensors.torque_delay,
-        "known.torque_cutoff": simulator.sensors.torque_cutoff,
-    }
-    told: Overrides = {name: value for name, value in known.items() if value}
-    if simulator.sensors.torque_cutoff:
-        told["known.torque_order"] = simulator.sensors.torque_order
-    return told
-
-
-def _time_of(config: ExperimentConfig) -> Overrides:
-    """Parameters of simulator and controller that say how time passes."""
-    if config.mode == "lockstep":
-        if config.priority:
-            raise ConfigurationError(
-                f"priority = {config.priority} is for mode realtime; in lockstep nothing is urgent"
-            )
-        return {}
-    return {"mode": config.mode, "realtime.priority": config.priority}
-
-
-def bag_metadata(
-    config: ExperimentConfig, simulator: SimulatorParameters, controller: ControllerParameters
-) -> dict[str, str]:
-    """What is stored in every bag: configuration, truth, versions."""
-    arm = simulator.human_arm()
-    described = {
-        "experiment": config.model_dump(mode="json"),
-        SIM_NODE: flatten(simulator),
-        CONTROLLER_NODE: flatten(controller),
-        "versions": versions(),
-        "git_revision": git_revision(),
-    }
-    truth = {
-        "M": arm.inertia.tolist(),
-        "B": arm.damping.tolist(),
-        "K": arm.stiffness.tolist(),
-    }
-    return {
-        "schema": "1",
-        "config": json.dumps(described),
-        "seed": json.dumps(config.seed),
-        "joint_names": json.dumps(list(simulator.joints)),
-        "truth": json.dumps(truth),
-        TIMING_KEY: json.dumps(simulator.sensors.sampling.value),
-    }
-
-
-def _overridden(base: Any, node: str, overrides: Overrides) -> Any:
-    if not overrides:
-        return base
-    try:
-        found = build(type(base), {**flatten(base), **_dotted(overrides)})
-    except ConfigurationError as error:
-        raise ConfigurationError(f"{node}: {error}") from None
-    for name, value in flatten(found).items():
-        for number in value if isinstance(value, list) else (value,):
-            if isinstance(number, float) and abs(number) > _LARGEST:
-                raise ConfigurationError(f"{node}: parameter '{name}' = {number}: is too large")
-    return found
-
-
-def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            found |= _dotted(value, f"{prefix}{name}.")
-        else:
-            found[f"{prefix}{name}"] = _row_by_row(f"{prefix}{name}", value)
-    return found
-
-
-def _row_by_row(name: str, value: Any) -> Any:
-    """A matrix that is written as a list of its rows, as the flat list that parameters are."""
-    if not isinstance(value, list) or not any(isinstance(row, list) for row in value):
-        return value
-    lengths = {len(row) if isinstance(row, list) else None for row in value}
-    if len(lengths) > 1:
-        raise ConfigurationError(f"parameter '{name}' = {value!r:.80}: rows differ in length")
-    if lengths != {len(value)}:
-        rows = f"{len(value)} row{'s' * (len(value) > 1)}"
-        raise ConfigurationError(f"parameter '{name}' has {rows} for {lengths.pop()} columns")
-    return [number for row in value for number in row]
+        require_text(path)
+        loaded = load_yaml(read_text(path, _MOST_BYTES), _Loader)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise ConfigurationError(f"{path}: is not a text file") from None
+    except yaml.YAMLError as error:
+        reason = " ".join(str(error).split())
+        raise ConfigurationError(f"{path}: cannot be read as YAML: {reason:.300}") from None
+    if loaded is not None and not isinstance(loaded, dict):
+        raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
+    return loaded or {}

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_bringup.config import Declared
+from armimp_common.errors import DataError
 from armimp_estimation.alignment.gaps import GapConfig
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
@@ -24,10 +25,8 @@ from armimp_estimation.conclusion import (
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.realtime_timing import latest_metadata
-from armimp_estimation.sampling import HIGHEST, LOWEST
 from armimp_estimation.torque_timing import TorqueTiming
 
-_LATEST = 0.1
 _TIMINGS = {
     "before": TorqueTiming.BEFORE_UPDATE,
     "after": TorqueTiming.AFTER_UPDATE,
@@ -35,62 +34,6 @@ _TIMINGS = {
     "mean": TorqueTiming.INTERVAL_MEAN,
     "simultaneous": TorqueTiming.SIMULTANEOUS,
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Declared:
-    """What a user tells of a recording, in the place of what the bags say; None: nothing.
-
-    Parameters
-    ----------
-    torque_timing : str or None
-        When torques are read: before, after, mid, mean or simultaneous.
-    torque_delay : float or None
-        How late they are beyond that, s; negative if they are early.
-    torque_uncertainty : float or None
-        Standard error of these two, s.
-    rate : float or None
-        Sampling rate, Hz.
-
-    Raises
-    ------
-    ConfigurationError
-        If a value is out of range.
-    """
-
-    torque_timing: str | None = None
-    torque_delay: float | None = None
-    torque_uncertainty: float | None = None
-    rate: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.torque_timing is not None and self.torque_timing not in _TIMINGS:
-            known = ", ".join(_TIMINGS)
-            raise ConfigurationError(f"--torque-timing: {self.torque_timing!r} is none of {known}")
-        if self.torque_delay is not None and not abs(self.torque_delay) <= _LATEST:
-            raise ConfigurationError(
-                f"--torque-delay: {self.torque_delay} is not within ± {_LATEST:g} s"
-            )
-        if self.torque_uncertainty is not None and not 0 <= self.torque_uncertainty <= _LATEST:
-            raise ConfigurationError(
-                f"--torque-uncertainty: {self.torque_uncertainty} is not within 0 to {_LATEST:g} s"
-            )
-        if self.rate is not None and not LOWEST <= self.rate <= HIGHEST:
-            raise ConfigurationError(
-                f"--rate: {self.rate} is not within {LOWEST:g} to {HIGHEST:g} Hz"
-            )
-
-    @property
-    def metadata(self) -> dict[str, str]:
-        """The same as metadata of a bag."""
-        timing = None if self.torque_timing is None else _TIMINGS[self.torque_timing].value
-        told = {
-            TIMING_KEY: timing,
-            "torque_delay": self.torque_delay,
-            UNCERTAINTY_KEY: self.torque_uncertainty,
-            RATE_KEY: self.rate,
-        }
-        return {key: json.dumps(value) for key, value in told.items() if value is not None}
 
 
 def estimate_bags(
@@ -141,7 +84,7 @@ def estimate_bags(
             trial.intact(allow_gaps=allow_gaps)
             trials.append(FinishedTrial(assembled=trial, bag=str(content.path)))
     metadata = latest_metadata([content.metadata for content in contents])
-    metadata |= (declared or Declared()).metadata
+    metadata |= _metadata_of(declared or Declared())
     conclusion = conclude(
         trials,
         metadata=metadata,
@@ -150,6 +93,18 @@ def estimate_bags(
         gaps=GapConfig(allow=allow_gaps),
     )
     return conclusion, notes
+
+
+def _metadata_of(declared: Declared) -> dict[str, str]:
+    """What was declared, as metadata of a bag."""
+    timing = declared.torque_timing
+    told = {
+        TIMING_KEY: None if timing is None else _TIMINGS[timing].value,
+        "torque_delay": declared.torque_delay,
+        UNCERTAINTY_KEY: declared.torque_uncertainty,
+        RATE_KEY: declared.rate,
+    }
+    return {key: json.dumps(value) for key, value in told.items() if value is not None}
 
 
 def read_bags(

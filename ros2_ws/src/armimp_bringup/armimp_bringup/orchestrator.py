@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.external import ExternalNodes, external_domain
 from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.remote_parameters import Asked, RemoteParameters, read_back
 from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor

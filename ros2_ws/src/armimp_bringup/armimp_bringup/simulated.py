@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimators.estimate import Estimator

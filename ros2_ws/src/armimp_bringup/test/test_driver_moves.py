@@ -6,9 +6,10 @@ from typing import Any
 
 import pytest
 
+from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.conversation import Answering, Error, Torque
 from armimp_bringup.driver_check.findings import Finding, Reason, Verdict, with_verdict
-from armimp_bringup.driver_check.moves import CheckOptions, Mover
+from armimp_bringup.driver_check.moves import Mover
 from armimp_bringup.driver_check.record import SENSOR_TOPICS, Call, Moves, Record, readings
 from armimp_bringup.driver_check.rules import judge
 from armimp_common.cdr import JointStateEncoder

@@ -10,8 +10,9 @@ from xml.etree import ElementTree
 import pytest
 from rclpy.node import Node
 
-from armimp_bringup.config import ExperimentConfig, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import ComposedNodes, GraphContext
+from armimp_bringup.parameters import node_parameters
 from armimp_bringup.resources import config_file
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError

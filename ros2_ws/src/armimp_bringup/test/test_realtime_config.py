@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from armimp_bringup.config import ExperimentConfig, Overrides, load_config, node_parameters
+from armimp_bringup.config import ExperimentConfig, Overrides, load_config
+from armimp_bringup.parameters import node_parameters
 from armimp_common.errors import ConfigurationError
 
 

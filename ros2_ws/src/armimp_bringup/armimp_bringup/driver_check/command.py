@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.findings import Finding, Verdict, report, with_verdict
-from armimp_bringup.driver_check.moves import CheckOptions
 from armimp_bringup.driver_check.probe import probe
 from armimp_bringup.driver_check.record import Record
 from armimp_bringup.driver_check.rules import judge
@@ -26,9 +26,6 @@ _COLOURS = {
     Verdict.INCONCLUSIVE: "yellow",
     Verdict.NOT_CHECKED: "dim",
 }
-_LARGEST_TORQUE = 20.0
-"""A slip of the keyboard must not become a blow, N·m."""
-_LARGEST_MOTION = 1.0
 
 
 def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_json: bool) -> int:
@@ -37,20 +34,10 @@ def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_
     Raises
     ------
     ConfigurationError
-        If an option is wrong, or the rig may not be moved.
+        If the rig may not be moved.
     GraphError
         If there is no driver, or it is in use.
     """
-    if not 1.0 <= options.duration <= 3600.0:
-        raise ConfigurationError(f"--duration: {options.duration:g} is not within 1 to 3600 s")
-    if not 0.0 < options.torque <= _LARGEST_TORQUE:
-        raise ConfigurationError(
-            f"--torque: {options.torque:g} N·m is not above 0 and at most {_LARGEST_TORQUE:g}"
-        )
-    if not 0.0 < options.most <= _LARGEST_MOTION:
-        raise ConfigurationError(
-            f"--most-motion: {options.most:g} rad is not above 0 and at most {_LARGEST_MOTION:g}"
-        )
     domain = external_domain(domain_id)
     if options.move and not yes:
         ask(options, domain)
@@ -80,7 +67,7 @@ def ask(options: CheckOptions, domain: int) -> None:
         f" ({', '.join(options.joints)}) with {options.torque:g} N·m, again and again, for about a"
         " minute.\n"
         "Nobody may be in the rig, nothing may be in its way within"
-        f" {options.most:g} rad of where each joint is,\n"
+        f" {options.most_motion:g} rad of where each joint is,\n"
         "and the switch that cuts the power of the drives must be at hand.",
         file=sys.stderr,
     )
@@ -100,7 +87,9 @@ def about(options: CheckOptions, domain: int, record: Record) -> dict[str, objec
             "mode": "realtime" if record.paced else "lockstep",
             "lifecycle": record.lifecycle,
         },
-        "move": {"torque": options.torque, "most_motion": options.most} if options.move else None,
+        "move": {"torque": options.torque, "most_motion": options.most_motion}
+        if options.move
+        else None,
         "held_up": {
             "share": record.stalls.share,
             "longest": record.stalls.longest,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, Step, Torque
 from armimp_bringup.driver_check.findings import Reason
 from armimp_bringup.driver_check.record import AFTER, REST, Call, Ending, Moves, Push
@@ -34,19 +34,6 @@ _REGULAR = 0.004
 _ATTEMPTS = 8
 
 _T = TypeVar("_T")
-
-
-@dataclass(frozen=True, kw_only=True)
-class CheckOptions:
-    """What a user asks of a check."""
-
-    joints: tuple[str, ...]  # in the order of commands
-    node: str = topics.SIM_NODE
-    duration: float = 5.0  # of the recording, s; in lockstep it counts in samples of 1 ms
-    move: bool = False  # whether torque may be commanded
-    torque: float = 1.0  # N·m
-    most: float = 0.3  # rad, how far torque may move a joint
-    namespace: str = ""
 
 
 class _GivenUpError(Exception):
@@ -76,7 +63,7 @@ class Mover:
         self._paced, self._lead, self._known = lead is None, lead or 0, known
         self._decoder = JointStateDecoder(options.joints, "position")
         self._moves = Moves()
-        self._guard = MotionGuard(options.joints, options.most)
+        self._guard = MotionGuard(options.joints, options.most_motion)
         self.readings: dict[str, NDArray[np.float64]] = {}  # filled in when all is over
 
     def move(self) -> Moves:

@@ -10,9 +10,10 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.conversation import Conversation, Error
 from armimp_bringup.driver_check.findings import Reason
-from armimp_bringup.driver_check.moves import CheckOptions, Mover
+from armimp_bringup.driver_check.moves import Mover
 from armimp_bringup.driver_check.record import (
     SENSOR_TOPICS,
     Message,
@@ -150,7 +151,7 @@ class _Probe:
             answered=answers,
             services=services,
             lifecycle=state,
-            most=options.most,
+            most=options.most_motion,
             faults=[str(error) for error in faults],
             stalls=self._witness.stalls(),
             waited=None if before is None or after is None else (after - before) / NS_PER_S,

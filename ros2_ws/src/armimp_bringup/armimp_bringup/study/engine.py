@@ -8,8 +8,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from armimp_bringup.config import ExperimentConfig, NodeParameters, node_parameters
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.conditions import Condition
 from armimp_bringup.study.entry import StudyEntry

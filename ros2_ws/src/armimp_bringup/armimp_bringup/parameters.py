@@ -1,0 +1,231 @@
+"""The parameters of the nodes, as they follow from the configuration of an experiment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from armimp_bringup.config import ExperimentConfig, ModelT, Overrides
+from armimp_bringup.offline import Rig
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import build, flatten
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.versions import git_revision, versions
+from armimp_control.parameters import ControllerParameters
+from armimp_estimation.conclusion import TIMING_KEY
+from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
+from armimp_sim.parameters import SimulatorParameters
+
+_LARGEST = 1e20
+"""Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class NodeParameters:
+    """The parameters of the three nodes."""
+
+    simulator: SimulatorParameters
+    controller: ControllerParameters
+    estimator: EstimatorParameters
+
+    def by_node(self) -> dict[str, BaseModel]:
+        """Parameters by the name of the node."""
+        return {
+            SIM_NODE: self.simulator,
+            CONTROLLER_NODE: self.controller,
+            ESTIMATOR_NODE: self.estimator,
+        }
+
+    def rig(self) -> Rig:
+        """The same experiment for the offline loop."""
+        return Rig(
+            plant=self.simulator.plant_config(),
+            voluntary=self.simulator.voluntary_config(),
+            controller=self.controller.law_config(),
+            safety=self.controller.safety_config(),
+            perturbation=self.controller.perturbation_config(),
+            sequence=self.controller.sequence_config(),
+            seed=self.controller.seed,
+        )
+
+
+def node_parameters(config: ExperimentConfig, directory: Path | None) -> NodeParameters:
+    """Parameters of the nodes for an experiment.
+
+    Parameters
+    ----------
+    config : ExperimentConfig
+    directory : Path or None
+        Where the results go.
+
+    Raises
+    ------
+    ConfigurationError
+        If an override names no parameter, or a value is wrong, or the loop would be unstable.
+    """
+    try:
+        simulator = _simulator(config)
+        controller = _controller(config, simulator)
+        estimator = _estimator(config, directory, simulator, controller)
+    except (ArithmeticError, ValidationError, np.linalg.LinAlgError) as error:
+        # Each value is within its limits, but they do not go together.
+        reason = str(error.args[-1] if error.args else error).splitlines()[0]
+        raise ConfigurationError(f"nothing can be computed with these values: {reason}") from None
+    return NodeParameters(simulator=simulator, controller=controller, estimator=estimator)
+
+
+def _simulator(config: ExperimentConfig) -> SimulatorParameters:
+    preset = SimulatorParameters.preset(
+        joints=config.joints,
+        friction=config.friction,
+        resolution=config.resolution,
+        seed=config.seed,
+    )
+    return _overridden(preset, SIM_NODE, {**_time_of(config), **config.arm_sim})
+
+
+def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> ControllerParameters:
+    plant = simulator.plant_config()
+    preset = ControllerParameters.preset(
+        joints=simulator.joints,
+        posture=plant.arm.posture,
+        robot_inertia=plant.robot.mass_matrix(plant.arm.posture),
+        arm_inertia=plant.arm.inertia,
+        perturbation=config.perturbation,
+        duration=config.duration,
+        seed=config.seed,
+        encoder_resolution=plant.sensors.encoder_resolution,
+    )
+    known = {**_time_of(config), **_known_of(simulator)}
+    controller = _overridden(preset, CONTROLLER_NODE, {**known, **config.imbic_controller})
+    if config.target_error:
+        sequence = controller.sequence.model_copy(update={"may_end_early": True})
+        controller = controller.model_copy(update={"sequence": sequence})
+    controller.check()
+    controller.perturbation_config()
+    if simulator.mode != controller.mode:
+        raise ConfigurationError(
+            f"{SIM_NODE}: parameter 'mode' is {simulator.mode!r}, that of {CONTROLLER_NODE} "
+            f"{controller.mode!r}: they must be the same"
+        )
+    return controller
+
+
+def _estimator(
+    config: ExperimentConfig,
+    directory: Path | None,
+    simulator: SimulatorParameters,
+    controller: ControllerParameters,
+) -> EstimatorParameters:
+    preset = EstimatorParameters(
+        joints=simulator.joints,
+        estimators=config.estimators,
+        target_error=config.target_error,
+        torque=TorqueParameters(
+            delay=simulator.sensors.torque_delay,
+            cutoff=simulator.sensors.torque_cutoff,
+            order=simulator.sensors.torque_order,
+            actuator_lag=simulator.actuators.lag,
+        ),
+        directory="" if directory is None else str(directory),
+        metadata=json.dumps(bag_metadata(config, simulator, controller)),
+    )
+    delay = {} if config.torque_delay is None else {"torque.delay": config.torque_delay}
+    overrides = {**_dotted(config.impedance_estimator), **delay}
+    estimator = _overridden(preset, ESTIMATOR_NODE, overrides)
+    estimator.bag_metadata()
+    return estimator
+
+
+def _known_of(simulator: SimulatorParameters) -> Overrides:
+    """What the controller knows of drives and transducers: all that is simulated of them."""
+    known = {
+        "known.actuator_lag": simulator.actuators.lag,
+        "known.torque_delay": simulator.sensors.torque_delay,
+        "known.torque_cutoff": simulator.sensors.torque_cutoff,
+    }
+    told: Overrides = {name: value for name, value in known.items() if value}
+    if simulator.sensors.torque_cutoff:
+        told["known.torque_order"] = simulator.sensors.torque_order
+    return told
+
+
+def _time_of(config: ExperimentConfig) -> Overrides:
+    """Parameters of simulator and controller that say how time passes."""
+    if config.mode == "lockstep":
+        if config.priority:
+            raise ConfigurationError(
+                f"priority = {config.priority} is for mode realtime; in lockstep nothing is urgent"
+            )
+        return {}
+    return {"mode": config.mode, "realtime.priority": config.priority}
+
+
+def bag_metadata(
+    config: ExperimentConfig, simulator: SimulatorParameters, controller: ControllerParameters
+) -> dict[str, str]:
+    """What is stored in every bag: configuration, truth, versions."""
+    arm = simulator.human_arm()
+    described = {
+        "experiment": config.model_dump(mode="json"),
+        SIM_NODE: flatten(simulator),
+        CONTROLLER_NODE: flatten(controller),
+        "versions": versions(),
+        "git_revision": git_revision(),
+    }
+    truth = {
+        "M": arm.inertia.tolist(),
+        "B": arm.damping.tolist(),
+        "K": arm.stiffness.tolist(),
+    }
+    return {
+        "schema": "1",
+        "config": json.dumps(described),
+        "seed": json.dumps(config.seed),
+        "joint_names": json.dumps(list(simulator.joints)),
+        "truth": json.dumps(truth),
+        TIMING_KEY: json.dumps(simulator.sensors.sampling.value),
+    }
+
+
+def _overridden(base: ModelT, node: str, overrides: Overrides) -> ModelT:
+    if not overrides:
+        return base
+    try:
+        found = build(type(base), {**flatten(base), **_dotted(overrides)})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{node}: {error}") from None
+    for name, value in flatten(found).items():
+        for number in value if isinstance(value, list) else (value,):
+            if isinstance(number, float) and abs(number) > _LARGEST:
+                raise ConfigurationError(f"{node}: parameter '{name}' = {number}: is too large")
+    return found
+
+
+def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= _dotted(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = _row_by_row(f"{prefix}{name}", value)
+    return found
+
+
+def _row_by_row(name: str, value: Any) -> Any:
+    """A matrix that is written as a list of its rows, as the flat list that parameters are."""
+    if not isinstance(value, list) or not any(isinstance(row, list) for row in value):
+        return value
+    lengths = {len(row) if isinstance(row, list) else None for row in value}
+    if len(lengths) > 1:
+        raise ConfigurationError(f"parameter '{name}' = {value!r:.80}: rows differ in length")
+    if lengths != {len(value)}:
+        rows = f"{len(value)} row{'s' * (len(value) > 1)}"
+        raise ConfigurationError(f"parameter '{name}' has {rows} for {lengths.pop()} columns")
+    return [number for row in value for number in row]
