@@ -72,8 +72,8 @@ class TimingRecord:
         values = summary.model_dump()
         try:
             return cls(
-                figures=TimingFigures(**{n: values[n] for n in TimingFigures.__annotations__}),
-                limits=TimingLimits(**{n: values[n] for n in TimingLimits.__annotations__}),
+                figures=TimingFigures(**{n: values[n] for n in TimingFigures.__dataclass_fields__}),
+                limits=TimingLimits(**{n: values[n] for n in TimingLimits.__dataclass_fields__}),
             )
         except ConfigurationError as error:
             raise DataError(str(error)) from None
