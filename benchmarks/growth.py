@@ -13,7 +13,7 @@ from armimp_bringup.config import load_config
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_control.experiment import Experiment
+from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.simulator import SimulatedRig
 from benchmarks.command_run import COMMAND, run_command
@@ -76,7 +76,7 @@ def _case(joints: int, seconds: float, tell: Callable[[str], None]) -> list[Meas
 def _compile(joints: int) -> None:
     """Have everything compiled that depends on the number of joints, so that no run has to."""
     parameters = node_parameters(load_config(None, {"joints": joints}), None)
-    Experiment(parameters.controller, lambda _: None)
+    TrialSequencer(parameters.controller, lambda _: None)
     SimulatedRig(parameters.simulator)
 
 

@@ -19,7 +19,7 @@ from armimp_bringup.study.engine import (
     estimate_condition,
     split_evenly,
 )
-from armimp_control.sequence import SequenceConfig
+from armimp_control.sequence import SequenceParameters
 from armimp_sim.dynamics import WIDTH
 
 TRIAL = 50.0
@@ -92,7 +92,7 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
 
 
 def _shortened(rig: Rig, duration: float) -> Rig:
-    sequence = SequenceConfig(duration=duration, settle=_SETTLE, rest=_REST)
+    sequence = SequenceParameters(duration=duration, settle=_SETTLE, rest=_REST)
     return replace(rig, sequence=sequence)
 
 

@@ -21,7 +21,7 @@ from armimp_common.topics import (
     TORQUE_SENSORS,
     VALUE_FIELD,
 )
-from armimp_control.experiment import Experiment
+from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.alignment.synchronizer import TOGETHER, HandedInbox
 from armimp_estimation.recording import Recording
 from armimp_sim.simulator import SimulatedRig
@@ -53,7 +53,7 @@ class _Loop:
         names = parameters.simulator.joints
         self.rig = SimulatedRig(parameters.simulator)
         self.statuses: list[TrialStatus] = []
-        self.experiment = Experiment(parameters.controller, self.statuses.append)
+        self.experiment = TrialSequencer(parameters.controller, self.statuses.append)
         self.inbox = HandedInbox()
         self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
         self.recording = Recording(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_control.laws.layout import DAMPING, STIFFNESS
+from armimp_control.laws.base import DAMPING, STIFFNESS
 from armimp_control.perturbation import perturbation
 from armimp_sim.plant import Plant
 
@@ -49,7 +49,7 @@ for share in (0.0, 0.8):
         plant = Plant([parameters.simulator.plant_config()])
         tau_delta = np.zeros((SAMPLES, 2))
         tau_delta[:, joint] = perturbation(
-            parameters.controller.perturbation_config(),
+            parameters.controller.perturbation,
             joint=joint,
             trial=joint + 1,
             ticks=SAMPLES,

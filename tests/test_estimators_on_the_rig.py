@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from armimp_bringup.offline import OfflineTrial, Rig, run_offline, run_together
 from armimp_control import presets as control_presets
-from armimp_control.safety import SafetyConfig
-from armimp_control.sequence import SequenceConfig
+from armimp_control.safety_limiter import SafetyParameters
+from armimp_control.sequence import SequenceParameters
 from armimp_estimation import scores
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.identify import EstimatorResult, identify
@@ -51,9 +51,9 @@ def _rig(condition: Condition, *, seed: int, duration: float, push: float = 0.0)
         ),
         voluntary=VoluntaryConfig(rms=push),
         controller=control_presets.imbic(robot.mass_matrix(_ARM.posture), _ARM.posture),
-        safety=SafetyConfig(),
+        safety=SafetyParameters(),
         perturbation=control_presets.perturbation(level, 2),
-        sequence=SequenceConfig(duration=duration),
+        sequence=SequenceParameters(duration=duration),
         seed=seed,
     )
 

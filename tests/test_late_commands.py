@@ -13,7 +13,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import TrialStatus
 from armimp_common.topics import PERIOD_NS
-from armimp_control.experiment import Experiment
+from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.identify import Identification
 from armimp_sim.simulator import SimulatedRig
 from support.closed_loop import assert_accurate, identified
@@ -44,7 +44,7 @@ def told(delay: int, settings: Mapping[str, float]) -> NodeParameters:
 def run(parameters: NodeParameters, delay: int) -> tuple[Identification, int]:
     """Run an experiment; also tell how many commands were clipped."""
     statuses: list[TrialStatus] = []
-    experiment = Experiment(parameters.controller, statuses.append)
+    experiment = TrialSequencer(parameters.controller, statuses.append)
     rig = SimulatedRig(parameters.simulator)
     under_way = deque([(0.0,) * rig.position.size] * delay)
     perturbation, position, torque = [], [], []
@@ -61,7 +61,7 @@ def run(parameters: NodeParameters, delay: int) -> tuple[Identification, int]:
     found = identified(
         parameters, statuses, perturbation=perturbation, position=position, torque=torque
     )
-    return found, sum(experiment.clips.values())
+    return found, sum(experiment.clipped.values())
 
 
 @pytest.mark.parametrize("delay", BORNE)

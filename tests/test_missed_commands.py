@@ -15,7 +15,7 @@ from armimp_bringup.parameters import node_parameters
 from armimp_common.realtime import Pacer, TimingLimits
 from armimp_common.status import TrialStatus
 from armimp_common.topics import PERIOD_NS
-from armimp_control.experiment import Experiment
+from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.identify import Identification
 from armimp_sim.realtime_simulator import RealtimeSimulator
 from armimp_sim.simulator import SimulatedRig
@@ -32,7 +32,7 @@ def run(missed_share: float) -> tuple[Identification, float]:
     """Run the default experiment with so many missed commands; also tell how many there were."""
     parameters = node_parameters(ExperimentConfig(mode="realtime"), None)
     statuses: list[TrialStatus] = []
-    experiment = Experiment(parameters.controller, statuses.append)
+    experiment = TrialSequencer(parameters.controller, statuses.append)
     rig = SimulatedRig(parameters.simulator)
     now = [0]
     samples: list[tuple[Vector, Vector]] = []

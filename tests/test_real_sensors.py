@@ -18,7 +18,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS
-from armimp_control.experiment import Experiment
+from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import EstimatorResult, identify
@@ -188,7 +188,7 @@ def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
     (trials,) = run_offline([case.rig()])
 
     statuses: list[TrialStatus] = []
-    experiment, rig = Experiment(case.controller, statuses.append), SimulatedRig(case.simulator)
+    experiment, rig = TrialSequencer(case.controller, statuses.append), SimulatedRig(case.simulator)
     torques, commands = [], []
     while not experiment.finished:
         torques.append(rig.torque.copy())

@@ -7,7 +7,7 @@ import numpy as np
 from armimp_bringup.offline import Rig, run_offline
 from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
-from armimp_control.sequence import SequenceConfig
+from armimp_control.sequence import SequenceParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import PlantConfig
 from armimp_sim.voluntary import VoluntaryConfig
@@ -29,7 +29,7 @@ def brief_rig(*, joints: int = 2, friction: int = 2, level: int = 3, seed: int =
         # In so short a perturbation, scaled to its peak, joints are faster than in a long one.
         safety=torque_only(80.0),
         perturbation=control_presets.perturbation(level, joints),
-        sequence=SequenceConfig(duration=0.4, settle=0.05, rest=0.06),
+        sequence=SequenceParameters(duration=0.4, settle=0.05, rest=0.06),
         seed=seed,
     )
 
@@ -44,7 +44,7 @@ def main() -> None:
     law = Controller(control_presets.imbic(inertia, arm.posture), safety=torque_only(80.0))
     law.tick(arm.posture, np.zeros(2), np.zeros(2))
     law.release()
-    law.fall(1)
+    law.continue_ramp(1)
 
 
 if __name__ == "__main__":

@@ -15,16 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
+from armimp_control.laws.base import COMMAND, MEMORY_ROWS, ROLE_ROWS, SENSED
 from armimp_control.laws.law import control_tick
-from armimp_control.laws.layout import COMMAND, MEMORY_ROWS, ROLE_ROWS, SENSED
 from armimp_control.safety_limiter import (
     ASKED,
     BAD_COMMAND,
     CENTRE,
-    CLOSED,
     FAULT,
-    GATE_ROWS,
     JOURNAL,
+    LIMITER_ROWS,
     LIMITS,
     NO_CAUSE,
     POSITION,
@@ -32,13 +31,14 @@ from armimp_control.safety_limiter import (
     RAMP,
     RATE,
     RULE_ROWS,
+    STOPPED,
     STOPS,
     TORQUE,
     VELOCITY,
     WINDOW,
-    close_gate,
-    examine,
-    let_through,
+    check_sample,
+    limit_command,
+    stop_commands,
 )
 
 PROMISES = (
@@ -207,7 +207,11 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
     counts : (3,) of faults, poisoned ticks and clipped joint commands, added to
     """
     ticks, n = theta.shape
-    memory, gate, journal = np.zeros((MEMORY_ROWS, n)), np.zeros((GATE_ROWS, n)), np.zeros(JOURNAL)
+    memory, gate, journal = (
+        np.zeros((MEMORY_ROWS, n)),
+        np.zeros((LIMITER_ROWS, n)),
+        np.zeros(JOURNAL),
+    )
     command, before, kept = np.zeros(n), np.zeros(n), np.zeros((ticks, n))
     speed, excursion = np.zeros(n), np.zeros(n)
     count, closed_at = 0, -1
@@ -215,7 +219,7 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
         cut = False
         if event != _NONE and k == event_tick:
             cut = event == _CUT
-            close_gate(0 if cut else int(rules[RAMP, 0]), event != _RELEASED, gate, journal)
+            stop_commands(0 if cut else int(rules[RAMP, 0]), event != _RELEASED, gate, journal)
         poisoned = not (_finite(theta[k]) and _finite(tau_h[k]) and _finite(tau_delta[k]))
         if not poisoned:
             for i in range(n):
@@ -223,7 +227,7 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
                 excursion[i] = theta[k, i] - rules[CENTRE, i]
                 kept[count, i] = theta[k, i]
             count += 1
-        was_closed = journal[CLOSED] != 0.0
+        was_closed = journal[STOPPED] != 0.0
         if through_law:
             clipped = control_tick(
                 0,
@@ -242,11 +246,11 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
                 command,
             )
         else:
-            used = examine(theta[k], tau_h[k], tau_delta[k], rules, _PERIOD, gate, journal)
+            used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, _PERIOD, gate, journal)
             command[:] = asked[k]
-            clipped = let_through(command, rules, gate, journal)
+            clipped = limit_command(command, rules, gate, journal)
             poisoned = poisoned or (used and not _finite(asked[k]))
-        closed = journal[CLOSED] != 0.0
+        closed = journal[STOPPED] != 0.0
         if closed and closed_at < 0:
             closed_at = k
         broken[_CLOSED] += closed_at >= 0 and not closed
@@ -329,7 +333,7 @@ def _spoil(
 
 
 def _rules(rng: np.random.Generator, m: int, n: int) -> NDArray[np.float64]:
-    """Random limits (m, RULE_ROWS, n) which :class:`armimp_control.safety.SafetyConfig` allows."""
+    """Random limits (m, RULE_ROWS, n) which `SafetyParameters` allows."""
     rows = np.zeros((m, RULE_ROWS, n))
     ramp = rng.integers(1, 51, (m, 1))
     torque = 10.0 ** rng.uniform(-3, 6, (m, 1))

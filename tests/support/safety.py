@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from armimp_control.safety import SafetyConfig
+from armimp_control.safety_limiter import SafetyParameters
 
 
-def torque_only(limit: float) -> SafetyConfig:
+def torque_only(limit: float) -> SafetyParameters:
     """A gate that limits the torque, N·m, and nothing else; what is not finite still stops it."""
-    return SafetyConfig(
+    return SafetyParameters(
         position_limit=(1e300,),
         velocity_limit=(1e300,),
         torque_limit=limit,

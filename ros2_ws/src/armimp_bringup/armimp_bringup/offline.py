@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,14 +16,11 @@ from numpy.typing import NDArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
-from armimp_control.faults import in_words
-from armimp_control.laws.law import LawConfig, LawNumbers, control_tick
-from armimp_control.laws.layout import MEMORY_ROWS, NO_JOINT, TARE
-from armimp_control.perturbation import PerturbationConfig, perturbation
-from armimp_control.safety import SafetyConfig
-from armimp_control.safety_limiter import FAULT, GATE_ROWS, JOURNAL
-from armimp_control.sequence import Segment, SequenceConfig, timetable
-from armimp_control.tare import TareConfig
+from armimp_control.laws.base import MEMORY_ROWS, NO_JOINT, TARE
+from armimp_control.laws.law import LawConfig, control_tick
+from armimp_control.perturbation import PerturbationParameters, perturbation
+from armimp_control.safety_limiter import FAULT, JOURNAL, LIMITER_ROWS, SafetyParameters, fault_of
+from armimp_control.sequence import Segment, SequenceParameters, TareParameters, timetable
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
 from armimp_sim.simd.lanes import Tag
@@ -41,7 +38,7 @@ class Rig:
     controller : the law: target impedance, and internal model or gains
     safety : limits of the command
     perturbation : τ_Δ
-    sequence : phases of the trials
+    sequence, tare : phases of the trials
     seed : of perturbation and voluntary torque
 
     Raises
@@ -53,10 +50,11 @@ class Rig:
     plant: PlantConfig
     voluntary: VoluntaryConfig
     controller: LawConfig
-    safety: SafetyConfig
-    perturbation: PerturbationConfig
-    sequence: SequenceConfig
+    safety: SafetyParameters
+    perturbation: PerturbationParameters
+    sequence: SequenceParameters
     seed: int
+    tare: TareParameters = field(default_factory=TareParameters)
 
     def __post_init__(self) -> None:
         joints = (self.plant.joints, self.controller.joints, len(self.perturbation.peak))
@@ -66,11 +64,10 @@ class Rig:
                     *joints
                 )
             )
-        periods = (self.plant.period, self.controller.period, self.perturbation.period)
-        if len(set(periods)) != 1:
+        if self.plant.period != self.controller.period:
             raise ConfigurationError(
-                "offline run: plant, controller and perturbation have periods of "
-                "{}, {} and {} s".format(*periods)
+                f"offline run: plant and controller have periods of {self.plant.period} and "
+                f"{self.controller.period} s"
             )
 
 
@@ -129,13 +126,13 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     substeps, step, interval_mean, transmission, resolutions : as for
         :func:`armimp_sim.plant.tick`
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
-    laws : (lanes,) numbers of the laws, from :class:`armimp_control.laws.law.LawNumbers`
+    laws : (lanes,) kinds of the laws
     roles : (lanes, ROLE_ROWS, n) from the configurations of the laws
     targets, models : (lanes, n) θ_rd, rad, and (lanes, n, n) M̄, kg·m²
     scalars : (lanes, 2) Γ, rad/s; L, s
-    rules : (lanes, RULE_ROWS, n) of the safety gates
+    rules : (lanes, RULE_ROWS, n) of the safety limiters
     memory : (lanes, MEMORY_ROWS, n) of the law, updated
-    gates, journals : (lanes, GATE_ROWS, n) and (lanes, JOURNAL) of the safety gates, updated
+    gates, journals : (lanes, LIMITER_ROWS, n) and (lanes, JOURNAL) of the safety limiters, updated
     tau_delta, voluntary : (ticks, lanes, n) N·m
     record : (3, lanes, n, ticks), written: positions, torques, commands
     clipped : (lanes,) numbers of clipped joint commands, added to
@@ -206,13 +203,13 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
     Raises
     ------
     DataError
-        If the sequences differ, or the safety gate of a rig stopped the experiment.
+        If the sequences differ, or the safety limiter of a rig stopped the experiment.
     IntegrationError
         If the plant left the stability region of the integrator.
     """
     first = rigs[0]
-    joints, period = first.plant.joints, first.plant.period
-    return _run(rigs, timetable(first.sequence, joints=joints, period=period), together=False)
+    segments = timetable(first.sequence, joints=first.plant.joints, tare=first.tare)
+    return _run(rigs, segments, together=False)
 
 
 def run_together(
@@ -240,15 +237,15 @@ def run_together(
     DataError, IntegrationError
         As :func:`run_offline`.
     """
-    segments = timetable(rigs[0].sequence, joints=trials, period=rigs[0].plant.period)
+    segments = timetable(rigs[0].sequence, joints=trials, tare=rigs[0].tare)
     return _run(rigs, segments, together=True, mixing=mixing)
 
 
-def _tare(config: TareConfig, torque: NDArray[np.float64], period: float) -> tuple[float, ...]:
+def _tare(parameters: TareParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
     """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
-    found = config.of(torque, period)
+    found = parameters.of(torque)
     names = [f"joint {joint + 1}" for joint in range(len(torque))]
-    if refusal := found.refusal(config, names):
+    if refusal := parameters.refusal(found, names):
         raise DataError(f"offline run: {refusal}")
     return found.offset
 
@@ -262,20 +259,23 @@ def _run(
 ) -> list[list[OfflineTrial]]:
     """Run a timetable with one perturbed joint in each trial, or with all of them together."""
     first = rigs[0]
-    if any(rig.sequence != first.sequence for rig in rigs):
+    if any((rig.sequence, rig.tare) != (first.sequence, first.tare) for rig in rigs):
         raise DataError("offline run: all rigs must have the same trial sequence")
     plant = Plant([rig.plant for rig in rigs])
     n, lanes = first.plant.joints, len(rigs)
     memory = np.zeros((lanes, MEMORY_ROWS, n))
-    numbers = [LawNumbers.of(rig.controller) for rig in rigs]
-    laws = np.array([law.law for law in numbers])
-    targets = np.array([law.target for law in numbers])
-    models = np.array([law.model for law in numbers])
-    scalars = np.array([(law.gamma, law.period) for law in numbers])
+    configs = [rig.controller for rig in rigs]
+    laws = np.array([law.kind for law in configs])
+    targets = np.array([law.target_posture for law in configs])
+    models = np.array([law.model_inertia for law in configs])
+    scalars = np.array([(law.gamma, law.period) for law in configs])
     rules = np.array(
-        [rig.safety.rules(law.target, law.period) for law, rig in zip(numbers, rigs, strict=True)]
+        [
+            rig.safety.rules(law.target_posture, law.period)
+            for law, rig in zip(configs, rigs, strict=True)
+        ]
     )
-    gates, journals = np.zeros((lanes, GATE_ROWS, n)), np.zeros((lanes, JOURNAL))
+    gates, journals = np.zeros((lanes, LIMITER_ROWS, n)), np.zeros((lanes, JOURNAL))
     streams = [
         VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
         for rig in rigs
@@ -328,13 +328,13 @@ def _run(
         )
         check_ratio(worst, plant.config.step)
         for journal, rule in zip(journals, rules, strict=True):
-            if fault := in_words(journal, FAULT, rule):
+            if fault := fault_of(journal, FAULT, rule)[1]:
                 raise DataError(
-                    f"offline run: the safety gate stopped in trial {segment.trial}: {fault}"
+                    f"offline run: the safety limiter stopped in trial {segment.trial}: {fault}"
                 )
         if segment.tare:
             for lane, rig in enumerate(rigs):
-                tares[lane] = _tare(rig.sequence.tare, record[1, lane], first.plant.period)
+                tares[lane] = _tare(rig.tare, record[1, lane])
         if segment.phase is not Phase.PERTURB:
             continue
         for lane in range(lanes):

@@ -48,9 +48,10 @@ class NodeParameters:
             plant=self.simulator.plant_config(),
             voluntary=self.simulator.voluntary_config(),
             controller=self.controller.law_config(),
-            safety=self.controller.safety_config(),
-            perturbation=self.controller.perturbation_config(),
-            sequence=self.controller.sequence_config(),
+            safety=self.controller.safety,
+            perturbation=self.controller.perturbation,
+            sequence=self.controller.sequence,
+            tare=self.controller.tare,
             seed=self.controller.seed,
         )
 
@@ -108,7 +109,6 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
         sequence = controller.sequence.model_copy(update={"may_end_early": True})
         controller = controller.model_copy(update={"sequence": sequence})
     controller.check()
-    controller.perturbation_config()
     if simulator.mode != controller.mode:
         raise ConfigurationError(
             f"{SIM_NODE}: parameter 'mode' is {simulator.mode!r}, that of {CONTROLLER_NODE} "

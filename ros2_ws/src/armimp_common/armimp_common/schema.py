@@ -15,12 +15,14 @@ import difflib
 import enum
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeAlias, TypeVar, get_args, get_origin
 
 import annotated_types
+import numpy as np
 import yaml
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic.fields import FieldInfo
 
@@ -186,6 +188,34 @@ def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
         return model.model_validate(nested)
     except ValidationError as error:
         raise ConfigurationError(explain(error)) from None
+
+
+def vector(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
+    """Return the values of a parameter with one for each of `n` joints, (n,).
+
+    Raises
+    ------
+    ConfigurationError
+        If there are not so many.
+    """
+    if len(values) != n:
+        raise ConfigurationError(f"parameter '{name}' has {len(values)} values for {n} joints")
+    return np.array(values)
+
+
+def matrix(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
+    """Return the values of a parameter that is a matrix row by row, (n, n).
+
+    Raises
+    ------
+    ConfigurationError
+        If there are not so many.
+    """
+    if len(values) != n * n:
+        raise ConfigurationError(
+            f"parameter '{name}' has {len(values)} values, needs {n * n} for {n} joints"
+        )
+    return np.array(values).reshape(n, n)
 
 
 def check_names(names: Iterable[str], known: Iterable[str]) -> None:

@@ -8,19 +8,15 @@ from numpy.typing import NDArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
 from armimp_control.laws.imbic import ImbicConfig
-from armimp_control.perturbation import PerturbationConfig
-from armimp_control.safety import SafetyConfig
+from armimp_control.perturbation import PerturbationParameters
+from armimp_control.safety_limiter import SafetyParameters
 
 LEVELS = (1, 2, 3)
 
 _PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table III)
-# Assumptions of the two-joint rig: M_rd (kg·m²), and B_rd, K_rd of the perturbed joint.
-_TARGET_INERTIA = (0.2, 0.1)
-_TARGET_DAMPING = (2.0, 1.0)
-_TARGET_STIFFNESS = (10.0, 10.0)
 
 
-def perturbation(level: int, joints: int) -> PerturbationConfig:
+def perturbation(level: int, joints: int) -> PerturbationParameters:
     """Perturbation at a level from 1 to 3.
 
     Shoulder and elbow have that of Table III: 3 and 1.8, 6 and 3.6, 9 and 5.4 N·m. Assumption: the
@@ -33,14 +29,9 @@ def perturbation(level: int, joints: int) -> PerturbationConfig:
     """
     if level not in LEVELS:
         raise ConfigurationError(f"perturbation level must be one of {LEVELS}, got {level}")
-    if joints not in JOINT_SIZES:
-        raise ConfigurationError(
-            f"there is no preset perturbation for {joints} joints, only for "
-            f"{min(JOINT_SIZES)} to {max(JOINT_SIZES)}"
-        )
     # Rounded, so that the peaks of Table III are exact.
-    return PerturbationConfig(
-        peak=tuple(level * round(_PEAK * size, 6) for size in JOINT_SIZES[joints])
+    return PerturbationParameters(
+        peak=tuple(level * round(_PEAK * size, 6) for size in _sizes("perturbation", joints))
     )
 
 
@@ -53,8 +44,8 @@ def lock_dither(encoder_resolution: float) -> float:
     return 0.7 * min(encoder_resolution, 0.01)
 
 
-def safety(joints: int) -> SafetyConfig:
-    """Limits of the gate. Assumptions, well above all that nominal experiments need.
+def safety(joints: int) -> SafetyParameters:
+    """Limits of commands. Assumptions, well above all that nominal experiments need.
 
     Torque: about twice what IMBIC commands at the first joint for one count of every encoder at
     resolution level 3, δ Σ_j M̄_1j / L²: 40 N·m for two joints, 43 for three, 67 for seven.
@@ -73,14 +64,9 @@ def safety(joints: int) -> SafetyConfig:
 
     The rate is chatter of the coarsest encoders. A rig with finer ones can do with far less.
     """
-    if joints not in JOINT_SIZES:
-        raise ConfigurationError(
-            f"there are no preset limits for {joints} joints, only for "
-            f"{min(JOINT_SIZES)} to {max(JOINT_SIZES)}"
-        )
-    sizes = JOINT_SIZES[joints]
+    sizes = _sizes("safety limits", joints)
     few = joints <= 3
-    return SafetyConfig(
+    return SafetyParameters(
         position_limit=tuple(0.5 if size >= 0.2 else 0.8 for size in sizes),
         velocity_limit=tuple(4.0 if size >= 0.5 else 10.0 for size in sizes),
         torque_limit=80.0 if few else 140.0,
@@ -100,10 +86,9 @@ def imbic(robot_inertia: NDArray[np.float64], posture: NDArray[np.float64]) -> I
     robot_inertia : (n, n) M_r(θ_0), kg·m²
     posture : (n,) θ_0, rad, which becomes the target posture
     """
-    n = posture.size
-    if n == 2:
-        inertia = np.array(_TARGET_INERTIA)
-        damping, stiffness = np.array(_TARGET_DAMPING), np.array(_TARGET_STIFFNESS)
+    if posture.size == 2:
+        inertia = np.array([0.2, 0.1])
+        damping, stiffness = np.array([2.0, 1.0]), np.array([10.0, 10.0])
     else:
         inertia = 0.56 * np.diag(robot_inertia)
         damping, stiffness = 10.0 * inertia, 100.0 * inertia
@@ -114,3 +99,12 @@ def imbic(robot_inertia: NDArray[np.float64], posture: NDArray[np.float64]) -> I
         target_stiffness=stiffness,
         model_inertia=0.6 * robot_inertia,
     )
+
+
+def _sizes(what: str, joints: int) -> tuple[float, ...]:
+    if joints not in JOINT_SIZES:
+        raise ConfigurationError(
+            f"there is no preset of {what} for {joints} joints, only for "
+            f"{min(JOINT_SIZES)} to {max(JOINT_SIZES)}"
+        )
+    return JOINT_SIZES[joints]

@@ -1,7 +1,7 @@
-"""The safety gate, through which every command passes: pure mathematics, compiled.
+"""The safety limiter, through which every command passes: its limits, and the compiled arithmetic.
 
-Every tick goes through it in two steps, with the law between them. :func:`examine` looks at the
-sample before anything of it is used; :func:`let_through` looks at the command before it is sent.
+Every tick goes through it in two steps, with the law between them. :func:`check_sample` checks the
+sample before anything of it is used; :func:`limit_command` limits the command before it is sent.
 
 1. Any NaN or infinity, in any joint of the sample, the perturbation or the command: zero torque on
    all joints at once.
@@ -11,10 +11,10 @@ sample before anything of it is used; :func:`let_through` looks at the command b
    study; over 5 it is 0.025 rad/s. The price is that it lags by 2.5 ticks.
 3. Torque, its rate, and its power, in this order.
 
-Beyond a limit the gate does one of two things. *Stop*: the fault is latched, and the torque falls
-to zero in a straight line, tick by tick. *Clip*: the command is changed by as little as the limit
-needs, joint by joint. Beyond a limit of position or velocity that means: no torque that drives the
-joint farther out, or that makes it faster.
+Beyond a limit one of two things is done. *Stop*: the fault is latched, and the torque falls to zero
+in a straight line, tick by tick. *Clip*: the command is changed by as little as the limit needs,
+joint by joint. Beyond a limit of position or velocity that means: no torque that drives the joint
+farther out, or that makes it faster.
 
 What holds for every output u, whatever comes in (T, R, P: limits of torque, rate, power)::
 
@@ -23,19 +23,25 @@ What holds for every output u, whatever comes in (T, R, P: limits of torque, rat
 with two exceptions of the last: zero torque at once (1, and where the caller asks for it); and a
 command that has to come closer to zero faster, because the power would be too large otherwise.
 From a fault on, the torque of every joint keeps its sign, never grows, is zero after the ticks of
-the ramp, and stays so: the way back is a new gate.
+the ramp, and stays so: the way back is a new limiter.
 
 All comparisons are written so that a NaN fails them.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from armimp_common.compiled import compiled, compiled_entry
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
+from armimp_common.status import Cause
 
 WINDOW = 5
 """Ticks over which a velocity is taken."""
@@ -53,21 +59,223 @@ STOPS = LIMITS
 CENTRE, RAMP = 2 * LIMITS, 2 * LIMITS + 1
 RULE_ROWS = 2 * LIMITS + 2
 
-# Rows of the memory, an array (GATE_ROWS, n), zeros before the first tick: what was sent last, what
-# the law asked for, N·m; distance from the posture, rad; velocity, rad/s; the last positions, rad.
+# Rows of the memory, an array (LIMITER_ROWS, n), zeros before the first tick: what was sent last,
+# what the law asked for, N·m; distance from the posture, rad; velocity, rad/s; the last positions,
+# rad.
 SENT, ASKED, EXCURSION, SPEED, HISTORY = range(5)
-GATE_ROWS = HISTORY + WINDOW
+LIMITER_ROWS = HISTORY + WINDOW
 
-# The journal, a vector, zeros before the first tick. CLOSED: 0 while commands pass. REMAINING:
+# The journal, a vector, zeros before the first tick. STOPPED: 0 while commands pass. REMAINING:
 # ticks of the ramp that are left. SAMPLES: number of samples so far. FAULT and PRESENT: each a
 # cause, a joint and a value, of the latched fault and of what is wrong with the last sample.
-# CLIPS: number of clipped joint commands for each limit.
-CLOSED, REMAINING, SAMPLES, FAULT, PRESENT, CLIPS = 0, 1, 2, 3, 6, 9
-JOURNAL = CLIPS + LIMITS
+# CLIPPED: number of clipped joint commands for each limit.
+STOPPED, REMAINING, SAMPLES, FAULT, PRESENT, CLIPPED = 0, 1, 2, 3, 6, 9
+JOURNAL = CLIPPED + LIMITS
 
 # Causes of a fault; those from LIMIT_CAUSE on are limits.
 NO_CAUSE, OTHER_CAUSE, BAD_POSITION, BAD_TORQUE, BAD_PERTURBATION, BAD_COMMAND = range(6)
 LIMIT_CAUSE = 6
+
+_NOT_FINITE = {
+    BAD_POSITION: "position of",
+    BAD_TORQUE: "torque reading of",
+    BAD_PERTURBATION: "perturbation of",
+    BAD_COMMAND: "torque from the control law for",
+}
+_BEYOND = {
+    POSITION: ("joint {joint} is {value:.4g} rad away from the posture", "rad"),
+    VELOCITY: ("velocity of joint {joint} is {value:.4g} rad/s", "rad/s"),
+    TORQUE: ("torque asked of joint {joint} is {value:.4g} N·m", "N·m"),
+    RATE: ("torque asked of joint {joint} changes by {value:.4g} N·m in a tick", "N·m"),
+    POWER: ("power asked of joint {joint} is {value:.4g} W", "W"),
+}
+
+
+class Action(str, Enum):
+    """What is done with a command beyond a limit."""
+
+    CLIP = "clip"
+    STOP = "stop"
+
+
+class Limit(str, Enum):
+    """What is limited, in the order of the numbers of the limits."""
+
+    POSITION = "position"
+    VELOCITY = "velocity"
+    TORQUE = "torque"
+    RATE = "rate"
+    POWER = "power"
+
+
+class SafetyParameters(Schema):
+    """Limits of commands, what is done beyond them, and the patience of the watchdog."""
+
+    position_limit: tuple[float, ...] = Field(
+        default=(0.5,),
+        description="largest distance of a joint from the target posture (rad); "
+        "one value for all joints or one for each",
+    )
+    position_action: Action = Field(
+        default=Action.STOP, description="what is done beyond the position limit: clip or stop"
+    )
+    velocity_limit: tuple[float, ...] = Field(
+        default=(4.0,),
+        description="largest speed of a joint over 5 ticks (rad/s); "
+        "one value for all joints or one for each",
+    )
+    velocity_action: Action = Field(
+        default=Action.STOP, description="what is done beyond the velocity limit: clip or stop"
+    )
+    torque_limit: float = Field(
+        default=80.0, gt=0.0, description="largest commanded torque of any joint (N·m)"
+    )
+    torque_action: Action = Field(
+        default=Action.CLIP, description="what is done beyond the torque limit: clip or stop"
+    )
+    rate_limit: float = Field(
+        default=150e3,
+        gt=0.0,
+        description="largest change of a command from tick to tick, per second (N·m/s)",
+    )
+    rate_action: Action = Field(
+        default=Action.CLIP, description="what is done beyond the rate limit: clip or stop"
+    )
+    power_limit: float = Field(
+        default=200.0,
+        gt=0.0,
+        description="largest power of a joint, commanded torque times velocity (W)",
+    )
+    power_action: Action = Field(
+        default=Action.CLIP, description="what is done beyond the power limit: clip or stop"
+    )
+    watchdog_ticks: int = Field(
+        default=5,
+        ge=1,
+        le=100,
+        description="control periods without a sample after which the torque is taken away",
+    )
+    slowest_tick: float = Field(
+        default=1.0,
+        gt=0.0,
+        le=10.0,
+        description="wall time that counts as one period of the watchdog in mode lockstep, which "
+        "has no pace (s); in mode realtime it is the control period",
+    )
+    ramp_time: float = Field(
+        default=0.01,
+        ge=0.0,
+        le=0.05,
+        description="time within which a stop brings the torque to zero (s); short, as the ramp "
+        "begins at the last command, which may be a peak of chatter",
+    )
+
+    def ramp_ticks(self, period: float) -> int:
+        """Ticks in which a stop brings the torque to zero, from the control period L, s."""
+        return max(math.floor(self.ramp_time / period + 1e-9), 1)
+
+    def rules(self, posture: NDArray[np.float64], period: float) -> NDArray[np.float64]:
+        """What compiled code needs, (RULE_ROWS, n).
+
+        Parameters
+        ----------
+        posture : (n,) θ_rd, from which positions are counted, rad
+        period : L, s
+
+        Raises
+        ------
+        ConfigurationError
+            If a limit is not positive, the number of values does not fit the number of joints, or a
+            stop could not bring the torque to zero in time without a step beyond the rate limit.
+        """
+        n, ticks = posture.size, self.ramp_ticks(period)
+        rows = np.empty((RULE_ROWS, n))
+        for i, limit in enumerate(Limit):
+            values = np.atleast_1d(getattr(self, f"{limit.value}_limit"))
+            if values.size not in {1, n}:
+                raise ConfigurationError(
+                    f"safety: {limit.value}_limit has {values.size} values, needs 1 or {n}: "
+                    f"{values.tolist()}"
+                )
+            if not np.all(values > 0.0):
+                raise ConfigurationError(
+                    f"safety: {limit.value}_limit must be positive, got {values.tolist()}"
+                )
+            rows[i] = values
+            rows[STOPS + i] = getattr(self, f"{limit.value}_action") is Action.STOP
+        rows[RATE] *= period
+        rows[CENTRE] = posture
+        rows[RAMP] = ticks
+        if not self.rate_limit * period * ticks >= self.torque_limit:
+            raise ConfigurationError(
+                f"safety: with rate_limit {self.rate_limit} N·m/s a stop can't bring torque_limit "
+                f"{self.torque_limit} N·m to zero within {ticks * period:g} s"
+            )
+        return rows
+
+
+def fault_of(
+    journal: NDArray[np.float64], place: int, rules: NDArray[np.float64]
+) -> tuple[Cause, str]:
+    """A fault as a code, and in words with its joint (from 1), the value and the limit.
+
+    Parameters
+    ----------
+    journal, rules : of the limiter
+    place : :data:`FAULT` or :data:`PRESENT`
+
+    Returns
+    -------
+    Cause, str
+        NONE and empty if there is none, or the caller knows it.
+    """
+    cause, joint, value = int(journal[place]), int(journal[place + 1]), float(journal[place + 2])
+    if cause in {NO_CAUSE, OTHER_CAUSE}:
+        return Cause.NONE, ""
+    if cause < LIMIT_CAUSE:
+        return (
+            Cause.MALFORMED,
+            f"{_NOT_FINITE[cause]} joint {joint + 1} is not finite: {value}",
+        )
+    words, unit = _BEYOND[cause - LIMIT_CAUSE]
+    limit = rules[cause - LIMIT_CAUSE, joint]
+    found = words.format(joint=joint + 1, value=value)
+    return Cause.LIMIT, f"{found}, beyond the limit of {limit:g} {unit}"
+
+
+class SaturationCounter:
+    """Counts clipped joint commands, and remembers the ticks in which that happened.
+
+    The intervals hold every clipped tick. They hold others too only where there would be more than
+    :data:`MOST_INTERVALS`: then the two that are nearest to each other become one, the earliest of
+    equals.
+    """
+
+    MOST_INTERVALS = 100
+
+    def __init__(self) -> None:
+        self.clipped = 0
+        self._intervals: list[tuple[int, int]] = []
+
+    def add(self, tick: int, clipped: int) -> None:
+        """``clipped`` joint commands were clipped in a tick; ticks come in increasing order."""
+        if clipped <= 0:
+            return
+        self.clipped += clipped
+        intervals = self._intervals
+        if intervals and tick <= intervals[-1][1] + 1:
+            intervals[-1] = intervals[-1][0], tick
+            return
+        intervals.append((tick, tick))
+        if len(intervals) > self.MOST_INTERVALS:
+            gaps = [later[0] - one[1] for one, later in itertools.pairwise(intervals)]
+            nearest = gaps.index(min(gaps))
+            intervals[nearest : nearest + 2] = [(intervals[nearest][0], intervals[nearest + 1][1])]
+
+    @property
+    def text(self) -> str:
+        """First and last tick of each interval: ``10-12 20-20``; in order, without overlap."""
+        return " ".join(f"{first}-{last}" for first, last in self._intervals)
 
 
 @compiled
@@ -78,12 +286,10 @@ def _note(journal: NDArray[np.float64], place: int, cause: int, joint: int, valu
 
 
 @compiled
-def _close(
-    journal: NDArray[np.float64], ticks: float, cause: int, joint: int, value: float
-) -> None:
+def _stop(journal: NDArray[np.float64], ticks: float, cause: int, joint: int, value: float) -> None:
     """Let no command through any more; the first cause stays, and a ramp never gets longer."""
-    if journal[CLOSED] == 0.0:
-        journal[CLOSED] = 1.0
+    if journal[STOPPED] == 0.0:
+        journal[STOPPED] = 1.0
         journal[REMAINING] = ticks
         _note(journal, FAULT, cause, joint, value)
     elif not journal[REMAINING] <= ticks:
@@ -119,7 +325,7 @@ def _remember(
 
 
 @compiled
-def examine(
+def check_sample(
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
@@ -128,14 +334,14 @@ def examine(
     memory: NDArray[np.float64],
     journal: NDArray[np.float64],
 ) -> bool:
-    """Look at a sample before anything of it is used.
+    """Check a sample before anything of it is used.
 
     Parameters
     ----------
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    rules : (RULE_ROWS, n) from :meth:`armimp_control.safety.SafetyConfig.rules`
+    rules : (RULE_ROWS, n) from :meth:`SafetyParameters.rules`
     period : L, s
-    memory, journal : (GATE_ROWS, n) and (JOURNAL,), updated
+    memory, journal : (LIMITER_ROWS, n) and (JOURNAL,), updated
 
     Returns
     -------
@@ -157,8 +363,8 @@ def examine(
                     ticks = rules[RAMP, i]
     _note(journal, PRESENT, cause, joint, value)
     if cause != NO_CAUSE:
-        _close(journal, ticks, cause, joint, value)
-    return bool(journal[CLOSED] == 0.0)
+        _stop(journal, ticks, cause, joint, value)
+    return bool(journal[STOPPED] == 0.0)
 
 
 @compiled
@@ -171,7 +377,7 @@ def _clip(
 ) -> None:
     if command[i] != value:
         command[i] = value
-        journal[CLIPS + number] += 1.0
+        journal[CLIPPED + number] += 1.0
 
 
 @compiled
@@ -229,26 +435,26 @@ def _ramp(
 
 
 @compiled
-def let_through(
+def limit_command(
     command: NDArray[np.float64],
     rules: NDArray[np.float64],
     memory: NDArray[np.float64],
     journal: NDArray[np.float64],
 ) -> int:
-    """Look at a command before it is sent; :func:`examine` has looked at its sample.
+    """Limit a command before it is sent; :func:`check_sample` has checked its sample.
 
     Parameters
     ----------
-    command : (n,) N·m, changed where it has to be; without meaning once the gate is closed
-    rules, memory, journal : as of :func:`examine`
+    command : (n,) N·m, changed where it has to be; without meaning once it has stopped
+    rules, memory, journal : as of :func:`check_sample`
 
     Returns
     -------
     int
-        Number of joints whose command was clipped; 0 once the gate is closed.
+        Number of joints whose command was clipped; 0 once it has stopped.
     """
     clipped = 0
-    if journal[CLOSED] == 0.0:
+    if journal[STOPPED] == 0.0:
         memory[ASKED] = command
         joint = _first_bad(command)
         cause, value, ticks = BAD_COMMAND, command[joint], 0.0
@@ -258,8 +464,8 @@ def let_through(
             if number < 0:
                 cause = NO_CAUSE
         if cause != NO_CAUSE:
-            _close(journal, ticks, cause, joint, value)
-    if journal[CLOSED] == 0.0:
+            _stop(journal, ticks, cause, joint, value)
+    if journal[STOPPED] == 0.0:
         for i in range(command.size):
             if command[i] != memory[ASKED, i]:
                 clipped += 1
@@ -270,7 +476,7 @@ def let_through(
 
 
 @compiled_entry
-def close_gate(
+def stop_commands(
     ticks: int, fault: bool, memory: NDArray[np.float64], journal: NDArray[np.float64]
 ) -> None:
     """Let no command through any more, for a reason that the caller knows.
@@ -279,31 +485,31 @@ def close_gate(
     ----------
     ticks : length of the ramp to zero; with 0, what was sent counts as zero from now on
     fault : whether this is a fault, or just the end
-    memory, journal : as of :func:`examine`
+    memory, journal : as of :func:`check_sample`
     """
     if fault:
-        _close(journal, ticks, OTHER_CAUSE, 0, 0.0)
+        _stop(journal, ticks, OTHER_CAUSE, 0, 0.0)
     else:
-        _close(journal, ticks, NO_CAUSE, 0, 0.0)
+        _stop(journal, ticks, NO_CAUSE, 0, 0.0)
     if ticks == 0:
         memory[SENT] = 0.0
 
 
 @compiled_entry
-def fall(
+def continue_ramp(
     ticks: int,
     command: NDArray[np.float64],
     rules: NDArray[np.float64],
     memory: NDArray[np.float64],
     journal: NDArray[np.float64],
 ) -> None:
-    """Go on with the ramp of a closed gate where no samples come.
+    """Go on with the ramp after a stop where no samples come.
 
     Parameters
     ----------
     ticks : that have passed since the last command
     command : (n,) N·m, written
-    rules, memory, journal : as of :func:`examine`; the velocity is that of the last sample
+    rules, memory, journal : as of :func:`check_sample`; the velocity is that of the last sample
     """
     command[:] = memory[SENT]
     for _ in range(ticks):

@@ -2,47 +2,137 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
-from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
 from armimp_common.status import Phase
-from armimp_control.tare import TareConfig
+from armimp_common.topics import NS_PER_S, PERIOD_NS
+
+PERIOD = PERIOD_NS / NS_PER_S
+"""Control period L, s."""
+_PARTS = 4
+"""Parts of the readings of a tare, whose scatter tells how sure it is."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class SequenceConfig:
-    """Lengths of the phases, s.
+class Tare:
+    """Offsets of the torque transducers, and what a person's muscles do at rest.
 
-    Parameters
+    Attributes
     ----------
-    duration : of the perturbation
-    settle : before it, with the joints already in their roles
-    rest : after it, until the motion has died down
-    tare : TareConfig
-        Before the joints settle in their roles, if a tare is taken at all.
-
-    Raises
-    ------
-    ConfigurationError
-        If a length is out of range.
+    offset : of each joint, N·m
+    error : standard error of each, N·m
     """
 
-    duration: float = 50.0
-    settle: float = 0.5
-    rest: float = 0.5
-    tare: TareConfig = field(default_factory=TareConfig)
+    offset: tuple[float, ...]
+    error: tuple[float, ...]
 
-    def __post_init__(self) -> None:
-        if not 0.0 < self.duration < np.inf:
-            raise ConfigurationError(f"trial: duration must be positive, got {self.duration} s")
-        for name in ("settle", "rest"):
-            # Recorders learn of a trial while it settles, and that it is over while it rests.
-            if not 0.05 <= getattr(self, name) < np.inf:
-                raise ConfigurationError(
-                    f"trial: {name} must be at least 0.05 s, got {getattr(self, name)} s"
+    @classmethod
+    def of(cls, torque: NDArray[np.float64]) -> Tare:
+        """Mean readings at rest, and how sure they are.
+
+        The readings are cut into four parts of equal length. Of each the mean is taken with a Hann
+        window, which the dither of held joints and mains hum do not pass. The tare is the mean of
+        these; its standard error comes from their scatter, so it also shows slow unrest and drift.
+
+        Parameters
+        ----------
+        torque : (n, ticks) N·m
+        """
+        length = torque.shape[1] // _PARTS
+        parts = torque[:, torque.shape[1] - _PARTS * length :].reshape(len(torque), _PARTS, length)
+        window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(length) + 0.5) / length)
+        means = np.sum(parts * window, axis=2) / np.sum(window)
+        error = np.std(means, axis=1, ddof=1) / np.sqrt(_PARTS)
+        return cls(offset=tuple(means.mean(axis=1).tolist()), error=tuple(error.tolist()))
+
+
+class TareParameters(Schema):
+    """Tare of the torque transducers before each trial.
+
+    All joints are held in the posture θ_0, where the arm has no elastic torque. What the
+    transducers read there is their offset, and the mean torque of the person's muscles, which is
+    no answer to the perturbation either. The law of the perturbed joint acts on the reading
+    without it; otherwise an offset c would hold that joint at a distance c/(K_rd + K_h) from θ_0. A
+    drift is not followed within a trial.
+    """
+
+    duration: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=60.0,
+        description="length of the readings for the tare before each trial, at least 0.4 (s); "
+        "0 for no tare",
+    )
+    wait: float = Field(
+        default=0.5,
+        ge=0.0,
+        le=60.0,
+        description="time before the readings for the tare, until the arm rests (s)",
+    )
+    limit: float = Field(
+        default=5.0, gt=0.0, description="largest tare of a joint that is accepted (N·m)"
+    )
+    noise: float = Field(
+        default=0.05,
+        gt=0.0,
+        description="largest standard error of a tare that is accepted (N·m)",
+    )
+
+    @model_validator(mode="after")
+    def _long_enough(self) -> TareParameters:
+        # Each part has to be far longer than a period of what is to average out: dither, mains.
+        if 0.0 < self.duration < 0.4:
+            raise ValueError(f"duration must be 0 or at least 0.4 s, got {self.duration} s")
+        return self
+
+    @property
+    def ticks(self) -> int:
+        """Ticks of waiting and reading together, 0 without a tare."""
+        return round((self.wait + self.duration) / PERIOD) if self.duration else 0
+
+    def of(self, torque: NDArray[np.float64]) -> Tare:
+        """Tare from the torques (n, ticks) since all joints are held, N·m."""
+        return Tare.of(torque[:, round(self.wait / PERIOD) :])
+
+    def refusal(self, tare: Tare, names: Sequence[str]) -> str:
+        """Why no trial may begin with a tare, in words; else empty."""
+        for name, offset, error in zip(names, tare.offset, tare.error, strict=True):
+            # Written so that NaN fails.
+            if not abs(offset) <= self.limit:
+                return (
+                    f"tare: the torque of {name} reads {offset:.3g} N·m at rest, "
+                    f"tare.limit is {self.limit:g} N·m"
                 )
+            if not error <= self.noise:
+                return (
+                    f"tare: the torque of {name} does not rest: {offset:.3g} ± {error:.2g} N·m, "
+                    f"tare.noise is {self.noise:g} N·m"
+                )
+        return ""
+
+
+class SequenceParameters(Schema):
+    """Lengths of the phases of every trial."""
+
+    duration: float = Field(
+        default=50.0, ge=PERIOD, description="length of the perturbation of each trial (s)"
+    )
+    # Recorders learn of a trial while it settles, and that it is over while it rests.
+    settle: float = Field(
+        default=0.5, ge=0.05, description="time before each perturbation, roles already taken (s)"
+    )
+    rest: float = Field(
+        default=0.5, ge=0.05, description="time after each perturbation, for motion to die down (s)"
+    )
+    may_end_early: bool = Field(
+        default=False, description="whether the estimator may end a trial before its planned end"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,49 +161,37 @@ class Segment:
         return self.first + self.ticks
 
 
-def timetable(config: SequenceConfig, *, joints: int, period: float) -> tuple[Segment, ...]:
+def timetable(
+    sequence: SequenceParameters, *, joints: int, tare: TareParameters | None = None
+) -> tuple[Segment, ...]:
     """Timetable of an experiment with one trial for each joint, in order and without gaps.
 
     Parameters
     ----------
-    config : SequenceConfig
+    sequence : SequenceParameters
     joints : number of joints n, and so of trials
-    period : of control, s
-
-    Raises
-    ------
-    ConfigurationError
-        If a phase is shorter than half a period, so that it would have no tick.
+    tare : TareParameters, by default there is none
     """
+    lengths = [
+        (Phase.SETTLE, 0 if tare is None else tare.ticks, True),
+        (Phase.SETTLE, round(sequence.settle / PERIOD), False),
+        (Phase.PERTURB, round(sequence.duration / PERIOD), False),
+        (Phase.REST, round(sequence.rest / PERIOD), False),
+    ]
     segments: list[Segment] = []
-    tare = config.tare.ticks(period)
-    lengths = (
-        (Phase.SETTLE, config.settle),
-        (Phase.PERTURB, config.duration),
-        (Phase.REST, config.rest),
-    )
     first = 0
     for joint in range(joints):
-        if tare:
-            segments.append(
-                Segment(
-                    phase=Phase.SETTLE,
-                    trial=joint + 1,
-                    joint=joint,
-                    first=first,
-                    ticks=tare,
-                    tare=True,
+        for phase, ticks, held in lengths:
+            if ticks:
+                segments.append(
+                    Segment(
+                        phase=phase,
+                        trial=joint + 1,
+                        joint=joint,
+                        first=first,
+                        ticks=ticks,
+                        tare=held,
+                    )
                 )
-            )
-            first += tare
-        for phase, seconds in lengths:
-            ticks = round(seconds / period)
-            if ticks < 1:
-                raise ConfigurationError(
-                    f"trial: {phase.value} of {seconds} s is shorter than a tick of {period} s"
-                )
-            segments.append(
-                Segment(phase=phase, trial=joint + 1, joint=joint, first=first, ticks=ticks)
-            )
-            first += ticks
+                first += ticks
     return tuple(segments)

@@ -2,22 +2,154 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
+from armimp_control.laws.base import DAMPING, INERTIA, SENSED, STIFFNESS
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import LawConfig
-from armimp_control.laws.layout import DAMPING, INERTIA, SENSED, STIFFNESS
-from armimp_control.rig_dynamics import RigDynamics
 
+FloatArray = NDArray[np.float64]
 LIMIT = 2.0
 WARNING_SHARE = 0.8
 """Share of the limit from which on a warning is due."""
 _GROWTH = 1e-4
 """Growth per tick taken for rounding: a target without stiffness and damping has exactly none."""
+
+
+class RigDynamics(Schema):
+    """Between command and reading: late commands, slow drives, late torques; all joints alike."""
+
+    command_delay: int = Field(
+        default=0,
+        ge=0,
+        le=20,
+        description="control periods by which commands act later than right after the sample that "
+        "they answer",
+    )
+    actuator_lag: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        description="time constant with which the torque of the drives follows commands (s); 0 "
+        "for at once",
+    )
+    torque_delay: float = Field(
+        default=0.0, ge=0.0, le=0.1, description="delay of the readings of torque (s)"
+    )
+    torque_cutoff: float = Field(
+        default=0.0,
+        ge=0.0,
+        le=1e9,
+        description="cut-off frequency of the anti-alias low-pass of the torque (Hz); 0 for none",
+    )
+    torque_order: int = Field(
+        default=1, ge=1, le=4, description="order of the Butterworth low-pass of the torque"
+    )
+
+    @model_validator(mode="after")
+    def _computable(self) -> RigDynamics:
+        for name, least in (("actuator_lag", 1e-9), ("torque_cutoff", 1e-3)):
+            if 0.0 < getattr(self, name) < least:
+                raise ValueError(f"{name} must be 0 or at least {least:g}")
+        return self
+
+    @property
+    def none(self) -> bool:
+        """Whether commands, drives and readings are prompt."""
+        return not (
+            self.command_delay or self.actuator_lag or self.torque_delay or self.torque_cutoff
+        )
+
+    def sampled(self, period: float) -> SampledDynamics:
+        """The same from tick to tick, for a command that is held over the period (s)."""
+        a, b, reads = np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0))
+        lag, cutoff = self.actuator_lag, self.torque_cutoff
+        if cutoff > 0.0:
+            # Where there is no low-pass, nobody has to wait for this import.
+            from scipy.signal import butter, zpk2ss
+
+            zpk = butter(self.torque_order, 2.0 * np.pi * cutoff, analog=True, output="zpk")
+            a, b, reads, _ = zpk2ss(*zpk)
+        if lag > 0.0:
+            # The drive comes first; its state is its torque.
+            a = np.block([[-np.eye(1) / lag, np.zeros((1, len(a)))], [b, a]])
+            reads = np.concatenate([np.zeros((1, 1)), reads], axis=1) if cutoff > 0.0 else np.eye(1)
+            b = np.zeros((len(a), 1))
+            b[0] = 1.0 / lag
+        whole = int(np.floor(self.torque_delay / period + 1e-9))
+        phase = 1.0 - min(max(self.torque_delay / period - whole, 0.0), 1.0)
+        transition, from_command = _over(a, b, period)
+        part, part_command = _over(a, b, phase * period)
+        if len(reads[0]):
+            from_state, direct = (reads @ part)[0], float((reads @ part_command)[0, 0])
+        else:
+            from_state, direct = np.zeros(0), 1.0
+        return SampledDynamics(
+            transition=transition,
+            from_command=from_command[:, 0],
+            reading_from_state=from_state,
+            reading_from_command=direct,
+            delay=whole,
+            drive_lags=lag > 0.0,
+            **_moved_by(lag, period),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SampledDynamics:
+    """From tick to tick, for a command u: states x of drive and low-pass, and what is read.
+
+    Attributes
+    ----------
+    transition, from_command : (q, q), (q,) of ``x ← transition · x + from_command · u``
+    reading_from_state, reading_from_command : (q,) and one number
+        Of the reading, as torque of the drive, from x before and u during the last period.
+    delay : ticks that it comes later
+    drive_lags : whether the first state is the torque of the drive
+    speed, way : what velocity (s) and angle (s²) gain per unit of torque / inertia of the drive at
+        the start of a period, and of the command in it
+    """
+
+    transition: FloatArray
+    from_command: FloatArray
+    reading_from_state: FloatArray
+    reading_from_command: float
+    delay: int
+    drive_lags: bool
+    speed: tuple[float, float]
+    way: tuple[float, float]
+
+    @property
+    def states(self) -> int:
+        """Number q of the states of drive and low-pass."""
+        return len(self.transition)
+
+
+def _over(a: FloatArray, b: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
+    """Transition of a linear system over a time (s) with constant input."""
+    q = len(a)
+    if not q:
+        return a, b
+    from scipy.linalg import expm
+
+    system = np.zeros((q + 1, q + 1))
+    system[:q, :q], system[:q, q:] = a * time, b * time
+    over = expm(system)
+    return over[:q, :q], over[:q, q:]
+
+
+def _moved_by(lag: float, period: float) -> dict[str, tuple[float, float]]:
+    if lag == 0.0:
+        return {"speed": (0.0, period), "way": (0.0, 0.5 * period**2)}
+    left = -lag * np.expm1(-period / lag)
+    way = lag * (period - left)
+    return {"speed": (left, period - left), "way": (way, 0.5 * period**2 - way)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +178,8 @@ class StabilityMargins:
 def check_stability(
     config: LawConfig,
     *,
-    robot_inertia: NDArray[np.float64],
-    arm_inertia: NDArray[np.float64],
+    robot_inertia: FloatArray,
+    arm_inertia: FloatArray,
     dynamics: RigDynamics | None = None,
 ) -> StabilityMargins:
     """Check the sampled loop with every joint perturbed in turn.
@@ -78,8 +210,8 @@ def check_stability(
         if not value < WARNING_SHARE * LIMIT
     ]
     known = dynamics or RigDynamics()
-    later = replace(known, torque_delay=known.torque_delay + config.period)
-    later_command = replace(known, command_delay=known.command_delay + 1)
+    later = known.model_copy(update={"torque_delay": known.torque_delay + config.period})
+    later_command = known.model_copy(update={"command_delay": known.command_delay + 1})
 
     def radius_of(k: int, assumed: RigDynamics, gain: float = 1.0) -> float:
         return spectral_radius(
@@ -125,7 +257,7 @@ def check_stability(
 
 
 def _simple_conditions(
-    config: ImbicConfig, total: NDArray[np.float64], arm_inertia: NDArray[np.float64]
+    config: ImbicConfig, total: FloatArray, arm_inertia: FloatArray
 ) -> dict[str, float]:
     """Check the conditions on M̄ alone; their values by name."""
     eigenvalues = np.linalg.eigvals(np.linalg.solve(total, config.model_inertia))
@@ -153,8 +285,8 @@ def spectral_radius(
     config: LawConfig,
     *,
     perturbed: int,
-    robot_inertia: NDArray[np.float64],
-    arm_inertia: NDArray[np.float64],
+    robot_inertia: FloatArray,
+    arm_inertia: FloatArray,
     gain: float = 1.0,
     dynamics: RigDynamics | None = None,
 ) -> float:
@@ -233,9 +365,7 @@ def _with(dynamics: RigDynamics) -> str:
     )
 
 
-def _total_inertia(
-    n: int, robot_inertia: NDArray[np.float64], arm_inertia: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _total_inertia(n: int, robot_inertia: FloatArray, arm_inertia: FloatArray) -> FloatArray:
     for name, matrix in (("M_r", robot_inertia), ("M_h", arm_inertia)):
         if matrix.shape != (n, n) or not np.all(np.isfinite(matrix)):
             raise ConfigurationError(

@@ -16,15 +16,17 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
-from armimp_common.errors import ConfigurationError, GraphError
-from armimp_common.executor import Spinner, run_node
+from armimp_common.errors import GraphError
+from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.schema import Value, build, flatten
+from armimp_common.schema import Value
 from armimp_common.status import Level, Phase, to_time, values_of
 from armimp_common.topics import PERIOD_NS
-from armimp_control.experiment import Experiment
 from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
+from armimp_control.parameters import ControllerParameters
+from armimp_control.safety_limiter import SafetyParameters
+from armimp_control.sequence import SequenceParameters
+from armimp_control.trial_sequencer import TrialSequencer
 from support.graph import (
     CLOCK_STEPS,
     PATIENCE,
@@ -72,7 +74,7 @@ def wobble(ticks: int) -> list[tuple[tuple[float, float], tuple[float, float]]]:
 def expected_answers(
     samples: Sequence[tuple[Sequence[float], Sequence[float]]],
 ) -> tuple[list[tuple[float, ...]], list[tuple[int, tuple[float, ...]]]]:
-    experiment = Experiment(PARAMETERS, lambda _: None)
+    experiment = TrialSequencer(PARAMETERS, lambda _: None)
     commands, perturbations = [], []
     for tick, (theta, tau_h) in enumerate(samples):
         stamp_ns = START + tick * PERIOD_NS
@@ -143,19 +145,6 @@ class TestAnswers:
         assert any(command != (0.0, 0.0) for command in commands)
         assert [status.phase for status in driver.statuses] == [Phase.SETTLE, Phase.PERTURB]
         assert driver.statuses[1].start_ns == START + SETTLE * PERIOD_NS
-
-    def test_joint_order_comes_from_the_names(
-        self, make: MakeController, node: Node, spinner: Spinner
-    ) -> None:
-        driver = ScriptedDriver(node, NAMES[::-1], start_ns=START)
-        bring_up(make(), driver)
-        samples = wobble(30)
-
-        for theta, tau_h in samples:
-            driver.feed(theta[::-1], tau_h[::-1])
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-
-        assert driver.commands == expected_answers(samples)[0]
 
     def test_an_answer_waits_for_both_readings_which_come_in_any_order(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
@@ -446,33 +435,6 @@ class TestServices:
         )
         assert controller.trigger_activate() is SUCCESS, controller.transition_error
 
-    def test_reset_does_not_let_the_experiment_go_on(
-        self,
-        make: MakeController,
-        driver: ScriptedDriver,
-        spinner: Spinner,
-        emergency_stop: Service,
-        reset: Service,
-    ) -> None:
-        controller = make()
-        self.start(controller, driver, spinner)
-        emergency_stop()
-
-        assert reset()[0]
-
-        for theta, tau_h in wobble(60):
-            driver.feed(theta, tau_h)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        assert set(driver.commands[60:]) == {(0.0, 0.0)}
-        assert [status.phase for status in driver.statuses].count(Phase.ABORTED) == 1
-        assert controller.trigger_deactivate() is SUCCESS
-        assert controller.trigger_activate() is SUCCESS, controller.transition_error
-        driver.messages.clear()
-        driver.commands.clear()
-        driver.feed(*wobble(2)[1])
-        eventually(spinner, lambda: driver.has_said(Phase.SETTLE), "a new experiment")
-        assert driver.statuses[-1].tick == 0
-
     def test_while_a_trial_runs_expect_reset_refused(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
     ) -> None:
@@ -514,32 +476,6 @@ class TestServices:
         assert success
         assert message.startswith(f"reset: {reason}")
         assert reset() == (True, "there was no fault")
-
-    def test_after_a_malformed_message_reset_needs_a_good_sample(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
-    ) -> None:
-        self.start(make(), driver, spinner)
-        driver.channels[topics.JOINT_STATES].publisher.publish(b"rubbish")
-        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
-
-        success, message = reset()
-        assert not success
-        assert message.startswith("not reset: the cause persists: malformed sensor message")
-
-        feed_still(driver, 1)
-        eventually(spinner, lambda: len(driver.perturbations) == 61, "an answer")
-        assert reset()[0]
-
-    def test_when_samples_stay_away_expect_reset_refused(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
-    ) -> None:
-        self.start(make(IMPATIENT), driver, spinner)
-        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
-
-        assert reset() == (
-            False,
-            "not reset: the cause persists: no sensor sample arrived any more",
-        )
 
     def test_emergency_stop_before_activation_keeps_the_node_from_it(
         self, make: MakeController, driver: ScriptedDriver, emergency_stop: Service, reset: Service
@@ -653,44 +589,6 @@ class TestParameters:
         manager.configure(topics.CONTROLLER_NODE)
         assert controller.transition_error == ""
 
-    @pytest.mark.parametrize(
-        ("argument", "reason"),
-        [
-            ("seed:=1.5", "parameter 'seed' = 1.5: should be an integer"),
-            ("sead:=1", "parameter 'sead' does not exist; the nearest valid name is 'seed'"),
-            ("seed:=1", "parameter 'joints' is missing"),
-        ],
-    )
-    def test_when_started_with_a_wrong_value_expect_status_2_and_one_line(
-        self, domain_id: int, capfd: pytest.CaptureFixture[str], argument: str, reason: str
-    ) -> None:
-        status = run_node(ImbicControllerNode, ["imbic_controller", "--ros-args", "-p", argument])
-
-        assert status == 2
-        assert capfd.readouterr().err == f"imbic_controller: {reason}\n"
-
-    @pytest.mark.parametrize(
-        ("name", "value", "reason"),
-        [
-            ("safety.torque_limit", 0.0, "= 0.0: input should be greater than 0"),
-            ("safety.power_limit", -1.0, "= -1.0: input should be greater than 0"),
-            ("safety.rate_limit", math.nan, "= nan: "),
-            ("safety.rate_limit", math.inf, "= inf: "),
-            ("safety.rate_action", "ignore", "= \"ignore\": input should be 'clip' or 'stop'"),
-            ("safety.position_limit", 0.5, "= 0.5: should be a double array"),
-            ("safety.position_limit", [0.5, math.nan], "nan: input should be a finite number"),
-        ],
-    )
-    def test_limit_that_makes_no_sense_is_refused_on_one_line(
-        self, name: str, value: Value, reason: str
-    ) -> None:
-        with pytest.raises(ConfigurationError) as caught:
-            build(ControllerParameters, {**flatten(PARAMETERS), name: value})
-        told = str(caught.value)
-        assert told.startswith(f"parameter '{name}")
-        assert reason in told
-        assert "\n" not in told
-
 
 class TestLife:
     def test_life_can_be_gone_through_again_and_starts_anew_each_time(
@@ -739,19 +637,6 @@ class TestLife:
             "an abort",
         )
         assert driver.commands[-1] == (0.0, 0.0)
-
-    def test_inactive_node_answers_nothing(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        controller = make()
-        controller.trigger_configure()
-        driver.wait_for_controller()
-
-        feed_still(driver, 10)
-        driver.channels[topics.JOINT_STATES].publisher.publish(b"rubbish")
-        a_moment(spinner)
-
-        assert (driver.commands, driver.perturbations, driver.messages) == ([], [], [])
 
     def test_when_there_is_no_rig_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeController, monkeypatch: pytest.MonkeyPatch

@@ -15,9 +15,10 @@ from armimp_common.executor import Spinner
 from armimp_common.schema import Value, build, flatten
 from armimp_common.status import Phase
 from armimp_common.topics import PERIOD_NS
-from armimp_control.experiment import Experiment
 from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import PERIOD, ControllerParameters
+from armimp_control.parameters import ControllerParameters
+from armimp_control.sequence import PERIOD
+from armimp_control.trial_sequencer import TrialSequencer
 from support.graph import ScriptedDriver, a_moment, eventually, overrides
 
 pytestmark = pytest.mark.alone
@@ -41,7 +42,7 @@ MakeController = Callable[..., ImbicControllerNode]
 
 def answers(parameters: ControllerParameters) -> list[tuple[bytes, bytes]]:
     """Commands and perturbations of a whole experiment with an arm that shakes a little."""
-    experiment = Experiment(parameters, lambda _: None)
+    experiment = TrialSequencer(parameters, lambda _: None)
     rng = np.random.default_rng(3)
     found = []
     tick = 0
@@ -59,8 +60,8 @@ def test_answers_are_those_of_lockstep_bit_for_bit() -> None:
 
 
 def test_the_watchdog_counts_in_periods_whatever_suits_lockstep() -> None:
-    assert LOCKSTEP.patience_per_tick == LOCKSTEP.safety.slowest_tick == 1.0
-    assert PARAMETERS.patience_per_tick == PERIOD
+    assert LOCKSTEP.slowest_tick == LOCKSTEP.safety.slowest_tick == 1.0
+    assert PARAMETERS.slowest_tick == PERIOD
     assert PARAMETERS.safety.watchdog_ticks == 5
 
 

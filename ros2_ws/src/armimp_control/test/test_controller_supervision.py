@@ -62,7 +62,8 @@ class Surroundings:
 
     def heard(self, name: str, *, alive: int, silent: int) -> None:
         """Have the controller hear from another process what the middleware would report."""
-        (watch,) = (watch for watch in self.controller._watches if watch.name == name)
+        watched = [*self.controller._partners, self.controller._supervisor]
+        (watch,) = (watch for watch in watched if watch.name == name)
         watch._on_event(SimpleNamespace(alive_count=alive, not_alive_count=silent))
 
     def aborted(self) -> bool:

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, TrialStatus
+from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD_NS
-from armimp_control.experiment import Experiment
-from armimp_control.parameters import ControllerParameters, SequenceParameters
+from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
+from armimp_control.sequence import SequenceParameters
+from armimp_control.trial_sequencer import TrialSequencer
 
 POSTURE = np.radians([62.708, 77.260])
 SETTLE, PERTURB, REST = 50, 1000, 60
@@ -39,7 +40,7 @@ class Bench:
         self.statuses: list[TrialStatus] = []
         self.perturbed: list[bool] = []
         self.torques: list[float] = []
-        self.experiment = Experiment(PARAMETERS, self.statuses.append)
+        self.experiment = TrialSequencer(PARAMETERS, self.statuses.append)
 
     def run(self, ticks: int) -> None:
         for _ in range(ticks):
@@ -61,7 +62,7 @@ def bench() -> Bench:
 
 def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(bench: Bench) -> None:
     bench.run_into_perturbation(JUDGED + 40)
-    bench.experiment.judge(ENOUGH)
+    bench.experiment.decide(ENOUGH)
     bench.run(PERTURB)
 
     first, second = bench.said(Phase.PERTURB, 1)
@@ -71,7 +72,7 @@ def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(bench: Be
     (rest,) = bench.said(Phase.REST, 1)
     assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + END, END, True)
     signal = perturbation(
-        PARAMETERS.perturbation_config(), joint=0, trial=1, ticks=PERTURB, seed=PARAMETERS.seed
+        PARAMETERS.perturbation, joint=0, trial=1, ticks=PERTURB, seed=PARAMETERS.seed
     )
     start = SETTLE
     np.testing.assert_array_equal(bench.torques[start : start + END], signal[:END])
@@ -80,7 +81,7 @@ def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(bench: Be
 
 def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: Bench) -> None:
     bench.run_into_perturbation(JUDGED)
-    bench.experiment.judge(ENOUGH)
+    bench.experiment.decide(ENOUGH)
     bench.run(NOTICE_TICKS + REST + SETTLE + PERTURB + REST + 1)
 
     first = SETTLE + END + REST
@@ -95,18 +96,9 @@ def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: Bench) -> No
     assert {one.ticks for one in (settle, perturb, rest, done)} == {PERTURB}
 
 
-def test_when_it_is_not_good_enough_expect_the_trial_to_go_on(bench: Bench) -> None:
-    bench.run_into_perturbation(JUDGED)
-    bench.experiment.judge(NOT_YET)
-    bench.run(PERTURB)
-
-    assert [one.ticks for one in bench.said(Phase.PERTURB, 1)] == [PERTURB]
-    assert bench.said(Phase.REST, 1)[0].tick == SETTLE + PERTURB
-
-
 def test_a_judgement_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench) -> None:
     bench.run_into_perturbation(END + 100)
-    bench.experiment.judge(ENOUGH)
+    bench.experiment.decide(ENOUGH)
     bench.run(PERTURB)
 
     ticks = END + 100 + NOTICE_TICKS
@@ -116,7 +108,7 @@ def test_a_judgement_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench
 
 def test_a_judgement_that_comes_at_the_last_moment_ends_the_trial_there(bench: Bench) -> None:
     bench.run_into_perturbation(END)
-    bench.experiment.judge(ENOUGH)
+    bench.experiment.decide(ENOUGH)
     bench.run(1)
 
     assert [one.ticks for one in bench.said(Phase.REST, 1)] == [END]
@@ -138,49 +130,35 @@ def test_when_a_judgement_does_not_fit_expect_it_ignored(
     bench: Bench, ticks: int, judgement: StoppingDecision
 ) -> None:
     bench.run_into_perturbation(ticks)
-    bench.experiment.judge(judgement)
+    bench.experiment.decide(judgement)
     bench.run(PERTURB + REST - ticks)
 
     assert [one.ticks for one in bench.said(Phase.PERTURB, 1)] == [PERTURB]
     assert bench.said(Phase.REST, 1)[0].ticks == PERTURB
 
 
-def test_a_second_judgement_does_not_move_the_end(bench: Bench) -> None:
-    bench.run_into_perturbation(JUDGED)
-    for _ in range(3):
-        bench.experiment.judge(ENOUGH)
-        bench.run(10)
-
-    assert [one.ticks for one in bench.said(Phase.PERTURB, 1)] == [PERTURB, END]
-
-
 class TestWaiting:
-    def test_nobody_waits_for_what_was_not_announced(self, bench: Bench) -> None:
-        for _ in range(SETTLE + PERTURB + REST):
-            bench.run(1)
-            assert not bench.experiment.awaits_judgement
-
     def test_the_sample_on_which_a_judgement_decides_waits_for_it(self, bench: Bench) -> None:
         bench.run_into_perturbation(1)
-        bench.experiment.judge(ANNOUNCED)
+        bench.experiment.decide(ANNOUNCED)
         for place in range(1, END):
-            assert not bench.experiment.awaits_judgement, place
+            assert not bench.experiment.awaits_decision, place
             bench.run(1)
-        assert bench.experiment.awaits_judgement
+        assert bench.experiment.awaits_decision
 
-        bench.experiment.judge(NOT_YET)
-        assert not bench.experiment.awaits_judgement
+        bench.experiment.decide(NOT_YET)
+        assert not bench.experiment.awaits_decision
         bench.run(600 + NOTICE_TICKS - END)
-        assert bench.experiment.awaits_judgement
-        bench.experiment.judge(replace(NOT_YET, samples=600, due=None))
+        assert bench.experiment.awaits_decision
+        bench.experiment.decide(replace(NOT_YET, samples=600, due=None))
         bench.run(PERTURB)
-        assert not bench.experiment.awaits_judgement
+        assert not bench.experiment.awaits_decision
 
     @pytest.mark.parametrize("waiting", [False, True])
     def test_nothing_waits_once_the_experiment_is_over(self, bench: Bench, waiting: bool) -> None:
         bench.run_into_perturbation(1)
-        bench.experiment.judge(ANNOUNCED)
+        bench.experiment.decide(ANNOUNCED)
         bench.run(END - 1 if waiting else 10)
-        bench.experiment.abort("enough of that")
+        bench.experiment.abort(Cause.OTHER, "enough of that")
         bench.run(PERTURB)
-        assert not bench.experiment.awaits_judgement
+        assert not bench.experiment.awaits_decision

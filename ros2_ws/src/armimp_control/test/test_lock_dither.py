@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.special import j0
 
 from armimp_control import presets
+from armimp_control.laws.base import APPROACH, DITHER, DITHER_ANGLE
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
-from armimp_control.laws.layout import APPROACH, DITHER, DITHER_ANGLE
 from support.safety import torque_only
 
 Array = NDArray[np.float64]
@@ -104,17 +102,6 @@ def test_rows_of_the_role_are_those_of_the_closed_form(frequency: float, ratio: 
     assert rows[APPROACH] == pytest.approx([np.exp(-0.02)] * 2)
 
 
-@pytest.mark.parametrize("perturbed", [0, 1])
-def test_only_locked_joints_have_a_dither(perturbed: int) -> None:
-    amplitude = _config().role(perturbed)[DITHER]
-    assert amplitude[perturbed] == 0.0
-    assert amplitude[1 - perturbed] > 0.0
-
-
-def test_when_all_joints_yield_expect_no_dither() -> None:
-    assert np.array_equal(_config().role(None)[DITHER], np.zeros(2))
-
-
 @pytest.mark.parametrize("model", [0.6 * INERTIA, INERTIA])
 @pytest.mark.parametrize("frequency", [50.0, 100.0, 200.0])
 def test_joint_moves_by_the_sampled_response_to_its_target(model: float, frequency: float) -> None:
@@ -152,51 +139,6 @@ def test_joint_between_two_counts_is_read_right_but_for_the_bessel_functions(
     error = np.sum((-1.0) ** order / (np.pi * order) * left * np.sin(2.0 * np.pi * order * place))
     # 2000 readings have some hundred steps between them, each known to within a tick.
     assert np.mean(readings) == pytest.approx(place + error, abs=0.015)
-
-
-def test_dither_is_in_proportion_to_its_amplitude() -> None:
-    once = _motion(_config(), 500)
-    twice = _motion(replace(_config(), lock_dither=2.0 * AMPLITUDE), 500)
-    assert np.max(np.abs(once)) > 0.5 * AMPLITUDE
-    # The angle is about 0.3, so numbers of it are rounded to 6e-17, in the law over L².
-    assert twice == pytest.approx(2.0 * once, abs=1e-9 * AMPLITUDE / PERIOD)
-
-
-def test_without_dither_its_frequency_has_no_part_in_the_law() -> None:
-    paths = [
-        _motion(replace(_config(), lock_dither=0.0, lock_dither_frequency=hertz), 200)
-        for hertz in (20.0, 35.0)
-    ]
-    assert np.array_equal(paths[0], paths[1])
-    # At rest in the posture, a law without dither has nothing to do at all.
-    assert np.array_equal(paths[0], np.zeros(200))
-
-
-def test_dither_leaves_the_command_of_a_yielding_joint_alone() -> None:
-    """With a diagonal model, else the command of one joint depends on the motion of the other."""
-    still, moving = (
-        Controller(replace(_config(), lock_dither=amplitude), safety=torque_only(1e9))
-        for amplitude in (0.0, AMPLITUDE)
-    )
-    random = np.random.default_rng(1)
-    differs = False
-    for _ in range(50):
-        theta = _config().target_posture + 1e-4 * random.normal(size=2)
-        for controller in (still, moving):
-            controller.tick(theta, np.ones(2), np.array([3.0, 0.0]))
-        assert still.command[0] == moving.command[0]
-        differs = differs or still.command[1] != moving.command[1]
-    assert differs
-
-
-def test_dither_of_the_study_is_above_the_band_of_the_perturbation() -> None:
-    config = presets.imbic(np.eye(2), np.zeros(2))
-    assert config.lock_dither_frequency > 2.0 * 15.0
-
-
-@pytest.mark.parametrize("resolution", [0.0, 2.0 * np.pi / 51200])
-def test_default_dither_is_a_share_of_a_count(resolution: float) -> None:
-    assert presets.lock_dither(resolution) == pytest.approx(0.7 * resolution)
 
 
 @pytest.mark.parametrize("resolution", [0.02, 1.0, 1e6])

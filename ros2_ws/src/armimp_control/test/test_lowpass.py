@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from armimp_control.lowpass import butterworth, filtered
+from armimp_control.perturbation import butterworth, filtered
 
 
 @pytest.mark.parametrize("order", range(1, 21))

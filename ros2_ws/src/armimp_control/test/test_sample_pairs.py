@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_control.pairs import SamplePairs, first_bad
+from armimp_control.trial_sequencer import SamplePairs, first_bad
 
 
 @given(st.permutations([(what, stamp) for what in "pt" for stamp in range(4)]))
@@ -24,16 +24,6 @@ def test_in_any_order_readings_meet_only_those_of_their_stamp_and_the_latest_alw
             met.append(stamp)
     assert len(met) == len(set(met))
     assert max(met) == 3
-
-
-@pytest.mark.parametrize("swapped", [False, True])
-def test_readings_in_turn_are_all_paired(swapped: bool) -> None:
-    pairs = SamplePairs()
-    takes = [pairs.with_position, pairs.with_torque]
-    first, second = reversed(takes) if swapped else takes
-    for stamp in range(10):
-        assert first(stamp, (1.0,)) is None
-        assert second(stamp, (2.0,)) == (1.0,)
 
 
 def test_a_reading_whose_partner_was_lost_is_given_up_with_the_next_pair() -> None:
@@ -57,8 +47,3 @@ def test_the_first_value_that_is_not_finite_is_found(bad: float, place: int) -> 
     values[place] = bad
     assert first_bad(values) == place
     assert first_bad([math.inf, -math.inf, bad]) == 0
-
-
-def test_finite_values_are_good_even_if_their_sum_is_not() -> None:
-    assert first_bad((1e308, 1e308)) is None
-    assert first_bad((0.0, -0.0)) is None

@@ -10,17 +10,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS
-from armimp_control.experiment import Experiment
 from armimp_control.parameters import (
     ControllerParameters,
-    SequenceParameters,
-    TareParameters,
 )
-from armimp_control.sequence import SequenceConfig, timetable
-from armimp_control.tare import TareConfig, tare
+from armimp_control.sequence import SequenceParameters, Tare, TareParameters
+from armimp_control.trial_sequencer import TrialSequencer
 
 Array = NDArray[np.float64]
 POSTURE = np.radians([62.708, 77.260])
@@ -32,55 +28,18 @@ TRIAL = WAIT + READ + SETTLE + PERTURB + REST
 def test_dither_and_mains_hum_do_not_reach_the_tare(ticks: int, left: float) -> None:
     t = 1e-3 * np.arange(ticks)
     hum = sum(np.sin(2.0 * np.pi * f * t + f) for f in (35.0, 45.5, 50.0))
-    found = tare(np.array([0.7 + 2.0 * hum, -0.3 - hum]))
+    found = Tare.of(np.array([0.7 + 2.0 * hum, -0.3 - hum]))
     assert found.offset == pytest.approx((0.7, -0.3), abs=left)
     assert max(found.error) < left
 
 
 def test_the_standard_error_covers_noise_and_shows_unrest() -> None:
     rng = np.random.default_rng(3)
-    found = [tare(rng.standard_normal((1, 1000))) for _ in range(400)]
+    found = [Tare.of(rng.standard_normal((1, 1000))) for _ in range(400)]
     scatter = np.std([one.offset[0] for one in found])
     assert np.sqrt(np.mean([one.error[0] ** 2 for one in found])) == pytest.approx(scatter, rel=0.1)
     slow = np.sin(2.0 * np.pi * np.arange(1000) * 1e-3)
-    assert tare(slow[None]).error[0] > 0.2
-
-
-def test_readings_while_it_waits_do_not_count() -> None:
-    config = TareConfig(duration=0.5, wait=0.2)
-    readings = np.ones((2, 700))
-    readings[:, :200] = 99.0
-    assert config.ticks(1e-3) == 700
-    assert config.of(readings, 1e-3).offset == pytest.approx((1.0, 1.0))
-
-
-def test_without_a_duration_there_is_no_tare() -> None:
-    assert TareConfig().ticks(1e-3) == 0
-    assert not any(one.tare for one in timetable(SequenceConfig(), joints=2, period=1e-3))
-
-
-def test_each_trial_begins_with_a_tare() -> None:
-    config = SequenceConfig(duration=2.0, tare=TareConfig(duration=0.4, wait=0.1))
-    segments = timetable(config, joints=2, period=1e-3)
-    assert [one.tare for one in segments] == [True, False, False, False] * 2
-    assert [one.phase for one in segments[:2]] == [Phase.SETTLE, Phase.SETTLE]
-    assert [one.ticks for one in segments] == [500, 500, 2000, 500] * 2
-    assert [one.first for one in segments[1:]] == [one.end for one in segments[:-1]]
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"duration": 0.2}, "duration must be 0, or between 0.4 and 60 s, got 0.2 s"),
-        ({"duration": float("nan")}, "got nan s"),
-        ({"wait": -0.1}, "wait must be between 0 and 60 s, got -0.1 s"),
-        ({"limit": 0.0}, "limit must be positive, got 0.0 N·m"),
-        ({"noise": float("inf")}, "noise must be positive, got inf N·m"),
-    ],
-)
-def test_impossible_values_are_refused_and_named(values: dict[str, Any], words: str) -> None:
-    with pytest.raises(ConfigurationError, match=words):
-        TareConfig(**values)
+    assert Tare.of(slow[None]).error[0] > 0.2
 
 
 def parameters(**values: Any) -> ControllerParameters:
@@ -108,7 +67,7 @@ class Bench:
     statuses: list[TrialStatus] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.experiment = Experiment(self.parameters, self.statuses.append)
+        self.experiment = TrialSequencer(self.parameters, self.statuses.append)
         self.tick = 0
 
     def run(self, ticks: int, torque: Array) -> list[Array]:
@@ -187,9 +146,3 @@ def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturb
     bench.run(SETTLE + 10, OFFSET)
     assert not bench.experiment.tau_delta.any()
     assert bench.experiment.at_rest
-
-
-def test_parameters_of_the_tare_are_checked_before_anything_starts() -> None:
-    wrong = parameters().model_copy(update={"tare": TareParameters(duration=0.1)})
-    with pytest.raises(ConfigurationError, match=r"duration must be 0, or between 0\.4"):
-        wrong.check()

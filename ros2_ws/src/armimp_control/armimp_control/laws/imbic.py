@@ -26,19 +26,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled
 from armimp_common.errors import ConfigurationError
-from armimp_control.laws.layout import (
+from armimp_control.laws.base import (
     APPROACH,
     COMMAND,
     DAMPING,
     DITHER,
     DITHER_ANGLE,
     IDEAL_VELOCITY,
+    IMBIC,
     INERTIA,
     OFFSET,
     ROLE_ROWS,
@@ -49,6 +51,7 @@ from armimp_control.laws.layout import (
     THETA_1,
     THETA_2,
     TICKS,
+    check_numbers,
 )
 
 SECOND_TONE = 1.3
@@ -93,35 +96,19 @@ class ImbicConfig:
     lock_dither: float = 0.0
     lock_dither_frequency: float = 35.0
 
+    kind: ClassVar[int] = IMBIC
+
     def __post_init__(self) -> None:
-        n = self.target_posture.size
-        for name in ("target_posture", "target_inertia", "target_damping", "target_stiffness"):
-            values = getattr(self, name)
-            if values.shape != (n,) or not np.all(np.isfinite(values)):
-                raise ConfigurationError(
-                    f"controller: {name} needs {n} finite values: {values.tolist()}"
-                )
-        if self.model_inertia.shape != (n, n) or not np.all(np.isfinite(self.model_inertia)):
-            raise ConfigurationError(
-                f"controller: model_inertia needs {n}×{n} finite values: "
-                f"{self.model_inertia.tolist()}"
-            )
-        for i, value in enumerate(self.target_inertia):
-            if not value > 0.0:
-                raise ConfigurationError(
-                    f"controller: target_inertia of joint {i + 1} must be positive, got {value}"
-                )
-        for name in (
-            "lock_frequency",
-            "lock_damping_ratio",
-            "lock_approach",
-            "gamma",
-            "period",
-        ):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ConfigurationError(
-                    f"controller: {name} must be positive, got {getattr(self, name)}"
-                )
+        n = self.joints
+        vectors = ("target_posture", "target_inertia", "target_damping", "target_stiffness")
+        check_numbers(
+            self,
+            {**dict.fromkeys(vectors, (n,)), "model_inertia": (n, n)},
+            (
+                *("target_inertia", "lock_frequency", "lock_damping_ratio", "lock_approach"),
+                *("gamma", "period"),
+            ),
+        )
         if not 0.0 <= self.lock_dither < np.inf:
             raise ConfigurationError(
                 f"controller: lock_dither must not be negative, got {self.lock_dither}"
@@ -182,7 +169,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     memory: NDArray[np.float64],
     command: NDArray[np.float64],
 ) -> None:
-    """One tick of the law, before the safety gate.
+    """One tick of the law, before the safety limiter.
 
     Parameters
     ----------

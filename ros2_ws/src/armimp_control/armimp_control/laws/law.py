@@ -1,74 +1,38 @@
-"""Whichever law is chosen, as the node and the offline loop use it, with the one safety gate."""
+"""Whichever law is chosen, between the two steps of the safety limiter."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
-from armimp_control.faults import clip_counts, in_words
+from armimp_common.status import Cause
+from armimp_control.laws.base import COMMAND, MEMORY_ROWS, NO_JOINT, PD, ROLE_ROWS, TARE
 from armimp_control.laws.imbic import ImbicConfig, imbic
-from armimp_control.laws.layout import COMMAND, MEMORY_ROWS, NO_JOINT, ROLE_ROWS, TARE
 from armimp_control.laws.pd import PdConfig, pd
-from armimp_control.safety import Limit, SafetyConfig
 from armimp_control.safety_limiter import (
-    CLOSED,
+    CLIPPED,
     FAULT,
-    GATE_ROWS,
     JOURNAL,
+    LIMITER_ROWS,
     PRESENT,
     RATE,
     RULE_ROWS,
     SENT,
-    close_gate,
-    examine,
-    fall,
-    let_through,
+    STOPPED,
+    Limit,
+    SafetyParameters,
+    check_sample,
+    continue_ramp,
+    fault_of,
+    limit_command,
+    stop_commands,
 )
 
 LawConfig: TypeAlias = ImbicConfig | PdConfig
-
-# What tells the laws apart in compiled code.
-_IMBIC, _PD = 0, 1
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LawNumbers:
-    """What compiled code has to know of a law, beside the roles of the joints.
-
-    Attributes
-    ----------
-    law : number of the law
-    target : (n,) θ_rd, rad
-    model : (n, n) M̄, kg·m²; zero for a law without internal model
-    gamma : Γ, rad/s; likewise
-    period : L, s
-    """
-
-    law: int
-    target: NDArray[np.float64]
-    model: NDArray[np.float64]
-    gamma: float
-    period: float
-
-    @classmethod
-    def of(cls, config: LawConfig) -> LawNumbers:
-        """Numbers of a configuration."""
-        if isinstance(config, PdConfig):
-            law, model, gamma = _PD, np.zeros((config.joints, config.joints)), 0.0
-        else:
-            law, model, gamma = _IMBIC, config.model_inertia, config.gamma
-        return cls(
-            law=law,
-            target=config.target_posture,
-            model=model,
-            gamma=gamma,
-            period=config.period,
-        )
 
 
 @compiled_entry
@@ -84,21 +48,21 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     period: float,
     rules: NDArray[np.float64],
     memory: NDArray[np.float64],
-    gate: NDArray[np.float64],
+    limiter: NDArray[np.float64],
     journal: NDArray[np.float64],
     command: NDArray[np.float64],
 ) -> int:
-    """One tick of a law, with the safety gate before and after it.
+    """One tick of a law, with the safety limiter before and after it.
 
     Parameters
     ----------
-    law : number of the law, see :class:`LawNumbers`
+    law : `kind` of the configuration of the law
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
     role : (8, n) from the configuration of the law
-    target, model, gamma, period : see :class:`LawNumbers`
-    rules : (RULE_ROWS, n) from :meth:`armimp_control.safety.SafetyConfig.rules`
+    target, model, gamma, period : (n,) θ_rd, rad; (n, n) M̄, kg·m²; Γ, rad/s; L, s
+    rules : (RULE_ROWS, n) from :meth:`SafetyParameters.rules`
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
-    gate, journal : (GATE_ROWS, n) and (JOURNAL,) of :mod:`armimp_control.safety_limiter`, likewise
+    limiter, journal : (LIMITER_ROWS, n) and (JOURNAL,) of the safety limiter, likewise
     command : (n,) N·m, written
 
     Returns
@@ -107,13 +71,13 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         Number of joints whose command was clipped. After a stop, which the journal tells, the law
         is not computed any more and its memory is empty.
     """
-    if examine(theta, tau_h, tau_delta, rules, period, gate, journal):
-        if law == _PD:
+    if check_sample(theta, tau_h, tau_delta, rules, period, limiter, journal):
+        if law == PD:
             pd(theta, tau_delta, role, target, period, memory, command)
         else:
             imbic(theta, tau_h, tau_delta, role, target, model, gamma, period, memory, command)
-    clipped = let_through(command, rules, gate, journal)
-    if journal[CLOSED] != 0.0:
+    clipped = limit_command(command, rules, limiter, journal)
+    if journal[STOPPED] != 0.0:
         memory[:] = 0.0
     else:
         memory[COMMAND] = command
@@ -132,7 +96,7 @@ def _unpacked(
     -------
     sample : (3, n) θ, τ_h, τ_Δ
     posture : (2, n) command and target
-    role, rules, memory, gate, model, journal : as for :func:`control_tick`
+    role, rules, memory, limiter, model, journal : as for :func:`control_tick`
     scalars : (2,) Γ and L
     """
     a = 3 * n
@@ -140,7 +104,7 @@ def _unpacked(
     c = b + ROLE_ROWS * n
     d = c + RULE_ROWS * n
     e = d + MEMORY_ROWS * n
-    f = e + GATE_ROWS * n
+    f = e + LIMITER_ROWS * n
     g = f + n * n
     h = g + JOURNAL
     return (
@@ -149,7 +113,7 @@ def _unpacked(
         w[b:c].reshape((ROLE_ROWS, n)),
         w[c:d].reshape((RULE_ROWS, n)),
         w[d:e].reshape((MEMORY_ROWS, n)),
-        w[e:f].reshape((GATE_ROWS, n)),
+        w[e:f].reshape((LIMITER_ROWS, n)),
         w[f:g].reshape((n, n)),
         w[g:h],
         w[h:],
@@ -158,7 +122,7 @@ def _unpacked(
 
 def _packed(n: int) -> Arrays:
     """Zeros for :func:`_unpacked`."""
-    rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + GATE_ROWS + n
+    rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + n
     return np.zeros(rows * n + JOURNAL + 2)
 
 
@@ -168,7 +132,7 @@ _views = compiled(_unpacked)
 @compiled_entry
 def _packed_tick(law: int, n: int, w: Arrays) -> int:
     """:func:`control_tick` of one array: each one that is passed takes as long as the law."""
-    sample, posture, role, rules, memory, gate, model, journal, scalars = _views(w, n)
+    sample, posture, role, rules, memory, limiter, model, journal, scalars = _views(w, n)
     return control_tick(
         law,
         sample[0],
@@ -181,21 +145,21 @@ def _packed_tick(law: int, n: int, w: Arrays) -> int:
         scalars[1],
         rules,
         memory,
-        gate,
+        limiter,
         journal,
         posture[0],
     )
 
 
 class Controller:
-    """A law and its safety gate with their memory, for use tick by tick.
+    """A law and its safety limiter with their memory, for use tick by tick.
 
-    Arrays given back are reused; copy what must last. A gate that has closed stays closed.
+    Arrays given back are reused; copy what must last. A limiter that has stopped stays so.
 
     Parameters
     ----------
     config : ImbicConfig or PdConfig
-    safety : SafetyConfig
+    safety : SafetyParameters
 
     Attributes
     ----------
@@ -208,19 +172,16 @@ class Controller:
         If the limits do not fit the joints.
     """
 
-    def __init__(self, config: LawConfig, *, safety: SafetyConfig) -> None:
+    def __init__(self, config: LawConfig, *, safety: SafetyParameters) -> None:
         self.config = config
-        n, numbers = config.joints, LawNumbers.of(config)
-        self._law, self._joints, self._all = numbers.law, n, _packed(n)
+        n = config.joints
+        self._law, self._joints, self._all = config.kind, n, _packed(n)
         views = _unpacked(self._all, n)
-        self.sample, posture, self.role, self.rules, self.memory, self._gate = views[:6]
+        self.sample, posture, self.role, self.rules, self.memory, self._limiter = views[:6]
         model, self._journal, scalars = views[6:]
         self.command = posture[0]
-        posture[1], model[:], scalars[:] = (
-            numbers.target,
-            numbers.model,
-            (numbers.gamma, numbers.period),
-        )
+        posture[1], model[:] = config.target_posture, config.model_inertia
+        scalars[:] = config.gamma, config.period
         self.rules[:] = safety.rules(config.target_posture, config.period)
         self._tare = np.zeros(n)
         self.perturb_joint(0)
@@ -228,24 +189,24 @@ class Controller:
         self._notes = self._journal.data  # read in half the time
 
     @property
-    def closed(self) -> bool:
-        """Whether commands pass no more: the torque is zero, or on its way there."""
-        return self._notes[CLOSED] != 0.0
+    def stopped(self) -> bool:
+        """Whether the torque is zero, or on its way there, for good."""
+        return self._notes[STOPPED] != 0.0
 
     @property
-    def fault(self) -> str:
-        """Why the gate has closed by itself, in words; else empty."""
-        return in_words(self._journal, FAULT, self.rules)
+    def fault(self) -> tuple[Cause, str]:
+        """Why the limiter has stopped by itself, as a code and in words; else NONE and empty."""
+        return fault_of(self._journal, FAULT, self.rules)
 
     @property
     def present_fault(self) -> str:
-        """What is wrong with the last sample, whether or not the gate is closed; else empty."""
-        return in_words(self._journal, PRESENT, self.rules)
+        """What is wrong with the last sample, stopped or not; else empty."""
+        return fault_of(self._journal, PRESENT, self.rules)[1]
 
     @property
-    def clips(self) -> dict[Limit, int]:
+    def clipped(self) -> dict[Limit, int]:
         """Number of clipped joint commands for each limit."""
-        return clip_counts(self._journal)
+        return {limit: int(self._journal[CLIPPED + i]) for i, limit in enumerate(Limit)}
 
     def perturb_joint(self, joint: int) -> None:
         """Make ``joint`` (0-based) the compliant one and lock the others, without a jump."""
@@ -259,33 +220,33 @@ class Controller:
     def tare(self, offset: Sequence[float]) -> None:
         """From now on take what torque transducers read at rest (n,), N·m, from their readings.
 
-        Only what a law makes of them changes; the gate looks at the readings themselves.
+        Only what a law makes of them changes; the limiter checks the readings themselves.
         """
         self._tare[:] = offset
         self.role[TARE] = self._tare
 
     def reset(self) -> None:
-        """Forget the past: the next tick starts from rest with zero torque and an open gate."""
-        for memory in (self.memory, self._gate, self._journal, self.command):
+        """Forget the past: the next tick starts from rest with zero torque."""
+        for memory in (self.memory, self._limiter, self._journal, self.command):
             memory.fill(0.0)
 
     def stop(self) -> None:
-        """Close the gate for a fault that the caller knows; the torque ramps down to zero."""
-        close_gate(self._ramp_ticks, True, self._gate, self._journal)
+        """Stop for a fault that the caller knows; the torque ramps down to zero."""
+        stop_commands(self._ramp_ticks, True, self._limiter, self._journal)
 
     def cut(self) -> None:
-        """Close the gate for a fault that the caller knows; zero torque at once."""
-        close_gate(0, True, self._gate, self._journal)
+        """Stop for a fault that the caller knows; zero torque at once."""
+        stop_commands(0, True, self._limiter, self._journal)
         self.command[:] = 0.0
 
     def release(self) -> None:
-        """Close the gate at the end, without a fault: to zero as fast as the rate limit allows."""
-        ticks = np.ceil(np.max(np.abs(self._gate[SENT]) / self.rules[RATE]))
-        close_gate(max(int(ticks), 1), False, self._gate, self._journal)
+        """Stop at the end, without a fault: to zero as fast as the rate limit allows."""
+        ticks = np.ceil(np.max(np.abs(self._limiter[SENT]) / self.rules[RATE]))
+        stop_commands(max(int(ticks), 1), False, self._limiter, self._journal)
 
-    def fall(self, ticks: int) -> None:
-        """Go on with the ramp of a closed gate by some ticks, where no samples come."""
-        fall(ticks, self.command, self.rules, self._gate, self._journal)
+    def continue_ramp(self, ticks: int) -> None:
+        """Go on with the ramp after a stop by some ticks, where no samples come."""
+        continue_ramp(ticks, self.command, self.rules, self._limiter, self._journal)
 
     def tick(
         self,

@@ -19,20 +19,21 @@ resolution level 3, as much as its Coulomb friction at level 3. (Sampling alone 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled
-from armimp_common.errors import ConfigurationError
-from armimp_control.laws.layout import (
+from armimp_control.laws.base import (
     DAMPING,
     INERTIA,
+    PD,
     ROLE_ROWS,
-    SENSED,
     STIFFNESS,
     THETA_1,
     TICKS,
+    check_numbers,
 )
 
 
@@ -64,24 +65,21 @@ class PdConfig:
     damping_ratio: float = 1.0
     period: float = 1e-3
 
+    kind: ClassVar[int] = PD
+    gamma: ClassVar[float] = 0.0
+
     def __post_init__(self) -> None:
-        n = self.target_posture.size
-        for name in ("target_posture", "target_damping", "target_stiffness", "inertia"):
-            values = getattr(self, name)
-            if values.shape != (n,) or not np.all(np.isfinite(values)):
-                raise ConfigurationError(
-                    f"controller: {name} needs {n} finite values: {values.tolist()}"
-                )
-        for i, value in enumerate(self.inertia):
-            if not value > 0.0:
-                raise ConfigurationError(
-                    f"controller: inertia of joint {i + 1} must be positive, got {value}"
-                )
-        for name in ("frequency", "damping_ratio", "period"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ConfigurationError(
-                    f"controller: PD {name} must be positive, got {getattr(self, name)}"
-                )
+        vectors = ("target_posture", "target_damping", "target_stiffness", "inertia")
+        check_numbers(
+            self,
+            dict.fromkeys(vectors, (self.joints,)),
+            ("inertia", "frequency", "damping_ratio", "period"),
+        )
+
+    @property
+    def model_inertia(self) -> NDArray[np.float64]:
+        """There is no internal model: (n, n) zeros."""
+        return np.zeros((self.joints, self.joints))
 
     @property
     def joints(self) -> int:
@@ -97,7 +95,6 @@ class PdConfig:
         every = np.arange(self.joints)
         locked = every != (every if perturbed is None else perturbed)
         rows = np.zeros((ROLE_ROWS, self.joints))
-        rows[SENSED] = 0.0
         rows[INERTIA] = self.inertia
         rows[DAMPING] = np.where(
             locked, 2.0 * self.damping_ratio * self.frequency * self.inertia, self.target_damping
@@ -116,7 +113,7 @@ def pd(
     memory: NDArray[np.float64],
     command: NDArray[np.float64],
 ) -> None:
-    """One tick of the law, before the safety gate.
+    """One tick of the law, before the safety limiter.
 
     Parameters
     ----------

@@ -10,8 +10,15 @@ from hypothesis import strategies as st
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
 from armimp_control.laws.law import Controller
-from armimp_control.safety import Action, SafetyConfig
-from armimp_control.safety_limiter import RAMP, RATE, RULE_ROWS, STOPS, TORQUE
+from armimp_control.safety_limiter import (
+    RAMP,
+    RATE,
+    RULE_ROWS,
+    STOPS,
+    TORQUE,
+    Action,
+    SafetyParameters,
+)
 from support import gate_campaign
 from support.fault_figures import Figures
 from support.gate_campaign import PROMISES, campaign
@@ -23,8 +30,8 @@ SIZES = st.floats(-3.0, 6.0).map(lambda exponent: 10.0**exponent)
 
 
 @st.composite
-def configs(draw: st.DrawFn) -> SafetyConfig:
-    return SafetyConfig(
+def configs(draw: st.DrawFn) -> SafetyParameters:
+    return SafetyParameters(
         position_limit=(draw(SIZES),),
         velocity_limit=(draw(SIZES), draw(SIZES)),
         torque_limit=draw(SIZES),
@@ -39,7 +46,7 @@ def configs(draw: st.DrawFn) -> SafetyConfig:
     )
 
 
-def _controller(config: SafetyConfig) -> Controller | None:
+def _controller(config: SafetyParameters) -> Controller | None:
     try:
         return Controller(
             presets.imbic(np.array([[0.354, 0.191], [0.191, 0.180]]), np.zeros(2)), safety=config
@@ -56,7 +63,7 @@ def _controller(config: SafetyConfig) -> Controller | None:
     st.integers(0, 11),
 )
 def test_whatever_comes_in_the_torque_is_finite_limited_and_gone_after_a_fault(
-    config: SafetyConfig, samples: list[list[float]], event: str, event_tick: int
+    config: SafetyParameters, samples: list[list[float]], event: str, event_tick: int
 ) -> None:
     law = _controller(config)
     if law is None:
@@ -68,21 +75,21 @@ def test_whatever_comes_in_the_torque_is_finite_limited_and_gone_after_a_fault(
         law.tick(*np.array(sample).reshape(3, 2))
         assert np.all(np.abs(law.command) <= law.rules[TORQUE])
         if not np.all(np.isfinite(sample)):
-            assert law.closed
+            assert law.stopped
             assert not law.command.any()
         faster = np.abs(law.command - before) > law.rules[RATE] * (1.0 + 1e-9)
         # Only on the way to zero.
         assert np.all(np.abs(law.command[faster]) <= np.abs(before[faster]))
-        since += law.closed
-        if law.closed:
+        since += law.stopped
+        if law.stopped:
             assert np.all(np.abs(law.command) <= np.abs(before))
             assert np.all(law.command * before >= 0.0)
             assert not law.memory.any()
         if since >= law.rules[RAMP, 0]:
             assert not law.command.any()
         before = law.command.copy()
-    if law.closed:
-        law.fall(50)
+    if law.stopped:
+        law.continue_ramp(50)
         assert not law.command.any()
 
 

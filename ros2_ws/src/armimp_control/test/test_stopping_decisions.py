@@ -16,8 +16,10 @@ from armimp_common.executor import Spinner
 from armimp_common.schema import Value
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, status_message
 from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters, SafetyParameters, SequenceParameters
-from armimp_control.watchdog import Watchdog
+from armimp_control.parameters import ControllerParameters
+from armimp_control.safety_limiter import SafetyParameters
+from armimp_control.sequence import SequenceParameters
+from armimp_control.trial_sequencer import Watchdog
 from support.graph import ScriptedDriver, a_moment, eventually, overrides
 
 NAMES = ("shoulder", "elbow")
@@ -155,16 +157,6 @@ def test_on_a_rig_nothing_waits_and_a_late_judgement_ends_the_trial_later(
     ]
 
 
-def test_when_samples_come_on_all_the_same_expect_an_answer_to_each(
-    start: Start, driver: ScriptedDriver, spinner: Spinner
-) -> None:
-    start()
-    feed_up_to_the_decision(driver, spinner)
-    feed(driver, 2)
-    eventually(spinner, lambda: driver.answered, "an answer to every sample")
-    assert len(driver.commands) == driver.tick
-
-
 def test_when_an_announced_judgement_does_not_come_expect_the_end_with_that_reason(
     start: Start, driver: ScriptedDriver, spinner: Spinner
 ) -> None:
@@ -176,15 +168,3 @@ def test_when_an_announced_judgement_does_not_come_expect_the_end_with_that_reas
 
     assert driver.statuses[-1].reason == "the estimator does not say whether the trial is over"
     eventually(spinner, lambda: driver.commands[-1] == (0.0, 0.0), "zero torque")
-
-
-def test_a_judgement_that_cannot_be_read_changes_nothing(
-    start: Start, driver: ScriptedDriver, spinner: Spinner, judge: Publisher
-) -> None:
-    start()
-    judge.publish(DiagnosticStatus(name="rubbish"))
-    feed_up_to_the_decision(driver, spinner)
-    judge.publish(status_message(ENOUGH))
-    a_moment(spinner)
-    feed(driver, 1)
-    eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")

@@ -7,7 +7,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_control.saturation import LONGEST_LIST, SaturationCounter
+from armimp_control.safety_limiter import SaturationCounter
 
 
 def ledger_of(ticks: dict[int, int]) -> SaturationCounter:
@@ -27,19 +27,17 @@ def test_neighbouring_ticks_make_one_interval() -> None:
     assert (ledger.clipped, ledger.text) == (7, "3-5 7-7 100-100")
 
 
-def test_without_clipping_the_text_is_empty() -> None:
-    ledger = ledger_of({3: 0, 4: 0})
-    assert (ledger.clipped, ledger.text) == (0, "")
-
-
 def test_when_there_are_too_many_intervals_expect_the_nearest_to_become_one() -> None:
-    ticks = {10 * k: 1 for k in range(LONGEST_LIST)}
-    ticks[10 * LONGEST_LIST - 8] = 1
+    ticks = {10 * k: 1 for k in range(SaturationCounter.MOST_INTERVALS)}
+    ticks[10 * SaturationCounter.MOST_INTERVALS - 8] = 1
     ledger = ledger_of(ticks)
     found = intervals(ledger)
-    assert len(found) == LONGEST_LIST
-    assert found[-1] == (10 * LONGEST_LIST - 10, 10 * LONGEST_LIST - 8)
-    assert found[:-1] == [(10 * k, 10 * k) for k in range(LONGEST_LIST - 1)]
+    assert len(found) == SaturationCounter.MOST_INTERVALS
+    assert found[-1] == (
+        10 * SaturationCounter.MOST_INTERVALS - 10,
+        10 * SaturationCounter.MOST_INTERVALS - 8,
+    )
+    assert found[:-1] == [(10 * k, 10 * k) for k in range(SaturationCounter.MOST_INTERVALS - 1)]
 
 
 @given(st.dictionaries(st.integers(0, 2000), st.integers(1, 7), max_size=400))
@@ -47,7 +45,7 @@ def test_intervals_hold_every_clipped_tick_in_order_and_are_few(ticks: dict[int,
     ledger = ledger_of(ticks)
     found = intervals(ledger)
     assert ledger.clipped == sum(ticks.values())
-    assert len(found) <= LONGEST_LIST
+    assert len(found) <= SaturationCounter.MOST_INTERVALS
     assert all(any(first <= tick <= last for first, last in found) for tick in ticks)
     assert all(first in ticks and last in ticks for first, last in found)
     assert all(one[1] + 1 < later[0] for one, later in pairwise(found))

@@ -9,18 +9,17 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.status import Phase, TrialStatus
+from armimp_common.status import Cause, Phase, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_control.experiment import Experiment
 from armimp_control.laws.law import Controller
 from armimp_control.parameters import (
     ControllerParameters,
     LawParameters,
-    SafetyParameters,
-    SequenceParameters,
 )
 from armimp_control.perturbation import perturbation
-from armimp_control.safety import Limit
+from armimp_control.safety_limiter import Limit, SafetyParameters
+from armimp_control.sequence import SequenceParameters
+from armimp_control.trial_sequencer import TrialSequencer
 
 POSTURE = np.radians([62.708, 77.260])
 SETTLE, PERTURB, REST = 50, 200, 60
@@ -58,7 +57,7 @@ class Bench:
     perturbations: list[NDArray[np.float64]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.experiment = Experiment(self.parameters, self.statuses.append)
+        self.experiment = TrialSequencer(self.parameters, self.statuses.append)
 
     def answer(
         self, theta: Sequence[float] | NDArray[np.float64], tau_h: Sequence[float] = STILL
@@ -119,7 +118,7 @@ def test_phases_are_announced_at_their_first_tick() -> None:
 
 def test_status_is_announced_before_the_command_which_it_concerns() -> None:
     seen: list[tuple[Phase, bool]] = []
-    experiment = Experiment(
+    experiment = TrialSequencer(
         parameters(),
         lambda status: seen.append((status.phase, bool(experiment.tau_delta.any()))),
     )
@@ -140,7 +139,7 @@ def test_perturbation_is_that_of_the_seed_on_one_joint_and_only_while_perturbing
     for joint in (0, 1):
         first = joint * TRIAL + SETTLE
         expected[first : first + PERTURB, joint] = perturbation(
-            bench.parameters.perturbation_config(),
+            bench.parameters.perturbation,
             joint=joint,
             trial=joint + 1,
             ticks=PERTURB,
@@ -154,7 +153,7 @@ def test_commands_are_those_of_the_law_with_the_role_of_each_trial() -> None:
 
     samples = bench.wobble(TRIAL + 40)
 
-    law = Controller(bench.parameters.imbic_config(), safety=bench.parameters.safety_config())
+    law = Controller(bench.parameters.imbic_config(), safety=bench.parameters.safety)
     expected = []
     for tick, (theta, tau_h) in enumerate(samples):
         law.perturb_joint(tick // TRIAL)
@@ -162,18 +161,6 @@ def test_commands_are_those_of_the_law_with_the_role_of_each_trial() -> None:
         expected.append(law.command.copy())
     np.testing.assert_array_equal(bench.commands, expected)
     assert np.abs(expected).max() > 0.1
-
-
-def test_when_all_trials_are_over_expect_zero_torque_and_silence() -> None:
-    bench = Bench()
-    bench.run(2 * TRIAL + 1)
-    said = len(bench.statuses)
-
-    bench.wobble(20)
-
-    assert not np.any(bench.commands[-20:])
-    assert not np.any(bench.perturbations[-20:])
-    assert len(bench.statuses) == said
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -199,15 +186,6 @@ def test_when_a_reading_is_not_finite_expect_zero_torque_the_same_tick_and_ever_
     assert last.reason == f"{what} of joint {joint + 1} is not finite: {value}"
     assert [phase for phase, _, _ in bench.phases].count(Phase.ABORTED) == 1
     assert bench.experiment.finished
-
-
-def test_when_the_first_reading_is_not_finite_expect_an_abort_of_the_first_trial() -> None:
-    bench = Bench()
-
-    bench.answer((math.nan, 0.0))
-
-    assert bench.phases == [(Phase.SETTLE, 1, 0), (Phase.ABORTED, 1, 0)]
-    assert not bench.commands[0].any()
 
 
 def test_when_the_law_overflows_expect_zero_torque_and_an_abort() -> None:
@@ -285,38 +263,12 @@ def test_jitter_below_half_a_period_is_no_gap() -> None:
     assert all(status.valid for status in bench.statuses)
 
 
-def test_runs_with_one_seed_are_equal_and_with_another_differ() -> None:
-    first, again = Bench(), Bench()
-    other = Bench(parameters=parameters(seed=2))
-    for bench in (first, again, other):
-        bench.wobble(2 * TRIAL)
-
-    np.testing.assert_array_equal(first.commands, again.commands)
-    np.testing.assert_array_equal(first.perturbations, again.perturbations)
-    assert first.statuses == again.statuses
-    perturbing = slice(SETTLE, SETTLE + PERTURB)
-    assert not np.array_equal(first.perturbations[perturbing], other.perturbations[perturbing])
-    assert other.statuses[0].seed == 2
-
-
-def test_trials_of_one_experiment_are_perturbed_differently() -> None:
-    bench = Bench()
-
-    bench.run(2 * TRIAL)
-
-    first = np.array(bench.perturbations)[SETTLE : SETTLE + PERTURB, 0]
-    second = np.array(bench.perturbations)[TRIAL + SETTLE : TRIAL + SETTLE + PERTURB, 1]
-    peaks = bench.parameters.perturbation.peak
-    assert (np.abs(first).max(), np.abs(second).max()) == peaks
-    assert not np.allclose(first / peaks[0], second / peaks[1], atol=0.1)
-
-
 def test_first_reason_of_an_abort_stays() -> None:
     bench = Bench()
     bench.wobble(5)
 
-    bench.experiment.abort("one thing")
-    bench.experiment.abort("another thing")
+    bench.experiment.abort(Cause.STAMPS, "one thing")
+    bench.experiment.abort(Cause.TARE, "another thing")
 
     assert not bench.experiment.command.any()
     assert [status.reason for status in bench.statuses] == ["", "one thing"]
@@ -330,7 +282,7 @@ def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
     clipped = np.abs(bench.commands) == 1e-3
     trial = clipped[SETTLE : SETTLE + PERTURB]
     assert np.abs(bench.commands).max() <= 1e-3
-    assert bench.experiment.clips[Limit.TORQUE] == clipped.sum() > TRIAL
+    assert bench.experiment.clipped[Limit.TORQUE] == clipped.sum() > TRIAL
     settle, perturb, rest, *_ = bench.statuses
     assert (settle.clipped, perturb.clipped, rest.clipped) == (0, 0, trial.sum())
     ticks = np.concatenate(
@@ -395,15 +347,15 @@ def test_stop_ramps_down_and_falls_on_where_no_samples_come() -> None:
     bench.wobble(SETTLE + 20)
     last = bench.commands[-1]
 
-    bench.experiment.stop("nobody there")
+    bench.experiment.stop(Cause.SAMPLES_STOPPED, "nobody there")
 
     assert bench.statuses[-1].reason == "nobody there"
-    bench.experiment.fall(3)
+    bench.experiment.continue_ramp(3)
     assert bench.experiment.command == pytest.approx(0.7 * last)
     assert not bench.experiment.at_rest
     bench.answer(POSTURE)
     assert bench.commands[-1] == pytest.approx(0.6 * last)
-    bench.experiment.fall(6)
+    bench.experiment.continue_ramp(6)
     assert bench.experiment.at_rest
 
 
@@ -425,4 +377,4 @@ def test_when_the_loop_would_be_unstable_expect_a_refusal() -> None:
     )
 
     with pytest.raises(ConfigurationError, match="unstable when sampled"):
-        Experiment(wild, lambda _: None)
+        TrialSequencer(wild, lambda _: None)

@@ -1,0 +1,56 @@
+"""What all laws share: the rows of the arrays that they work on, and checks of their vectors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from armimp_common.errors import ConfigurationError
+
+THETA_1, THETA_2, IDEAL_VELOCITY, COMMAND, TICKS, OFFSET, SENSED_BEFORE = range(7)
+"""Memory between ticks: the last two positions, ∫ u dt, the command sent, ticks since the start,
+distance of the target from θ_rd, and the first row of the role."""
+MEMORY_ROWS = 7
+
+SENSED, INERTIA, DAMPING, STIFFNESS, APPROACH, DITHER, DITHER_ANGLE, TARE = range(8)
+"""Role in a trial: share of τ_h' sensed; impedance that a joint is to show; what is left after a
+tick of the distance of its target from θ_rd; amplitude (rad) and angle per tick (rad) of the dither
+in its target; what the torque transducer reads at rest (N·m), which the law takes from τ_h'."""
+ROLE_ROWS = 8
+
+NO_JOINT = -1
+"""Stands for the perturbed joint while all joints are locked."""
+
+IMBIC, PD = 0, 1
+"""What tells the laws apart in compiled code."""
+
+
+def check_numbers(
+    config: Any, shapes: dict[str, tuple[int, ...]], positive: tuple[str, ...]
+) -> None:
+    """Check arrays and numbers of a configuration.
+
+    Parameters
+    ----------
+    config : with these attributes
+    shapes : of those that must be finite arrays, by name
+    positive : names of those that must be positive and finite, in each element
+
+    Raises
+    ------
+    ConfigurationError
+        Naming the attribute, its joint, and the value.
+    """
+    for name, shape in shapes.items():
+        values = getattr(config, name)
+        if values.shape != shape or not np.all(np.isfinite(values)):
+            size = "×".join(map(str, shape))
+            raise ConfigurationError(
+                f"controller: {name} needs {size} finite values: {values.tolist()}"
+            )
+    for name in positive:
+        for i, value in enumerate(np.atleast_1d(getattr(config, name))):
+            if not 0.0 < value < np.inf:
+                where = f"{name} of joint {i + 1}" if name in shapes else name
+                raise ConfigurationError(f"controller: {where} must be positive, got {value}")

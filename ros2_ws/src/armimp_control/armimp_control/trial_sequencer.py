@@ -1,0 +1,371 @@
+"""The controller without ROS: samples in, commands and perturbations out, trial after trial."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
+from armimp_common.topics import PERIOD_NS, clock_step
+from armimp_control.laws.law import Controller
+from armimp_control.parameters import ControllerParameters
+from armimp_control.perturbation import perturbation
+from armimp_control.safety_limiter import Limit, SafetyParameters, SaturationCounter
+from armimp_control.sequence import PERIOD, Segment, Tare, timetable
+
+Reading = tuple[float, ...]
+
+
+class TrialSequencer:
+    """Answers each sample with a command and leads through the trials.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    announce : called with every new status, before the command that it concerns
+
+    Attributes
+    ----------
+    command : (n,) N·m, answer to the last sample
+    tau_delta : (n,) N·m, perturbation of the last sample
+    cause, fault : why the experiment has ended early, as a code and in words; else NONE and empty
+    lost : number of samples that were missing between others in the present trial
+    finished : whether all trials are over, in good order or not
+    tick : number of samples answered
+
+    Raises
+    ------
+    ConfigurationError
+        If the parameters do not fit together or the loop would be unstable.
+    """
+
+    def __init__(
+        self, parameters: ControllerParameters, announce: Callable[[TrialStatus], None]
+    ) -> None:
+        self.margins = parameters.check()
+        self._parameters, self._announce = parameters, announce
+        n = self._count = len(parameters.joints)
+        self._law = Controller(parameters.law_config(), safety=parameters.safety)
+        self._segments = timetable(parameters.sequence, joints=n, tare=parameters.tare)
+        self._planned = round(parameters.sequence.duration / PERIOD)
+        self._ticks = self._planned
+        self._next_segment = self._until = 0
+        self._segment: Segment | None = None
+        self._due: int | None = None
+        self._start_ns: int | None = None
+        self._next_ns: int | None = None  # stamp that is expected
+        self._signal: NDArray[np.float64] = np.zeros(0)
+        # In lockstep made when its trial begins, as memory is worth more there than time.
+        prepared = range(n) if parameters.mode == "realtime" else ()
+        self._signals = {joint: self._make_signal(joint) for joint in prepared}
+        self._fill = partial(struct.Struct(f"{2 * n}d").pack_into, self._law.sample.data, 0)
+        self._at_rest = np.zeros((n, parameters.tare.ticks))
+        self._tare: Tare | None = None
+        self._malformed = ""
+        self.command, self.tau_delta = self._law.command, self._law.sample[2]
+        self._compute = self._law.compute
+        self._saturation = SaturationCounter()
+        self.cause, self.fault = Cause.NONE, ""
+        self.tick = self.lost = 0
+        self.finished = False
+        # Have the law compiled before time matters.
+        self._law.tick(np.zeros(n), np.zeros(n), np.zeros(n))
+        self._law.stop()
+        self._law.continue_ramp(1)
+        self._law.reset()
+
+    def answer(self, stamp_ns: int, theta: Sequence[float], tau_h: Sequence[float]) -> None:
+        """Compute :attr:`command` and :attr:`tau_delta` for one sample.
+
+        A sample that is wrong in any way ends the experiment, and nothing of it is used.
+
+        Parameters
+        ----------
+        stamp_ns : of the sample, ns
+        theta : (n,) encoder readings, rad
+        tau_h : (n,) torque on the arm, N·m
+        """
+        if len(theta) == self._count == len(tau_h):
+            self._malformed = ""
+            if not self.finished:
+                if stamp_ns != self._next_ns:
+                    self._check_stamp(stamp_ns)
+                self._next_ns = stamp_ns + PERIOD_NS
+                if self.tick >= self._until and not self.finished:
+                    self._advance(stamp_ns)
+            self._control(theta, tau_h)
+        else:
+            what, values = "position", theta
+            if len(theta) == self._count:
+                what, values = "torque reading", tau_h
+            self._malformed = f"{what} has {len(values)} values for {self._count} joints"
+            self.abort(Cause.MALFORMED, self._malformed)
+        self.tick += 1
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether the experiment is over and the torque zero."""
+        return self.finished and not self.command.any()
+
+    @property
+    def clipped(self) -> dict[Limit, int]:
+        """Number of clipped joint commands for each limit, in all phases of all trials."""
+        return self._law.clipped
+
+    @property
+    def present_fault(self) -> str:
+        """What was wrong with the last sample, in words; else empty."""
+        return self._malformed or self._law.present_fault
+
+    @property
+    def awaits_decision(self) -> bool:
+        """Whether the estimator has announced a decision on the next sample."""
+        return self._due is not None and self._place >= self._due + NOTICE_TICKS
+
+    def decide(self, decision: StoppingDecision) -> None:
+        """End the present trial early if its estimates are good enough already.
+
+        The perturbation then ends :data:`NOTICE_TICKS` samples after those that were judged, or as
+        many from now on if it is too late for that. Its end is announced at once.
+        """
+        segment = self._segment
+        if self.finished or segment is None or segment.phase is not Phase.PERTURB:
+            return
+        if decision.trial != segment.trial or decision.samples > self._place:
+            return  # it is of another experiment
+        self._due = decision.due
+        end = decision.samples + NOTICE_TICKS
+        if end < self._place:
+            end = self._place + NOTICE_TICKS
+        if decision.enough and end < segment.ticks:
+            self._enter(replace(segment, ticks=end))
+            self._ticks = end
+            self._tell(Phase.PERTURB)
+
+    @property
+    def _place(self) -> int:
+        """Number of samples of the present phase that were answered."""
+        return 0 if self._segment is None else self.tick - self._segment.first
+
+    def abort(self, cause: Cause, reason: str) -> None:
+        """End the experiment with zero torque at once. The first reason stays."""
+        self._law.cut()
+        self._end(cause, reason)
+
+    def stop(self, cause: Cause, reason: str) -> None:
+        """End the experiment and let the torque ramp down to zero. The first reason stays.
+
+        The ramp takes one tick for each further answer, or those of :meth:`continue_ramp`.
+        """
+        self._law.stop()
+        self._end(cause, reason)
+
+    def continue_ramp(self, ticks: int) -> None:
+        """Go on with the ramp after :meth:`stop` by some ticks, where no samples come."""
+        self._law.continue_ramp(ticks)
+
+    def _end(self, cause: Cause, reason: str) -> None:
+        self.tau_delta[:] = 0.0
+        self._due = None
+        if not self.finished:
+            self.finished = True
+            self.cause, self.fault = cause, reason
+            self._tell(Phase.ABORTED)
+
+    def _check_stamp(self, stamp_ns: int) -> None:
+        """Check what the limiter can not know: the order of the samples, and gaps between them."""
+        if self._next_ns is None:
+            return
+        last = self._next_ns - PERIOD_NS
+        if jump := clock_step(last, stamp_ns):
+            self.abort(Cause.STAMPS, jump)
+        elif stamp_ns <= last:
+            self.abort(
+                Cause.STAMPS, f"stamp {stamp_ns} ns follows {last} ns: samples must move forward"
+            )
+        else:
+            self.lost += max(round((stamp_ns - last) / PERIOD_NS) - 1, 0)
+
+    def _advance(self, stamp_ns: int) -> None:
+        """Enter the next phase, whose first tick has come."""
+        self._due = None
+        if self._next_segment == len(self._segments):
+            self.finished = True
+            self._law.release()
+            self._tell(Phase.DONE)
+            return
+        before = self._segment
+        # A trial that ended early brings forward all that follows.
+        segment = self._enter(replace(self._segments[self._next_segment], first=self.tick))
+        self._next_segment += 1
+        self.tau_delta[:] = 0.0
+        if before is not None and before.tare:
+            self._take_tare(segment)
+            return
+        if segment.phase is Phase.SETTLE:
+            self._prepare(segment)
+        elif segment.phase is Phase.PERTURB:
+            self._start_ns = stamp_ns
+        self._tell(segment.phase)
+
+    def _enter(self, segment: Segment) -> Segment:
+        self._segment, self._until = segment, segment.end
+        return segment
+
+    def _take_tare(self, settle: Segment) -> None:
+        """Find the tare and let the joints take their roles, or end the experiment."""
+        self._tare = self._parameters.tare.of(self._at_rest)
+        if refusal := self._parameters.tare.refusal(self._tare, self._parameters.joints):
+            self.stop(Cause.TARE, refusal)
+            return
+        self._law.tare(self._tare.offset)
+        self._law.perturb_joint(settle.joint)
+
+    def _prepare(self, settle: Segment) -> None:
+        if settle.tare:
+            self._law.lock()
+        else:
+            self._law.perturb_joint(settle.joint)
+        self._tare = None
+        self._start_ns = None
+        self._saturation = SaturationCounter()
+        self.lost = 0
+        self._ticks = self._planned
+        made = self._signals.get(settle.joint)
+        self._signal = self._make_signal(settle.joint) if made is None else made
+
+    def _make_signal(self, joint: int) -> NDArray[np.float64]:
+        return perturbation(
+            self._parameters.perturbation,
+            joint=joint,
+            trial=joint + 1,
+            ticks=self._planned,
+            seed=self._parameters.seed,
+        )
+
+    def _control(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
+        segment = self._segment
+        place: int | None = None  # within the perturbation
+        # The other joints, and all of them in other phases, were set to zero as the phase began.
+        if not self.finished and segment is not None and segment.phase is Phase.PERTURB:
+            place = self.tick - segment.first
+            self.tau_delta[segment.joint] = self._signal[place]
+        elif not self.finished and segment is not None and segment.tare:
+            self._at_rest[:, self.tick - segment.first] = tau_h
+        self._fill(*theta, *tau_h)
+        clipped = self._compute()
+        if clipped and place is not None:
+            self._saturation.add(place, clipped)
+        if not self.finished and self._law.stopped:
+            self._end(*self._law.fault)
+
+    def _tell(self, phase: Phase) -> None:
+        segment = self._segment or self._segments[0]
+        cause, reason = self.cause, self.fault
+        if self.lost and cause is Cause.NONE:
+            what = "sample" if self.lost == 1 else "samples"
+            cause, reason = Cause.SAMPLES_LOST, f"{self.lost} {what} did not arrive"
+        self._announce(
+            TrialStatus(
+                phase=phase,
+                trial=segment.trial,
+                trials=self._segments[-1].trial,
+                joint=segment.joint,
+                joint_name=self._parameters.joints[segment.joint],
+                tick=self.tick,
+                start_ns=self._start_ns,
+                ticks=self._ticks,
+                seed=self._parameters.seed,
+                valid=cause is Cause.NONE,
+                cause=cause,
+                reason=reason,
+                lost=self.lost,
+                clipped=self._saturation.clipped,
+                clipped_intervals=self._saturation.text,
+                tare=() if self._tare is None else self._tare.offset,
+                tare_error=() if self._tare is None else self._tare.error,
+            )
+        )
+
+
+class SamplePairs:
+    """The two readings of a sample, which come as messages of their own: pairing by stamp."""
+
+    def __init__(self) -> None:
+        self._positions: dict[int, Reading] = {}
+        self._torques: dict[int, Reading] = {}
+
+    def with_position(self, stamp_ns: int, theta: Reading) -> Reading | None:
+        """Take a position; the torque of the same stamp (ns), or None until that comes."""
+        return _other(self._torques, self._positions, stamp_ns, theta)
+
+    def with_torque(self, stamp_ns: int, tau_h: Reading) -> Reading | None:
+        """Take a torque; the position of the same stamp (ns), or None until that comes."""
+        return _other(self._positions, self._torques, stamp_ns, tau_h)
+
+
+def _other(
+    waiting: dict[int, Reading], own: dict[int, Reading], stamp_ns: int, values: Reading
+) -> Reading | None:
+    other = waiting.pop(stamp_ns, None)
+    if other is None:
+        own[stamp_ns] = values
+    elif waiting or own:
+        # Older readings without a partner are lost samples, which the sequencer counts.
+        for readings in (waiting, own):
+            for old in [stamp for stamp in readings if stamp < stamp_ns]:
+                del readings[old]
+    return other
+
+
+def first_bad(values: Sequence[float]) -> int | None:
+    """Index of the first value that is not finite; None if there is none."""
+    if math.isfinite(sum(values)):  # as it is with almost every reading
+        return None
+    return next((i for i, value in enumerate(values) if not math.isfinite(value)), None)
+
+
+class Watchdog:
+    """Tells for how long no sample came, and how far the ramp to zero has to be by now.
+
+    Time is any monotonic clock in seconds; the caller feeds it, so tests need not wait.
+
+    Parameters
+    ----------
+    safety : SafetyParameters
+    slowest_tick : longest wall time that may count as one period, s
+    """
+
+    def __init__(self, safety: SafetyParameters, *, slowest_tick: float) -> None:
+        self._patience = safety.watchdog_ticks * slowest_tick
+        self._longest = safety.ramp_ticks(PERIOD)
+        self._last: float | None = None
+        self._given = 0
+
+    def feed(self, now: float) -> None:
+        """A sample came at time ``now``, s."""
+        self._last = now
+        self._given = 0
+
+    def expired(self, now: float) -> bool:
+        """Whether samples have stayed away for too long (never before the first one)."""
+        return self._last is not None and not now - self._last < self._patience
+
+    def ticks_due(self, now: float) -> int:
+        """Ticks of the ramp that have become due since this was asked last.
+
+        The first is due when patience ends; all are, where the clock tells nonsense.
+        """
+        if self._last is None or not self.expired(now):
+            return 0
+        overdue = (now - self._last - self._patience) / PERIOD
+        due = min(int(overdue) + 1, self._longest) if overdue < self._longest else self._longest
+        new = max(due - self._given, 0)
+        self._given = max(due, self._given)
+        return new

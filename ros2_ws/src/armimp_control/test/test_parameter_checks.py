@@ -1,0 +1,95 @@
+"""Values that make no sense are refused, each with its name and the value."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from armimp_common.errors import ConfigurationError
+from armimp_common.schema import build, flatten
+from armimp_control import presets
+from armimp_control.laws.pd import PdConfig
+from armimp_control.parameters import ControllerParameters
+from armimp_control.safety_limiter import SafetyParameters
+from armimp_control.sequence import PERIOD
+
+POSTURE = np.radians([62.708, 77.260])
+PRESET = flatten(
+    ControllerParameters.preset(
+        joints=("shoulder", "elbow"),
+        posture=POSTURE,
+        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
+        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+    )
+)
+NAN, INF = float("nan"), float("inf")
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("safety.torque_limit", [0.0, -80.0, NAN, INF]),
+        ("safety.rate_limit", [0.0, NAN, 1599.0]),
+        ("safety.power_limit", [0.0, INF]),
+        ("safety.watchdog_ticks", [0, -5, 101, 10**9]),
+        ("safety.ramp_time", [-0.01, 0.051, NAN]),
+        ("safety.position_limit", [(1.0, 0.0), (1.0, NAN), (), (1.0,) * 3]),
+        ("safety.velocity_limit", [(1.0, -0.5), (INF,)]),
+        ("perturbation.peak", [(3.0, 0.0), (3.0,), (3.0, NAN)]),
+        ("perturbation.cutoff", [0.0, 500.0]),
+        ("perturbation.order", [0, 21]),
+        ("sequence.duration", [0.0, -1.5, 4e-4, INF]),
+        ("sequence.settle", [0.0, 0.049, NAN]),
+        ("sequence.rest", [-1.5]),
+        ("tare.duration", [0.2, 61.0, NAN]),
+        ("tare.wait", [-0.1]),
+        ("tare.limit", [0.0]),
+        ("tare.noise", [INF]),
+        ("target.posture", [(1.0, NAN)]),
+        ("target.inertia", [(0.2, 0.0), (0.2,)]),
+        ("target.lock_dither_frequency", [380.0]),
+        ("law.model_inertia", [(1.0, 0.0, 1.0), (NAN, 0.0, 0.0, 1.0)]),
+        ("law.gamma", [0.0]),
+        ("law.kind", ["lqr"]),
+        ("known.robot_inertia", [(1.0, 2.0, 2.0, 1.0), (1.0,)]),
+        ("known.command_delay", [-1]),
+        ("known.actuator_lag", [1e-12, 0.2]),
+        ("known.torque_cutoff", [1e-6, INF]),
+        ("known.torque_order", [0, 5]),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_refused_and_named(name: str, values: list[Any]) -> None:
+    group, _, short = name.partition(".")
+    named = {"robot_inertia": "M_r|robot_inertia", "cutoff": "cutoff"}.get(short, short)
+    for value in values:
+        with pytest.raises(ConfigurationError, match=rf"{named}|'{group}'"):
+            build(ControllerParameters, {**PRESET, name: value}).check()
+
+
+def test_the_preset_is_accepted() -> None:
+    build(ControllerParameters, PRESET).check()
+
+
+def test_the_slowest_rate_limit_brings_the_torque_down_just_in_time() -> None:
+    slow = SafetyParameters(torque_limit=80.0, rate_limit=1600.0, ramp_time=0.05)
+    assert slow.rules(np.zeros(2), PERIOD).shape[1] == 2
+    with pytest.raises(ConfigurationError, match=r"rate_limit 1599\.0 .* 80\.0 .* within 0\.05 s"):
+        slow.model_copy(update={"rate_limit": 1599.0}).rules(np.zeros(2), PERIOD)
+
+
+@pytest.mark.parametrize("change", [{"inertia": np.array([0.3, 0.0])}, {"frequency": 0.0}])
+def test_gains_of_pd_need_inertia_and_frequency(change: dict[str, Any]) -> None:
+    two = np.ones(2)
+    good: dict[str, Any] = {
+        "target_posture": two,
+        "target_damping": two,
+        "target_stiffness": two,
+        "inertia": two,
+    }
+    with pytest.raises(ConfigurationError, match=f"{next(iter(change))}.* must be positive"):
+        PdConfig(**{**good, **change})
+
+
+def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good() -> None:
+    assert presets.lock_dither(1e-3) == pytest.approx(7e-4)
+    assert presets.lock_dither(0.5) == presets.lock_dither(0.01)

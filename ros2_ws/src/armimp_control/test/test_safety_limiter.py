@@ -1,0 +1,281 @@
+"""The safety limiter: each limit with each action, the ramp, what is not finite."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_control.safety_limiter import (
+    CLIPPED,
+    FAULT,
+    JOURNAL,
+    LIMITER_ROWS,
+    PRESENT,
+    STOPPED,
+    WINDOW,
+    Action,
+    Limit,
+    SafetyParameters,
+    check_sample,
+    continue_ramp,
+    fault_of,
+    limit_command,
+    stop_commands,
+)
+from support.safety import torque_only
+
+PERIOD = 1e-3
+WIDE = torque_only(1e6)
+Vector = tuple[float, ...]
+BAD = [np.nan, np.inf, -np.inf]
+
+
+class SafetyLimiter:
+    """A gate of its own, fed tick by tick."""
+
+    def __init__(self, joints: int = 2, *, config: SafetyParameters = WIDE, **limits: Any) -> None:
+        self.rules = config.model_copy(update=limits).rules(np.zeros(joints), PERIOD)
+        self.memory = np.zeros((LIMITER_ROWS, joints))
+        self.journal = np.zeros(JOURNAL)
+        self.command = np.zeros(joints)
+        self.clipped = 0
+
+    def tick(
+        self,
+        command: Vector,
+        theta: Vector | None = None,
+        tau_h: Vector | None = None,
+        tau_delta: Vector | None = None,
+    ) -> NDArray[np.float64]:
+        still = (0.0,) * self.command.size
+        sample, torque, perturbation = (
+            np.array(still if values is None else values) for values in (theta, tau_h, tau_delta)
+        )
+        check_sample(sample, torque, perturbation, self.rules, PERIOD, self.memory, self.journal)
+        self.command = np.array(command)
+        self.clipped = limit_command(self.command, self.rules, self.memory, self.journal)
+        return self.command
+
+    @property
+    def stopped(self) -> bool:
+        return bool(self.journal[STOPPED])
+
+    @property
+    def fault(self) -> str:
+        return fault_of(self.journal, FAULT, self.rules)[1]
+
+    @property
+    def present(self) -> str:
+        return fault_of(self.journal, PRESENT, self.rules)[1]
+
+    def count(self, limit: Limit) -> int:
+        counts = {one: int(self.journal[CLIPPED + i]) for i, one in enumerate(Limit)}
+        assert sum(counts.values()) == counts[limit]
+        return counts[limit]
+
+
+def test_command_within_all_limits_passes_unchanged() -> None:
+    limiter = SafetyLimiter(config=SafetyParameters())
+    for command in ((80.0, -80.0), (-0.0, 5e-324), (1.0 / 3.0, -70.0)):
+        assert limiter.tick(command).tobytes() == np.array(command).tobytes()
+        assert limiter.clipped == 0
+    assert not limiter.stopped
+    assert limiter.fault == limiter.present == ""
+
+
+# --- what is not finite ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", BAD)
+@pytest.mark.parametrize("joint", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ("theta", "position of joint"),
+        ("tau_h", "torque reading of joint"),
+        ("tau_delta", "perturbation of joint"),
+        ("command", "torque from the control law for joint"),
+    ],
+)
+def test_one_bad_number_takes_the_torque_from_all_joints_at_once(
+    where: str, said: str, joint: int, bad: float
+) -> None:
+    limiter = SafetyLimiter(3)
+    limiter.tick((30.0, -40.0, 50.0))
+    values = [0.0, 0.0, 0.0]
+    values[joint] = bad
+    inputs = {"command": (30.0, -40.0, 50.0), where: tuple(values)}
+    assert not limiter.tick(**inputs).any()
+    assert limiter.fault == f"{said} {joint + 1} is not finite: {bad}"
+    assert not limiter.tick((30.0, -40.0, 50.0)).any()
+    assert limiter.fault.startswith(said)  # the first cause stays
+    assert limiter.present == ""
+
+
+def test_bad_number_during_a_ramp_ends_the_ramp() -> None:
+    limiter = SafetyLimiter(ramp_time=0.05)
+    limiter.tick((50.0, -50.0))
+    stop_commands(50, True, limiter.memory, limiter.journal)
+    assert limiter.tick((50.0, -50.0)).all()
+    assert not limiter.tick((50.0, -50.0), theta=(np.nan, 0.0)).any()
+    assert not limiter.tick((50.0, -50.0)).any()
+
+
+# --- position and velocity -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("theta", "joint"), [((0.21, 0.0), 1), ((0.0, -0.61), 2)])
+def test_position_beyond_its_limit_stops(theta: Vector, joint: int) -> None:
+    limiter = SafetyLimiter(position_limit=(0.2, 0.6))
+    limiter.tick((5.0, 5.0), (0.2, -0.6))
+    assert not limiter.stopped
+    limiter.tick((5.0, 5.0), theta)
+    assert limiter.stopped
+    value, limit = max(theta, key=abs), (0.2, 0.6)[joint - 1]
+    said = f"joint {joint} is {value} rad away from the posture, beyond the limit of {limit} rad"
+    assert limiter.fault == limiter.present == said
+    limiter.tick((5.0, 5.0), (0.0, 0.0))
+    assert (limiter.fault, limiter.present) == (said, "")
+
+
+def test_beyond_a_position_limit_that_clips_only_inward_torque_passes() -> None:
+    limiter = SafetyLimiter(position_limit=(0.2,), position_action=Action.CLIP)
+    assert limiter.tick((5.0, 5.0), (0.3, -0.3)).tolist() == [0.0, 5.0]
+    assert limiter.tick((-5.0, -5.0), (0.3, -0.3)).tolist() == [-5.0, 0.0]
+    assert limiter.tick((5.0, -5.0), (0.2, -0.2)).tolist() == [5.0, -5.0]
+    assert (limiter.stopped, limiter.count(Limit.POSITION)) == (False, 2)
+
+
+def ramp_up(speed: float, ticks: int) -> list[Vector]:
+    return [(k * speed * PERIOD, 0.0) for k in range(ticks)]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_velocity_beyond_its_limit_stops(sign: float) -> None:
+    limiter = SafetyLimiter(velocity_limit=(4.0,))
+    for theta in ramp_up(sign * 3.9, 20):
+        limiter.tick((1.0, 1.0), theta)
+    assert not limiter.stopped
+    limiter = SafetyLimiter(velocity_limit=(4.0,))
+    for theta in ramp_up(sign * 4.1, 20):
+        limiter.tick((1.0, 1.0), theta)
+    assert limiter.stopped
+    assert (
+        limiter.fault == f"velocity of joint 1 is {sign * 4.1} rad/s, beyond the limit of 4 rad/s"
+    )
+
+
+def test_velocity_is_a_difference_over_the_window_so_one_count_does_not_stop() -> None:
+    count = 2.0 * np.pi / 51200
+    assert count / PERIOD > 0.12
+    limiter = SafetyLimiter(velocity_limit=(0.025,))
+    for k in range(50):
+        limiter.tick((1.0, 1.0), (count * (k % 2 if k > WINDOW else 0), 0.0))
+    assert not limiter.stopped
+    limiter = SafetyLimiter(velocity_limit=(0.024,))
+    for _ in range(WINDOW):
+        limiter.tick((1.0, 1.0))
+    limiter.tick((1.0, 1.0), (count, 0.0))
+    assert limiter.stopped
+
+
+def test_first_sample_has_no_velocity_wherever_it_is() -> None:
+    limiter = SafetyLimiter(velocity_limit=(1e-6,))
+    limiter.tick((1.0, 1.0), (3.0, -3.0))
+    assert not limiter.stopped
+    limiter.tick((1.0, 1.0), (3.0, -3.0 + 1e-3))
+    assert "velocity of joint 2 is 1 rad/s" in limiter.fault
+
+
+def test_beyond_a_velocity_limit_that_clips_only_braking_torque_passes() -> None:
+    limiter = SafetyLimiter(velocity_limit=(1.0,), velocity_action=Action.CLIP)
+    *_, last = ((limiter.tick((5.0, 5.0), theta)).tolist() for theta in ramp_up(2.0, 4))
+    assert last == [0.0, 5.0]
+    assert limiter.tick((-5.0, 5.0), (8e-3, 0.0)).tolist() == [-5.0, 5.0]
+    assert (limiter.stopped, limiter.count(Limit.VELOCITY)) == (False, 3)
+
+
+# --- torque, rate, power ---------------------------------------------------------------------
+
+
+def test_torque_beyond_its_limit_is_clipped_and_counted() -> None:
+    limiter = SafetyLimiter(torque_limit=80.0)
+    assert limiter.tick((80.1, -1e300)).tolist() == [80.0, -80.0]
+    assert limiter.clipped == limiter.count(Limit.TORQUE) == 2
+    assert limiter.tick((80.0, -80.0)).tolist() == [80.0, -80.0]
+    assert limiter.clipped == 0
+    assert limiter.count(Limit.TORQUE) == 2
+
+
+def test_torque_beyond_a_limit_that_stops_ramps_down_from_the_last_command() -> None:
+    limiter = SafetyLimiter(torque_limit=80.0, torque_action=Action.STOP, ramp_time=0.004)
+    limiter.tick((40.0, -80.0))
+    outputs = [limiter.tick((0.0, 80.5)).tolist() for _ in range(6)]
+    assert outputs == [[30.0, -60.0], [20.0, -40.0], [10.0, -20.0], [0.0, 0.0], *[[0.0, 0.0]] * 2]
+    assert limiter.fault == "torque asked of joint 2 is 80.5 N·m, beyond the limit of 80 N·m"
+    assert limiter.clipped == 0
+
+
+def test_torque_that_changes_too_fast_is_clipped_and_counted() -> None:
+    limiter = SafetyLimiter(torque_limit=80.0, rate_limit=2e4)
+    assert limiter.tick((50.0, -19.0)).tolist() == [20.0, -19.0]
+    assert limiter.tick((50.0, -19.0)).tolist() == [40.0, -19.0]
+    assert limiter.tick((50.0, 2.0)).tolist() == [50.0, 1.0]
+    assert limiter.tick((-50.0, 0.0)).tolist() == [30.0, 0.0]
+    assert limiter.count(Limit.RATE) == 4
+
+
+def test_power_beyond_its_limit_is_clipped_joint_by_joint() -> None:
+    limiter = SafetyLimiter(power_limit=10.0)
+    for theta in ramp_up(2.0, 10):
+        output = limiter.tick((50.0, 50.0), theta)
+    assert output == pytest.approx([5.0, 50.0], rel=1e-12)
+    assert limiter.tick((-50.0, 50.0), (20e-3, 0.0)) == pytest.approx([-5.0, 50.0], rel=1e-12)
+    assert limiter.count(Limit.POWER) == 10
+
+
+def test_power_prevails_over_the_rate_but_only_towards_zero() -> None:
+    limiter = SafetyLimiter(torque_limit=80.0, rate_limit=1e4, power_limit=1.0)
+    for _ in range(10):
+        limiter.tick((80.0, 0.0))
+    assert limiter.command[0] == 80.0
+    assert limiter.tick((80.0, 0.0), (5e-3, 0.0))[0] == pytest.approx(1.0)
+    assert limiter.tick((-80.0, 0.0), (5e-3, 0.0))[0] == pytest.approx(-1.0)
+
+
+# --- the ramp --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("ramp_time", "ticks"), [(0.05, 50), (0.01, 10), (0.001, 1), (0.0, 1)])
+def test_after_a_stop_the_torque_falls_in_a_straight_line(ramp_time: float, ticks: int) -> None:
+    limiter = SafetyLimiter(ramp_time=ramp_time)
+    limiter.tick((50.0, -20.0))
+    stop_commands(ticks, True, limiter.memory, limiter.journal)
+    outputs = np.array([limiter.tick((50.0, -20.0)) for _ in range(ticks + 20)])
+    line = np.clip(1.0 - np.arange(1, ticks + 21) / ticks, 0.0, None)
+    assert outputs == pytest.approx(line[:, None] * [50.0, -20.0], abs=1e-9)
+    assert not outputs[ticks - 1 :].any()
+
+
+def test_power_during_a_ramp_stays_within_its_limit_and_the_torque_does_not_rise_again() -> None:
+    limiter = SafetyLimiter(power_limit=10.0, ramp_time=0.05)
+    limiter.tick((50.0, 0.0))
+    stop_commands(50, True, limiter.memory, limiter.journal)
+    fast = [*ramp_up(10.0, 10), *[(0.09, 0.0)] * 40]
+    outputs = [float(limiter.tick((50.0, 0.0), theta)[0]) for theta in fast]
+    assert min(outputs[5:10]) <= 1.0
+    assert np.all(np.diff(outputs) <= 0.0)
+    assert outputs[49] == 0.0
+
+
+def test_when_no_samples_come_the_ramp_goes_on_by_the_ticks_that_have_passed() -> None:
+    limiter = SafetyLimiter(ramp_time=0.05)
+    limiter.tick((50.0, -50.0))
+    stop_commands(50, True, limiter.memory, limiter.journal)
+    for ticks, left in ((10, 40.0), (0, 40.0), (39, 1.0), (100, 0.0)):
+        continue_ramp(ticks, limiter.command, limiter.rules, limiter.memory, limiter.journal)
+        assert limiter.command == pytest.approx([left, -left])
+    assert not limiter.command.any()
