@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 
 from pydantic import ValidationError
 
@@ -72,8 +72,10 @@ class TimingRecord:
         values = summary.model_dump()
         try:
             return cls(
-                figures=TimingFigures(**{n: values[n] for n in TimingFigures.__dataclass_fields__}),
-                limits=TimingLimits(**{n: values[n] for n in TimingLimits.__dataclass_fields__}),
+                figures=TimingFigures(
+                    **{one.name: values[one.name] for one in fields(TimingFigures)}
+                ),
+                limits=TimingLimits(**{one.name: values[one.name] for one in fields(TimingLimits)}),
             )
         except ConfigurationError as error:
             raise DataError(str(error)) from None
