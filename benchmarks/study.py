@@ -10,15 +10,15 @@ from dataclasses import replace
 from armimp_bringup.bench import Measured, available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import Rig, run_offline
-from armimp_bringup.study.command import DEFAULT_ESTIMATORS
+from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study.conditions import Condition, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
-    Provenance,
-    condition_parameters,
+    condition_config,
     estimate_condition,
     split_evenly,
 )
+from armimp_bringup.study.study import DEFAULT_ESTIMATORS
 from armimp_control.sequence import SequenceParameters
 from armimp_sim.dynamics import WIDTH
 
@@ -43,7 +43,7 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
     """
     base = ExperimentConfig(estimators=DEFAULT_ESTIMATORS, duration=TRIAL)
     conditions = select_conditions([], "0")
-    rigs = [condition_parameters(base, one).rig() for one in conditions[:WIDTH]]
+    rigs = [node_parameters(condition_config(base, one), None).rig() for one in conditions[:WIDTH]]
     cores = available_cores()
     tell("compiling")
     for lanes in (1, WIDTH):
@@ -105,8 +105,8 @@ def _per_trial(rigs: Sequence[Rig], duration: float, *, threads: int = 1) -> flo
 
 def _per_estimate(base: ExperimentConfig, condition: Condition) -> float:
     """Time for all estimates of a condition, s."""
-    batch = Batch(base=base, conditions=(condition,), provenance=Provenance.here())
-    parameters = condition_parameters(base, condition)
+    batch = Batch(base=base, conditions=(condition,))
+    parameters = node_parameters(condition_config(base, condition), None)
     (trials,) = run_offline([parameters.rig()])
     return _shortest(lambda: estimate_condition(batch, condition, parameters, trials), 1)
 

@@ -17,7 +17,7 @@ from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study.conditions import Condition, parse_seeds
-from armimp_bringup.study.engine import Batch, Provenance, condition_config, estimate_condition
+from armimp_bringup.study.engine import Batch, condition_config, estimate_condition, software
 from armimp_bringup.terminal import leave_terminal, phase
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.plant import IntegrationError
@@ -132,11 +132,11 @@ def run_controller(plan: ControllerPlan, workers: int | None = None) -> Findings
         lanes += _lanes(plan, setting, base, seeds)
     found: dict[tuple[Setting, Place, str], list[Outcome]] = {}
     lost: dict[tuple[Setting, Place], int] = {}
-    provenance = Provenance.here()
+    here = software()
 
     def work(block: tuple[_Lane, ...]) -> list[tuple[_Lane, list[Outcome]]]:
         return [
-            (lane, _outcomes(lane, trials, provenance) if trials else [])
+            (lane, _outcomes(lane, trials, here) if trials else [])
             for lane, trials in _simulated(block)
         ]
 
@@ -285,8 +285,8 @@ def _simulated(block: Sequence[_Lane]) -> list[tuple[_Lane, list[OfflineTrial]]]
     return list(zip(block, trials, strict=True))
 
 
-def _outcomes(lane: _Lane, trials: list[OfflineTrial], provenance: Provenance) -> list[Outcome]:
-    batch = Batch(base=lane.base, conditions=(lane.condition,), provenance=provenance)
+def _outcomes(lane: _Lane, trials: list[OfflineTrial], here: Mapping[str, Any]) -> list[Outcome]:
+    batch = Batch(base=lane.base, conditions=(lane.condition,), software=here)
     result = estimate_condition(batch, lane.condition, lane.parameters(), trials)
     return [Outcome.of(result.entry, name, trials) for name in lane.base.estimators]
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.offline import OfflineTrial
-from armimp_bringup.study.entry import StudyEntry
+from armimp_bringup.study.store import StudyEntry
 from research.decomposition_statistics import root_mean_square
 
 FloatArray = NDArray[np.float64]

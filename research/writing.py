@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-from armimp_bringup.study.store import replace_file, write_file
+from armimp_estimation.atomic_write import write_text, write_whole
 
 # Colours by Okabe and Ito, which colour-blind readers can tell apart.
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -63,14 +63,15 @@ def write_figure(directory: Path, name: str, figure: Any) -> list[Path]:
 
     Raises
     ------
-    StudyError
+    DataError
         If a file can't be written.
     """
     paths = []
     # The time of day would make every file another one.
     for suffix, metadata in (("png", None), ("pdf", {"CreationDate": None})):
         path = directory / f"{name}.{suffix}"
-        replace_file(path, functools.partial(figure.savefig, dpi=_DPI, metadata=metadata))
+        save = functools.partial(figure.savefig, dpi=_DPI, metadata=metadata)
+        write_whole(path, save, anew=True)
         paths.append(path)
     return paths
 
@@ -94,15 +95,15 @@ def write_tables(
 
     Raises
     ------
-    StudyError
+    DataError
         If a file can't be written.
     """
-    write_file(directory / f"{name}.json", to_json(result) + "\n")
+    write_text(directory / f"{name}.json", to_json(result) + "\n")
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
     writer.writeheader()
     writer.writerows(_finite(row) for row in rows)
-    write_file(directory / f"{name}.csv", text.getvalue())
+    write_text(directory / f"{name}.csv", text.getvalue())
 
 
 def print_table(

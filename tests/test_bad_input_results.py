@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.study.entry import read_entry, read_study
+from armimp_bringup.study.store import read_entry, read_study
 from armimp_common.errors import DataError
 from armimp_estimation.results import read_frf, read_summary
 from support.command import Told, call

@@ -248,23 +248,20 @@ def reproduce(
     """Reproduce the paper's study: all levels of friction, resolution and perturbation."""
     with Display() as display:
         display.phase("starting")
-        from armimp_bringup.study.command import ReproduceOptions
-        from armimp_bringup.study.command import reproduce as run_study
+        from armimp_bringup.study.study import reproduce as run_study
         from armimp_common.compiled import on_compiling
 
         on_compiling(tell_of_compiling)
         return run_study(
-            ReproduceOptions(
-                config=config,
-                out=out or _new_directory("study"),
-                only=only or (),
-                seeds=seeds,
-                workers=workers,
-                scheduler=scheduler,
-                figures=figures,
-                json=json,
-                **options,
-            )
+            out=out or _new_directory("study"),
+            config=config,
+            only=only or (),
+            seeds=seeds,
+            workers=workers,
+            scheduler=scheduler,
+            figures=figures,
+            as_json=json,
+            **options,
         )
 
 

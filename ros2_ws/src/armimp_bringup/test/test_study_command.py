@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from armimp_bringup.cli import main
-from armimp_bringup.study.entry import read_study
+from armimp_bringup.study.store import read_study
 from armimp_bringup.study.verdict import StudyVerdict
 from armimp_bringup.terminal import Display, describe, duration, phase, progress
 
@@ -56,7 +56,7 @@ def test_interrupted_study_says_how_it_goes_on(tmp_path: Path) -> None:
 def test_complaints_are_limited_in_number_and_say_where_the_others_are(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("armimp_bringup.study.command._MOST_FAILURES", 1)
+    monkeypatch.setattr("armimp_bringup.study.study._MOST_FAILURES", 1)
     assert _reproduce(tmp_path / "out", *SHORT) == 1
     complaints = [x for x in capsys.readouterr().err.splitlines() if x.startswith("armimp: ")]
     verdict = StudyVerdict.model_validate_json((tmp_path / "out" / "verdict.json").read_bytes())

@@ -1,11 +1,15 @@
-"""Batches of conditions: the same results whatever stands beside a condition."""
+"""Batches of conditions: the same results whatever stands beside a condition, and where it runs."""
 
 from __future__ import annotations
 
 import json
 import pickle
-from collections.abc import Sequence
-from dataclasses import replace
+import sys
+import threading
+import time
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -13,18 +17,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study import engine
+from armimp_bringup.study import backends, engine
+from armimp_bringup.study.backends import Dask, Threads
 from armimp_bringup.study.conditions import Condition, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
     ConditionResult,
-    Provenance,
     condition_config,
     run_batch,
+    software,
     split_evenly,
 )
-from armimp_bringup.study.errors import StudyError
-from armimp_common.errors import ConfigurationError
+from armimp_bringup.study.study import run_study
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
@@ -36,7 +41,7 @@ CONDITIONS = (
 
 
 def _run(conditions: Sequence[Condition], base: ExperimentConfig = BASE) -> list[ConditionResult]:
-    return run_batch(Batch(base=base, conditions=tuple(conditions), provenance=Provenance.here()))
+    return run_batch(Batch(base=base, conditions=tuple(conditions)))
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +60,9 @@ def _assert_same(one: ConditionResult, other: ConditionResult) -> None:
 def test_condition_gives_the_same_bits_alone_and_beside_others(
     together: list[ConditionResult],
 ) -> None:
-    for number, condition in enumerate(CONDITIONS):
+    for condition, result in zip(CONDITIONS, together, strict=True):
         (alone,) = _run([condition])
-        _assert_same(alone, together[number])
+        _assert_same(alone, result)
 
 
 @pytest.mark.slow
@@ -66,49 +71,37 @@ def test_order_in_the_batch_makes_no_difference(together: list[ConditionResult])
         _assert_same(one, other)
 
 
-def test_results_know_their_condition_and_differ(together: list[ConditionResult]) -> None:
-    assert tuple(result.condition for result in together) == CONDITIONS
-    found = {json.dumps(r.entry.estimators["welch_siso"].model_dump()["M"]) for r in together}
-    assert len(found) == len(CONDITIONS)
-
-
-def test_entry_says_what_it_was_made_of(together: list[ConditionResult]) -> None:
+def test_entry_says_what_it_was_made_of_and_survives_the_way_to_another_process(
+    together: list[ConditionResult],
+) -> None:
     for condition, result in zip(CONDITIONS, together, strict=True):
         entry = result.entry
+        assert entry.condition == condition
         config = json.loads(json.dumps(entry.config))
         assert config["experiment"] == json.loads(
             condition_config(BASE, condition).model_dump_json()
         )
-        for level in ("friction", "resolution", "perturbation", "seed"):
-            assert config["experiment"][level] == getattr(condition, level)
         assert config["versions"]["numpy"] == np.__version__
         assert [trial.k for trial in entry.trials] == [1, 2]
         assert {trial.ticks for trial in entry.trials} == {10_000}
         assert list(entry.estimators) == list(BASE.estimators)
         assert entry.truth is not None
-
-
-def test_result_survives_the_way_to_another_process(together: list[ConditionResult]) -> None:
     _assert_same(pickle.loads(pickle.dumps(together[0])), together[0])
 
 
-def test_overrides_of_the_configuration_reach_every_condition() -> None:
+def test_overrides_of_the_configuration_reach_every_condition(
+    together: list[ConditionResult],
+) -> None:
     base = BASE.model_copy(update={"arm_sim": {"voluntary": {"rms": 0.3}}})
     (result,) = _run(CONDITIONS[:1], base)
-    (plain,) = _run(CONDITIONS[:1])
     assert json.loads(json.dumps(result.entry.config))["arm_sim"]["voluntary.rms"] == 0.3
-    assert result.entry.estimators["welch_siso"].M != plain.entry.estimators["welch_siso"].M
+    assert result.entry.estimators["lpm_full"].M != together[0].entry.estimators["lpm_full"].M
 
 
-def test_software_other_than_that_of_the_study_is_refused() -> None:
-    here = Provenance.here()
-    other = replace(here, versions={**here.versions, "numpy": "0.1"})
-    batch = Batch(base=BASE, conditions=CONDITIONS, provenance=other)
-    with pytest.raises(StudyError, match=rf"numpy {np.__version__}, the study is made with 0\.1"):
-        run_batch(batch)
-
-
-def test_unknown_estimator_is_a_wrong_configuration() -> None:
+def test_other_software_and_unknown_estimators_are_refused() -> None:
+    other = {**software(), "versions": {"numpy": "0.1"}}
+    with pytest.raises(DataError, match=rf"numpy {np.__version__}, the study is made with 0\.1"):
+        run_batch(Batch(base=BASE, conditions=CONDITIONS, software=other))
     with pytest.raises(ConfigurationError, match="guess"):
         _run(CONDITIONS[:1], BASE.model_copy(update={"estimators": ("guess",)}))
 
@@ -120,9 +113,9 @@ def test_simulation_that_breaks_down_is_told_with_its_conditions(
         raise IntegrationError("plant: the state is not finite any more")
 
     monkeypatch.setattr(engine, "run_offline", broken)
-    with pytest.raises(StudyError, match=f"{CONDITIONS[0]} to {CONDITIONS[-1]}: plant: the state"):
+    with pytest.raises(DataError, match=f"{CONDITIONS[0]} to {CONDITIONS[-1]}: plant: the state"):
         _run(CONDITIONS)
-    with pytest.raises(StudyError, match=f"^{CONDITIONS[0]}: plant: the state"):
+    with pytest.raises(DataError, match=f"^{CONDITIONS[0]}: plant: the state"):
         _run(CONDITIONS[:1])
 
 
@@ -140,3 +133,149 @@ def test_batches_keep_order_and_workers_busy(total: int, workers: int) -> None:
         assert (len(batches) - workers) * WIDTH < total
     else:
         assert len(batches) == total
+
+
+# --- where batches run -------------------------------------------------------------------------
+
+
+def _batches(number: int) -> list[Batch]:
+    cells = [Condition(friction=0, resolution=0, perturbation=1, seed=s) for s in range(number)]
+    return [Batch(base=BASE, conditions=(one,), software={}) for one in cells]
+
+
+def _seed(batch: Batch) -> int:
+    return batch.conditions[0].seed
+
+
+@pytest.mark.parametrize("workers", [1, 5])
+def test_threads_do_every_batch_once_and_no_more_at_a_time_than_there_are(workers: int) -> None:
+    seeds, threads = [], set()
+    gate = threading.Barrier(workers)
+
+    def work(batch: Batch) -> list[ConditionResult]:
+        seeds.append(_seed(batch))
+        threads.add(threading.current_thread().name)
+        gate.wait(20.0)  # all are at work at once
+        return []
+
+    assert list(Threads(workers, work).run(_batches(10))) == [[]] * 10
+    assert sorted(seeds) == list(range(10))
+    assert len(threads) == workers
+
+
+def test_results_come_as_soon_as_they_are_there() -> None:
+    slow = threading.Event()
+
+    def work(batch: Batch) -> list[ConditionResult]:
+        if _seed(batch) == 0:
+            assert slow.wait(20.0)
+        return []
+
+    running = Threads(2, work).run(_batches(3))
+    assert next(running) == next(running) == []
+    slow.set()
+    assert list(running) == [[]]
+
+
+def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:
+    begun = []
+
+    def work(batch: Batch) -> list[ConditionResult]:
+        begun.append(_seed(batch))
+        if _seed(batch) == 1:
+            raise DataError("this one failed")
+        return []
+
+    with pytest.raises(DataError, match="this one failed"):
+        list(Threads(1, work).run(_batches(50)))
+    assert begun == [0, 1]
+
+
+def test_nothing_more_is_begun_once_nobody_wants_the_results() -> None:
+    begun = []
+
+    def work(batch: Batch) -> list[ConditionResult]:
+        begun.append(_seed(batch))
+        time.sleep(0.01)
+        return []
+
+    running = Threads(1, work).run(_batches(50))
+    next(running)
+    cast("Generator[object, None, None]", running).close()
+    time.sleep(0.1)
+    assert len(begun) <= 3
+    alive = [thread for thread in threading.enumerate() if thread is not threading.main_thread()]
+    assert all(thread.daemon for thread in alive)
+
+
+def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigurationError, match="--workers must be at least 1, got 0"):
+        Threads(0)
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ConfigurationError, match="which is not installed: pip install distributed"):
+        Dask("tcp://127.0.0.1:8786")
+
+
+@pytest.fixture
+def distributed() -> Any:
+    return pytest.importorskip("distributed")
+
+
+def _cluster(distributed: Any, workers: int, threads: int = 1) -> Any:
+    return distributed.LocalCluster(
+        n_workers=workers,
+        threads_per_worker=threads,
+        processes=False,
+        protocol="tcp",
+        host="127.0.0.1",
+        dashboard_address=None,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # of what other packages do while a cluster starts and ends
+def test_cluster_gives_the_same_files_as_threads(distributed: Any, tmp_path: Path) -> None:
+    conditions = select_conditions(["friction=0,resolution=0+3,perturbation=1"], "0")
+    run_study(BASE, conditions, tmp_path / "threads", Threads(1), figures=False)
+    with _cluster(distributed, 1, threads=2) as cluster:
+        backend = Dask(cluster.scheduler_address)
+        assert backend.workers == 2
+        run_study(BASE, conditions, tmp_path / "cluster", backend, figures=False)
+    for name in ("study.json", "results.csv", "verdict.json"):
+        of_threads, of_cluster = (tmp_path / place / name for place in ("threads", "cluster"))
+        assert of_cluster.read_bytes() == of_threads.read_bytes()
+
+
+@pytest.mark.filterwarnings("default")
+def test_error_on_a_cluster_arrives_as_it_is_and_an_empty_one_is_refused(distributed: Any) -> None:
+    wrong = BASE.model_copy(update={"estimators": ("guess",)})
+    batch = Batch(base=wrong, conditions=CONDITIONS[:1])
+    with _cluster(distributed, 1) as cluster, pytest.raises(ConfigurationError, match="guess"):
+        list(Dask(cluster.scheduler_address).run([batch]))
+    with (
+        _cluster(distributed, 0) as cluster,
+        pytest.raises(DataError, match="the cluster has no workers"),
+    ):
+        _ = Dask(cluster.scheduler_address).workers
+
+
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize(
+    ("address", "error", "complaint"),
+    [
+        ("tcp://127.0.0.1:9", DataError, "--scheduler tcp://127.0.0.1:9: no answer: "),
+        ("nonsense", ConfigurationError, "--scheduler nonsense: missing port number"),
+    ],
+)
+def test_scheduler_that_is_not_there_is_named(
+    distributed: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    address: str,
+    error: type[Exception],
+    complaint: str,
+) -> None:
+    monkeypatch.setattr(backends, "_CONNECT_TIMEOUT", 0.5)
+    with pytest.raises(error) as caught:
+        _ = Dask(address).workers
+    assert str(caught.value).startswith(complaint)
+    assert len(str(caught.value).splitlines()) == 1

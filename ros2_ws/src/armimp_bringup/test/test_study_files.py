@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,12 +17,10 @@ from rich.console import Console
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study.backends import Threads
 from armimp_bringup.study.conditions import Condition, select_conditions
-from armimp_bringup.study.engine import Batch, ConditionResult, Provenance, run_batch
-from armimp_bringup.study.entry import read_study
-from armimp_bringup.study.errors import StudyError
-from armimp_bringup.study.store import StudyStore
+from armimp_bringup.study.engine import Batch, ConditionResult, run_batch, software
+from armimp_bringup.study.store import open_study, read_study
 from armimp_bringup.study.study import run_study
-from armimp_bringup.study.verdict import StudyVerdict, judge, relative_error
+from armimp_bringup.study.verdict import StudyVerdict
 from armimp_bringup.terminal import Display
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 
@@ -32,13 +29,12 @@ CONDITIONS = select_conditions(["friction=0+3,resolution=0+3,perturbation=2"], "
 TABLES = ("study.json", "results.csv", "verdict.json", "verdict.csv", "report.html")
 
 
-class Recorded:
-    """A back end that takes results from elsewhere, and may be interrupted."""
-
-    workers = 2
+class Recorded(Threads):
+    """Threads that take results from elsewhere, and may be interrupted."""
 
     def __init__(self, results: Sequence[ConditionResult], stop_after: int | None = None) -> None:
-        self._results = {result.condition: result for result in results}
+        super().__init__(2)
+        self._results = {result.entry.condition: result for result in results}
         self._stop_after = stop_after
         self.asked: list[Condition] = []
 
@@ -52,7 +48,7 @@ class Recorded:
 
 @pytest.fixture(scope="module")
 def results() -> list[ConditionResult]:
-    return run_batch(Batch(base=BASE, conditions=CONDITIONS, provenance=Provenance.here()))
+    return run_batch(Batch(base=BASE, conditions=CONDITIONS))
 
 
 @pytest.fixture(scope="module")
@@ -89,32 +85,14 @@ def test_study_file_is_a_list_of_results_with_their_levels(
         assert set(one["estimators"]) == set(BASE.estimators)
 
 
-def test_tables_agree_with_the_study_file(study: tuple[Path, StudyVerdict]) -> None:
-    directory, verdict = study
-    entries = {entry.condition: entry for entry in read_study(directory / "study.json")}
-    rows = list(csv.DictReader(io.StringIO((directory / "results.csv").read_text())))
-    assert len(rows) == len(CONDITIONS) * len(BASE.estimators) * 4
-    for row in rows:
-        levels = {name: int(row[name]) for name in Condition.__dataclass_fields__}
-        entry, name = entries[Condition(**levels)], row["estimator"]
-        i, k = int(row["row"]) - 1, int(row["column"]) - 1
-        result = entry.estimators[name]
-        assert result.vaf is not None
-        assert float(row["vaf_percent"]) == result.vaf[i][k]
-        assert float(row["r2"]) == result.r2[i][k]
-        assert float(row["K_se"]) == result.K_se[i][k]
-        assert float(row["B_error_percent"]) == relative_error(entry, name, "B", i, k)
-    stored = StudyVerdict.model_validate_json((directory / "verdict.json").read_bytes())
-    assert stored == verdict == judge(list(entries.values()))
-
-
-@pytest.mark.parametrize("workers", [1, 3])
 def test_number_of_workers_makes_no_difference(
-    study: tuple[Path, StudyVerdict], tmp_path: Path, workers: int
+    study: tuple[Path, StudyVerdict], tmp_path: Path
 ) -> None:
     directory, verdict = study
-    again = run_study(BASE, CONDITIONS, tmp_path / "out", Threads(workers), figures=False)
+    again = run_study(BASE, CONDITIONS, tmp_path / "out", Threads(3), figures=False)
     assert again == verdict
+    stored = StudyVerdict.model_validate_json((directory / "verdict.json").read_bytes())
+    assert stored == verdict
     assert _bytes(tmp_path / "out") == _bytes(directory)
 
 
@@ -166,7 +144,7 @@ def test_curves_without_a_result_are_made_again(
     run_study(BASE, CONDITIONS, tmp_path, backend, figures=False)
     assert backend.asked == [CONDITIONS[1]]
     assert [path.name for path in (tmp_path / "conditions").glob(".*")] == [".notes.json"]
-    with StudyStore(tmp_path, BASE, Provenance.here()) as store:
+    with open_study(tmp_path, BASE, software()) as store:
         curve = store.curves(CONDITIONS[1])["lpm_full"]
     np.testing.assert_array_equal(curve.Z, results[1].results["lpm_full"].estimate.Z)
 
@@ -175,11 +153,6 @@ def test_curves_without_a_result_are_made_again(
     ("changes", "complaint"),
     [
         ({"duration": 20.0}, "experiment.duration is 10.0, not 20.0"),
-        ({"joints": 3}, "experiment.joints is 2, not 3"),
-        (
-            {"estimators": ("welch_siso",)},
-            'experiment.estimators is ["welch_siso", "lpm_full"], not ["welch_siso"]',
-        ),
         (
             {"arm_sim": {"voluntary": {"rms": 0.1}}},
             'experiment.arm_sim.voluntary is null, not {"rms": 0.1}',
@@ -207,12 +180,16 @@ def test_levels_and_seed_of_the_configuration_do_not_count(
     assert run_study(other, CONDITIONS, directory, Recorded([]), figures=False) == verdict
 
 
+def _open(directory: Path, here: Mapping[str, Any]) -> None:
+    with open_study(directory, BASE, here):
+        pass
+
+
 def test_directory_of_other_software_is_refused(tmp_path: Path) -> None:
-    here = Provenance.here()
-    StudyStore(tmp_path, BASE, here).__exit__(None, None, None)
-    other = replace(here, versions={**here.versions, "numpy": "9.9"})
+    _open(tmp_path, software())
+    other = {**software(), "versions": {**software()["versions"], "numpy": "9.9"}}
     with pytest.raises(ConfigurationError, match=r"versions\.numpy is .*, not \"9\.9\""):
-        StudyStore(tmp_path, BASE, other)
+        _open(tmp_path, other)
 
 
 def test_directory_with_anything_else_in_it_is_left_as_it_is(tmp_path: Path) -> None:
@@ -224,7 +201,7 @@ def test_directory_with_anything_else_in_it_is_left_as_it_is(tmp_path: Path) -> 
 
 def test_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(StudyError, match=r"file/out: cannot be used: Not a directory"):
+    with pytest.raises(DataError, match=r"file/out: cannot be used: Not a directory"):
         run_study(BASE, CONDITIONS, tmp_path / "file" / "out", Recorded([]))
 
 
@@ -252,10 +229,10 @@ def test_two_processes_do_not_work_in_one_directory(tmp_path: Path) -> None:
         assert other.stdout is not None
         assert other.stdin is not None
         other.stdout.readline()
-        with pytest.raises(StudyError, match="another process is at work on it"):
-            StudyStore(tmp_path, BASE, Provenance.here())
+        with pytest.raises(DataError, match="another process is at work on it"):
+            _open(tmp_path, software())
         other.stdin.close()
-    StudyStore(tmp_path, BASE, Provenance.here()).__exit__(None, None, None)
+    _open(tmp_path, software())
 
 
 @pytest.mark.parametrize(
@@ -283,8 +260,8 @@ def test_damaged_result_is_named_and_nothing_is_written_from_it(
 
 def test_damaged_configuration_is_named(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text("{")
-    with pytest.raises(StudyError, match=r"config\.json: not the configuration of a study"):
-        StudyStore(tmp_path, BASE, Provenance.here())
+    with pytest.raises(DataError, match=r"config\.json: not the configuration of a study"):
+        _open(tmp_path, software())
 
 
 @pytest.mark.parametrize("text", ["", "{}", '[{"schema": 1}]'])

@@ -1,27 +1,30 @@
-"""The report of a study: what it says about the numbers it is given."""
+"""The report and the figures of a study: what they say about the numbers they are given."""
 
 from __future__ import annotations
 
 import html
 import re
+import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.accuracy import element_errors, inertia_vaf, resolvable
 from armimp_bringup.study.backends import Threads
 from armimp_bringup.study.conditions import select_conditions
-from armimp_bringup.study.engine import Batch, Provenance, run_batch
-from armimp_bringup.study.entry import StudyEntry, read_study
-from armimp_bringup.study.levels import fit_scores, statistics
-from armimp_bringup.study.report_accuracy import explanation
-from armimp_bringup.study.report_verdict import verdict_content
+from armimp_bringup.study.engine import software
+from armimp_bringup.study.figures import impedance_figure, levels_figure, write_figures
+from armimp_bringup.study.levels import COHERENCE_SCORES, FIT_SCORES, statistics
+from armimp_bringup.study.report_accuracy import element_errors
+from armimp_bringup.study.store import StudyEntry, open_study, read_study
 from armimp_bringup.study.study import run_study
-from armimp_bringup.study.verdict import COLUMNS, judge
+from armimp_bringup.study.table import Table, results_table
+from armimp_bringup.study.verdict import judge
 from armimp_estimation.mbk import MBK
+from armimp_estimation.results import ImpedanceCurve
 
 BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")
@@ -39,18 +42,48 @@ def entries(study: Path) -> list[StudyEntry]:
     return read_study(study / "study.json")
 
 
-def _words(text: str) -> str:
+@pytest.fixture(scope="module")
+def table(entries: Sequence[StudyEntry]) -> Table:
+    return results_table(entries)
+
+
+@pytest.fixture(scope="module")
+def truth(entries: Sequence[StudyEntry]) -> MBK:
+    found = entries[0].truth
+    assert found is not None
+    return found.mbk()
+
+
+@pytest.fixture(scope="module")
+def curves(study: Path) -> list[dict[str, ImpedanceCurve]]:
+    with open_study(study, BASE, software()) as store:
+        return [store.curves(one) for one in CONDITIONS]
+
+
+def _words(page: str) -> str:
+    text = page.split("<main", 1)[1].split("<script>", 1)[0]
     return re.sub(r"\s+", " ", html.unescape(re.sub("<[^>]*>", " ", text)))
 
 
-def test_report_is_written_without_figures_and_holds_everything(study: Path) -> None:
+def test_report_is_written_without_figures_and_says_how_far_each_missed_target_is(
+    study: Path, entries: Sequence[StudyEntry], table: Table
+) -> None:
     page = (study / "report.html").read_text(encoding="utf-8")
     assert len(page) < 8_000_000
     assert not list(study.glob("*.png"))
     assert not re.findall("(?:src|href)=[\"']?https?:", page.split("<script", 1)[0])
-    words = _words(page.split("<main", 1)[1].split("<script>", 1)[0])
+    words = _words(page)
     for part in ("Worst value in each condition", "Spread over 2 seeds", "1 to 2", "assumption"):
         assert part in words
+    missed = [one for one in judge(entries, table).worst if one.met is False]
+    assert missed  # ten seconds are too short
+    assert f"{len(missed)} of 10 targets missed" in words
+    for one in missed:
+        assert one.limit is not None
+        assert (
+            f"{one.quantity} {one.of.format(one.worst)} where {one.of.format(one.limit)} "
+            f"is asked for, in {one.place}"
+        ) in words
 
 
 def test_report_is_the_same_after_interruptions_and_in_another_order(
@@ -62,84 +95,95 @@ def test_report_is_the_same_after_interruptions_and_in_another_order(
     assert again == (study / "report.html").read_bytes()
 
 
-def test_verdict_says_how_far_each_missed_target_is(entries: Sequence[StudyEntry]) -> None:
-    verdict = judge(entries)
-    assert not verdict.met  # ten seconds are too short
-    content = verdict_content(entries, verdict)
-    words = " ".join([content["title"], *(text for _, text in content["sentences"])])
-    for one in verdict.worst:
-        if one.met is False:
-            column = next(column for column in COLUMNS if column.quantity == one.quantity)
-            assert one.limit is not None
-            assert (
-                f"{one.quantity} {column.format(one.worst)} where {column.format(one.limit)} "
-                f"is asked for, in {one.place}"
-            ) in words
-    missed = sum(one.met is False for one in verdict.worst)
-    assert f"{missed} of 10 targets missed" in words
-
-
 def test_errors_of_elements_are_the_largest_of_all_conditions(
-    entries: Sequence[StudyEntry],
+    entries: Sequence[StudyEntry], table: Table, truth: MBK
 ) -> None:
-    found = element_errors(entries, "lpm_full", "K")
-    assert found is not None
-    truth = entries[0].truth
-    assert truth is not None
-    true = np.array(truth.K)
+    found = element_errors(table[:, 1], truth, "K")
     estimates = np.array([entry.estimators["lpm_full"].K for entry in entries])
-    worst = np.max(np.abs(estimates - true), axis=0)
-    np.testing.assert_allclose(found.relative, 100.0 * worst / np.abs(true))
-    scale = np.sqrt(np.outer(np.diag(true), np.diag(true)))
+    worst = np.max(np.abs(estimates - truth.K), axis=0)
+    np.testing.assert_allclose(found.relative, 100.0 * worst / np.abs(truth.K))
+    scale = np.sqrt(np.outer(np.diag(truth.K), np.diag(truth.K)))
     np.testing.assert_allclose(found.scaled, 100.0 * worst / scale)
-    np.testing.assert_allclose(found.size, 100.0 * np.abs(true) / scale)
+    np.testing.assert_allclose(found.size, 100.0 * np.abs(truth.K) / scale)
 
 
-def test_vaf_of_inertia_alone_is_that_of_an_impedance_without_the_rest() -> None:
-    one = np.ones((1, 1))
-    assert inertia_vaf(MBK(M=one, B=0 * one, K=0 * one)) == pytest.approx(100.0)
-    assert inertia_vaf(MBK(M=0 * one, B=one, K=one)) == pytest.approx(0.0)
-
-
-def test_reasons_follow_from_the_numbers_of_the_study() -> None:
-    base = ExperimentConfig(joints=3, duration=10.0, estimators=("lpm_full",))
-    conditions = select_conditions(["friction=3,resolution=3,perturbation=1"], "1")
-    batch = Batch(base=base, conditions=conditions, provenance=Provenance.here())
-    entries = [result.entry for result in run_batch(batch)]
-    errors = [element_errors(entries, "lpm_full", letter) for letter in "MBK"]
-    known = [one for one in errors if one is not None]
-    said = list(explanation(entries, "lpm_full", known))
-    vaf = entries[0].estimators["lpm_full"].vaf
-    assert vaf is not None
-    assert said[0].startswith(f"VAF is at least {np.min(vaf):.3f} %")
-    for one in known:
-        told = f"{one.letter} is more than 2 % wrong in {int(one.beyond.sum())} of 9 elements"
-        assert any(told in sentence for sentence in said) == bool(one.beyond.any())
-    assert known[2].beyond.any()
-    seen = resolvable(entries)
-    assert seen is not None
-    below = int((seen.stiffness_torque < 0.02).sum())
-    assert any(f"{below} of 9 elements of K never make" in sentence for sentence in said)
-
-
-def test_nothing_is_said_about_counts_where_torques_are_not_quantised(
-    entries: Sequence[StudyEntry],
-) -> None:
-    unquantised = [
-        entry.model_copy(
-            update={"config": {**entry.config, "arm_sim": {"sensors.torque_resolution": 0.0}}}
-        )
-        for entry in entries
-    ]
-    assert resolvable(entries) is not None
-    assert resolvable(unquantised) is None
-
-
-def test_statistics_by_level_count_every_condition_once(entries: Sequence[StudyEntry]) -> None:
-    score = fit_scores(entries, "lpm_full")[0]
-    values = next(iter(score.values.values()))
-    by_friction = statistics(entries, "friction", values)
+def test_statistics_by_level_count_every_condition_once(table: Table) -> None:
+    values = FIT_SCORES[0].subjects(table[:, 1])["Z", "11"]
+    by_friction = statistics(table[:, 1], "friction", values)
     assert by_friction.levels.tolist() == [0, 3]
-    of_3 = [v[0] for entry, v in zip(entries, values, strict=True) if entry.friction == 3]
+    of_3 = values[table["friction"][:, 1, 0, 0] == 3]
     assert by_friction.mean[1] == pytest.approx(np.mean(of_3))
-    assert (by_friction.low[1], by_friction.high[1]) == (min(of_3), max(of_3))
+    assert (by_friction.low[1], by_friction.high[1]) == (of_3.min(), of_3.max())
+
+
+# --- figures -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_every_figure_is_written_alike_each_time_as_png_and_pdf_of_two_columns(
+    table: Table, truth: MBK, curves: Sequence[dict[str, ImpedanceCurve]], tmp_path: Path
+) -> None:
+    one, other = tmp_path / "one", tmp_path / "other"
+    for directory in (one, other):
+        directory.mkdir()
+        shown = write_figures(directory, CONDITIONS[:1], table[:1, :1], truth, lambda _: curves[0])
+    names = ("fig2-welch_siso-perturbation1", "fig3-welch_siso", "fig4-welch_siso")
+    assert set(shown) == {f"{name}.{suffix}" for name in names for suffix in ("png", "pdf")}
+    for name in names:
+        picture = (one / f"{name}.png").read_bytes()
+        assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+        assert struct.unpack(">I", picture[16:20]) == (1432,)  # 7.16 inches of 200 points
+        assert (one / f"{name}.pdf").read_bytes().startswith(b"%PDF-")
+    for name in shown:
+        assert (one / name).read_bytes() == (other / name).read_bytes()
+
+
+def _labels(figure: Any) -> set[str]:
+    (legend,) = figure.legends
+    return {text.get_text() for text in legend.get_texts()}
+
+
+def test_figure_2_shows_magnitude_phase_and_error_of_every_element(
+    truth: MBK, curves: Sequence[dict[str, ImpedanceCurve]]
+) -> None:
+    shown = {
+        condition: found["welch_siso"]
+        for condition, found in zip(CONDITIONS[:2], curves[:2], strict=True)
+    }
+    figure = impedance_figure(shown, truth)
+    axes = figure.axes
+    assert [one.get_ylabel() for one in axes[:3]] == [
+        "magnitude (N·m/rad)", "phase (°)", "error (%)",
+    ]  # fmt: skip
+    assert [one.get_title() for one in axes[::3]] == [
+        "$Z_{11}$", "$Z_{12}$", "$Z_{21}$", "$Z_{22}$",
+    ]  # fmt: skip
+    assert [len(one.lines) for one in axes[:3]] == [3, 3, 2]  # two conditions, and the truth
+    curve = curves[1]["welch_siso"]
+    np.testing.assert_array_equal(axes[6].lines[1].get_ydata(), np.abs(curve.Z[1, 0]))
+    true = truth.impedance(curve.f)[1, 0]
+    np.testing.assert_array_equal(axes[6].lines[-1].get_ydata(), np.abs(true))
+    assert _labels(figure) == {"friction 0", "friction 3", "resolution 3", "truth"}
+    # Noise does not make the phase jump by whole turns.
+    for phase in axes[1::3]:
+        for line in phase.lines:
+            assert -90.0 < np.min(line.get_ydata()) <= np.max(line.get_ydata()) < 270.0
+
+
+def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(table: Table) -> None:
+    for scores, entries in ((FIT_SCORES, 4), (COHERENCE_SCORES, 6)):
+        figure = levels_figure(table[:, 0], scores)
+        panels = np.array(figure.axes).reshape(-1, 3)
+        assert len(panels) == len(scores)
+        assert [one.get_xlabel() for one in panels[-1]] == [
+            "friction level", "resolution level", "perturbation level",
+        ]  # fmt: skip
+        assert [one.get_xticks().tolist() for one in panels[0]] == [[0, 3], [3], [1]]
+        assert len(_labels(figure)) == entries + 1
+        assert "target" in _labels(figure)
+    # By resolution, of which there is one.
+    container: Any = levels_figure(table[:, 0], FIT_SCORES).axes[1].containers[1]
+    values = table["vaf_percent"][:, 0, 0, 1]
+    np.testing.assert_allclose(container.lines[0].get_ydata(), [np.mean(values)])
+    (segment,) = container.lines[2][0].get_segments()
+    np.testing.assert_allclose(segment[:, 1], [values.min(), values.max()])

@@ -92,6 +92,17 @@ def write_whole(
         raise error(f"{path}: cannot be written: {cause.strerror}") from cause
 
 
+def write_text(path: Path, content: str) -> None:
+    """Write or replace a text file, so that no part of it is ever seen.
+
+    Raises
+    ------
+    DataError
+        If it can't be written.
+    """
+    write_whole(path, lambda part: part.write_text(content, encoding="utf-8"), anew=True)
+
+
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a link to one is followed.
 

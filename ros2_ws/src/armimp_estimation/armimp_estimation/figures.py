@@ -112,7 +112,7 @@ def impedance_figure(
     if truth is not None:
         keys.append(line_key("truth (simulation)", TRUTH_COLOUR, "dot"))
     height = 1.9 + 0.8 * width / TWO_COLUMNS
-    figure, cells = _matrix(n, width, cell_height=height, rows=(3, 2, 2), keys=keys)
+    figure, cells = element_matrix(n, width, cell_height=height, rows=(3, 2, 2), keys=keys)
     grids = [curve.f for curve in curves.values()]
     for (i, k), (magnitude, phase, distance) in cells.items():
         every = []
@@ -136,17 +136,17 @@ def impedance_figure(
             if off is not None:
                 style = {"color": look.colour, "linestyle": DASHES[look.dash], "linewidth": 0.7}
                 distance.plot(f, off, **style)
-        _log_axis(magnitude, magnitude_range(every))
-        _log_axis(distance, parted.ends)
+        log_axis(magnitude, magnitude_range(every))
+        log_axis(distance, parted.ends)
         ends = phase_range(every)
         phase.set_ylim(ends)
         phase.yaxis.set_major_locator(MultipleLocator(phase_step(ends, most=3)))
-        _title(magnitude, f"$Z_{{{i + 1}{k + 1}}}$")
+        title(magnitude, f"$Z_{{{i + 1}{k + 1}}}$")
         if k == 0:
             magnitude.set_ylabel("magnitude (N·m/rad)" if width > ONE_COLUMN else "N·m/rad")
             phase.set_ylabel("phase (°)")
             distance.set_ylabel("distance (%)")
-        _frequency_axis(distance, grids, last=i == n - 1)
+        frequency_axis(distance, grids, last=i == n - 1)
     return figure
 
 
@@ -173,18 +173,18 @@ def coherence_figure(curves: Mapping[str, ImpedanceCurve], *, width: float = TWO
     floor = next((floor for floor in (0.8, 0.5) if lowest >= floor), 0.0)
     height = 0.8 + 0.4 * width / TWO_COLUMNS
     n = len(common.motion)
-    figure, cells = _matrix(n, width, cell_height=height, rows=(1,), keys=keys)
+    figure, cells = element_matrix(n, width, cell_height=height, rows=(1,), keys=keys)
     for (i, k), (axes,) in cells.items():
         axes.plot(common.f, common.motion[k], color=MOTION_COLOUR)
         axes.plot(common.f, common.torque[i, k], color=TORQUE_COLOUR)
         for name, look in names.items():
             one = curves[name].coherence
             axes.plot(one.f, one.derived[i, k], color=look.colour, linestyle=DASHES[look.dash])
-        _title(axes, f"$Z_{{{i + 1}{k + 1}}}$")
+        title(axes, f"$Z_{{{i + 1}{k + 1}}}$")
         axes.set_ylim(floor, 1.01)
         if k == 0:
             axes.set_ylabel("coherence $\\gamma^2$")
-        _frequency_axis(axes, [common.f], last=i == n - 1)
+        frequency_axis(axes, [common.f], last=i == n - 1)
     return figure
 
 
@@ -225,7 +225,7 @@ def trace_figure(
                 axes.set_ylabel(f"{row.title}\n({row.unit})", fontsize=7)
                 labelled.append(axes)
             if number == 0:
-                _title(axes, f"{_tex(names[one.window.joint])} perturbed")
+                title(axes, f"{_tex(names[one.window.joint])} perturbed")
             if number == len(rows) - 1:
                 axes.set_xlabel("time (s)")
     figure.align_ylabels(labelled)
@@ -294,7 +294,7 @@ def line_key(label: str, colour: str, dash: str = "solid") -> Line2D:
     return Line2D([], [], color=colour, linestyle=DASHES[dash], label=_tex(label))
 
 
-def _matrix(
+def element_matrix(
     n: int, width: float, *, cell_height: float, rows: Sequence[int], keys: Sequence[Any]
 ) -> tuple[Figure, dict[tuple[int, int], list[Axes]]]:
     """Axes in the arrangement of the impedance matrix, some above each other in each place."""
@@ -350,7 +350,8 @@ def _band(axes: Axes, f: Any, ends: tuple[Any, Any], colour: str) -> None:
     axes.fill_between(f, *ends, color=colour, alpha=0.18, linewidth=0)
 
 
-def _log_axis(axes: Axes, ends: tuple[float, float]) -> None:
+def log_axis(axes: Axes, ends: tuple[float, float]) -> None:
+    """Make an ordinate logarithmic, with a tick for each decade."""
     axes.set_yscale("log")
     axes.set_ylim(ends)
     if ends[1] > 10.0 * ends[0]:
@@ -360,7 +361,8 @@ def _log_axis(axes: Axes, ends: tuple[float, float]) -> None:
     axes.yaxis.set_major_formatter("{x:g}")
 
 
-def _frequency_axis(axes: Axes, grids: Sequence[Any], *, last: bool) -> None:
+def frequency_axis(axes: Axes, grids: Sequence[Any], *, last: bool) -> None:
+    """Make an abscissa that of all these frequencies (Hz); only the last one has a title."""
     low, high = min(f[0] for f in grids), max(f[-1] for f in grids)
     axes.set_xscale("log")
     axes.set_xlim(low, high)
@@ -371,7 +373,8 @@ def _frequency_axis(axes: Axes, grids: Sequence[Any], *, last: bool) -> None:
         axes.set_xlabel("frequency (Hz)")
 
 
-def _title(axes: Axes, text: str) -> None:
+def title(axes: Axes, text: str) -> None:
+    """Write a title above axes."""
     # With y given, no time is spent on finding out whether anything is in the way.
     axes.set_title(text, pad=3, y=1.0)
 

@@ -7,32 +7,15 @@ import importlib
 import queue
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.study.engine import Batch, ConditionResult, run_batch
-from armimp_bringup.study.errors import StudyError
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, DataError
 
 Results = list[ConditionResult]
 Task = TypeVar("Task")
 Done = TypeVar("Done")
 _CONNECT_TIMEOUT = 10.0  # s
-
-
-class Backend(Protocol):
-    """Runs batches, several at a time."""
-
-    @property
-    def workers(self) -> int:
-        """How many batches run at the same time."""
-        ...
-
-    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
-        """Yield the results of the batches, in the order in which they are ready.
-
-        The first error of a batch is raised, and ends the others.
-        """
-        ...
 
 
 def as_ready(work: Callable[[Task], Done], tasks: Sequence[Task], workers: int) -> Iterator[Done]:
@@ -85,17 +68,15 @@ class Threads:
     def __init__(self, workers: int, work: Callable[[Batch], Results] = run_batch) -> None:
         if workers < 1:
             raise ConfigurationError(f"--workers must be at least 1, got {workers}")
-        self._workers = workers
+        self.workers = workers
         self._work = work
 
-    @property
-    def workers(self) -> int:
-        """Number of threads."""
-        return self._workers
-
     def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
-        """As :meth:`Backend.run`."""
-        return as_ready(self._work, batches, self._workers)
+        """Yield the results of the batches, in the order in which they are ready.
+
+        The first error of a batch is raised, and ends the others.
+        """
+        return as_ready(self._work, batches, self.workers)
 
 
 class Dask:
@@ -130,21 +111,24 @@ class Dask:
         ------
         ConfigurationError
             If the address makes no sense.
-        StudyError
+        DataError
             If nothing answers there, or the cluster has no workers.
         """
         threads = sum(self._client.nthreads().values())
         if not threads:
             self._client.close()
-            raise StudyError(f"--scheduler {self._address}: the cluster has no workers")
+            raise DataError(f"--scheduler {self._address}: the cluster has no workers")
         return int(threads)
 
     def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
-        """As :meth:`Backend.run`."""
+        """As `Threads.run`."""
         futures = [self._client.submit(run_batch, batch, pure=False) for batch in batches]
         try:
             for future in self._distributed.as_completed(futures):
-                yield self._result(future)
+                try:
+                    yield future.result()
+                except (self._distributed.KilledWorker, self._distributed.CancelledError) as error:
+                    raise DataError(f"a worker of the cluster died: {_line(error)}") from None
         finally:
             self._client.cancel(futures)
             self._client.close()
@@ -156,14 +140,10 @@ class Dask:
         except ValueError as error:
             raise ConfigurationError(f"--scheduler {self._address}: {_line(error)}") from None
         except OSError as error:
-            raise StudyError(f"--scheduler {self._address}: no answer: {_line(error)}") from None
+            raise DataError(f"--scheduler {self._address}: no answer: {_line(error)}") from None
 
-    def _result(self, future: Any) -> Results:
-        try:
-            results: Results = future.result()
-        except (self._distributed.KilledWorker, self._distributed.CancelledError) as error:
-            raise StudyError(f"a worker of the cluster died: {_line(error)}") from None
-        return results
+
+Backend: TypeAlias = Threads | Dask
 
 
 def _line(error: Exception) -> str:

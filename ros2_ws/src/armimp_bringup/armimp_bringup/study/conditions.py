@@ -57,37 +57,30 @@ def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
     Parameters
     ----------
     only : sequence of str
-        Selections as for :func:`parse_only`; their union is taken. None: all 48 combinations.
+        Selections such as ``friction=0+3,resolution=0``; their union is taken. None: all 48
+        combinations.
     seeds : str
-        As for :func:`parse_seeds`.
+        As for `parse_seeds`.
 
     Raises
     ------
     ConfigurationError
         If a selection or the seeds cannot be understood.
     """
-    chosen_seeds = parse_seeds(seeds)
     cells = {
         cell
-        for selection in ([parse_only(text) for text in only] or [dict(LEVELS)])
+        for selection in ([_parse_only(text) for text in only] or [dict(LEVELS)])
         for cell in itertools.product(*(selection[factor] for factor in LEVELS))
     }
     return tuple(
         sorted(
             Condition(seed=seed, friction=cell[0], resolution=cell[1], perturbation=cell[2])
-            for cell, seed in itertools.product(cells, chosen_seeds)
+            for cell, seed in itertools.product(cells, parse_seeds(seeds))
         )
     )
 
 
-def parse_only(text: str) -> dict[str, tuple[int, ...]]:
-    """Levels that a selection such as ``friction=0+3,resolution=0`` leaves of each factor.
-
-    Raises
-    ------
-    ConfigurationError
-        If it names something else, or a level that there is not.
-    """
+def _parse_only(text: str) -> dict[str, tuple[int, ...]]:
     found: dict[str, tuple[int, ...]] = {}
     for part in text.split(","):
         factor, equals, values = part.partition("=")
@@ -111,7 +104,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     Raises
     ------
     ConfigurationError
-        If it is something else, holds no seed or more than :data:`MOST_SEEDS`, or one twice.
+        If it is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
     """
     found: list[int] = []
     for part in text.split(","):

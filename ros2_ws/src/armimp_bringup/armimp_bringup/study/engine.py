@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from armimp_bringup.config import ExperimentConfig
@@ -13,9 +13,8 @@ from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.conditions import Condition
-from armimp_bringup.study.entry import StudyEntry
-from armimp_bringup.study.errors import StudyError
-from armimp_common.errors import ArmimpError, ConfigurationError
+from armimp_bringup.study.store import StudyEntry
+from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.results import TrialLedger, summarise
@@ -23,17 +22,9 @@ from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
 
-@dataclass(frozen=True, kw_only=True)
-class Provenance:
-    """Software that the results are made with."""
-
-    versions: Mapping[str, str]
-    git_revision: str
-
-    @classmethod
-    def here(cls) -> Provenance:
-        """That of this process."""
-        return cls(versions=versions(), git_revision=git_revision())
+def software() -> dict[str, Any]:
+    """Versions and git revision of what runs here."""
+    return {"versions": dict(versions()), "git_revision": git_revision()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +37,13 @@ class Batch:
         Everything but levels and seed.
     conditions : tuple of Condition
         One for each lane.
-    provenance : Provenance
-        Of the process that asks for it.
+    software : mapping
+        That of the process which asks for it.
     """
 
     base: ExperimentConfig
     conditions: tuple[Condition, ...]
-    provenance: Provenance
+    software: Mapping[str, Any] = field(default_factory=software)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,17 +53,12 @@ class ConditionResult:
     entry: StudyEntry
     results: dict[str, EstimatorResult]
 
-    @property
-    def condition(self) -> Condition:
-        """What it is the result of."""
-        return self.entry.condition
-
 
 def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Condition, ...]]:
     """Batches that keep all workers equally busy.
 
-    A block of :data:`armimp_sim.dynamics.WIDTH` lanes takes the same time however many of them are
-    in use. So batches hold that many at most, and their number is a multiple of the workers' unless
+    A block of `armimp_sim.dynamics.WIDTH` lanes takes the same time however many of them are in
+    use. So batches hold that many at most, and their number is a multiple of the workers' unless
     there are too few conditions.
 
     Parameters
@@ -83,10 +69,8 @@ def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Co
         Batches that run at the same time.
     """
     total = len(conditions)
-    if not total:
-        return []
     batches = min(total, workers * -(-total // (workers * WIDTH)))
-    bounds = [total * number // batches for number in range(batches + 1)]
+    bounds = [total * number // batches for number in range(batches + 1)] if total else []
     return [tuple(conditions[first:last]) for first, last in itertools.pairwise(bounds)]
 
 
@@ -96,38 +80,27 @@ def run_batch(batch: Batch) -> list[ConditionResult]:
     Raises
     ------
     ConfigurationError
-        If the configuration does not make an experiment.
-    StudyError
+        If the configuration does not make an experiment, or an estimator does not exist.
+    DataError
         If a condition cannot be simulated or estimated, or the software here is another one.
     """
     here = versions()
-    for name, version in batch.provenance.versions.items():
+    for name, version in batch.software["versions"].items():
         if here.get(name) != version:
-            raise StudyError(
+            raise DataError(
                 f"a worker has {name} {here.get(name)}, the study is made with {version}"
             )
-    parameters = [condition_parameters(batch.base, condition) for condition in batch.conditions]
+    configs = [condition_config(batch.base, condition) for condition in batch.conditions]
+    parameters = [node_parameters(config, None) for config in configs]
     try:
         trials = run_offline([one.rig() for one in parameters])
     except IntegrationError as error:
-        names = batch.conditions
-        place = str(names[0]) if len(names) == 1 else f"{names[0]} to {names[-1]}"
-        raise StudyError(f"{place}: {error}") from None
+        ends = dict.fromkeys(map(str, (batch.conditions[0], batch.conditions[-1])))
+        raise DataError(f"{' to '.join(ends)}: {error}") from None
     return [
         estimate_condition(batch, condition, one, of_condition)
         for condition, one, of_condition in zip(batch.conditions, parameters, trials, strict=True)
     ]
-
-
-def condition_parameters(base: ExperimentConfig, condition: Condition) -> NodeParameters:
-    """Parameters of the nodes in one condition.
-
-    Raises
-    ------
-    ConfigurationError
-        If they do not make an experiment, or an estimator does not exist.
-    """
-    return node_parameters(condition_config(base, condition), None)
 
 
 def condition_config(base: ExperimentConfig, condition: Condition) -> ExperimentConfig:
@@ -162,7 +135,7 @@ def estimate_condition(
     ------
     ConfigurationError
         If an estimator does not exist.
-    StudyError
+    DataError
         If the trials can't be estimated.
     """
     config = condition_config(batch.base, condition)
@@ -172,27 +145,15 @@ def estimate_condition(
     except ConfigurationError:
         raise
     except ArmimpError as error:
-        raise StudyError(f"{condition}: {error}") from None
+        raise DataError(f"{condition}: {error}") from None
+    described = json.loads(parameters.estimator.bag_metadata()["config"])
     summary = summarise(
         identification,
         {r.perturbed_joint: TrialLedger(bag=None, ticks=r.samples) for r in experiment.records},
-        config=_described(batch, parameters),
+        # The software that the study as a whole is made with, wherever this runs.
+        config=described | dict(batch.software),
         seed=condition.seed,
     )
     fields = {name: getattr(summary, name) for name in type(summary).model_fields}
-    entry = StudyEntry(
-        **fields,
-        friction=condition.friction,
-        resolution=condition.resolution,
-        perturbation=condition.perturbation,
-    )
-    return ConditionResult(entry=entry, results=identification.estimators)
-
-
-def _described(batch: Batch, parameters: NodeParameters) -> dict[str, Any]:
-    """Full configuration, with the software that the study as a whole is made with."""
-    described: dict[str, Any] = json.loads(parameters.estimator.bag_metadata()["config"])
-    return described | {
-        "versions": dict(batch.provenance.versions),
-        "git_revision": batch.provenance.git_revision,
-    }
+    levels = {name: getattr(condition, name) for name in ("friction", "resolution", "perturbation")}
+    return ConditionResult(entry=StudyEntry(**fields, **levels), results=identification.estimators)

@@ -2,57 +2,59 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.study.entry import StudyEntry
-from armimp_bringup.study.verdict import targets
-
-FloatArray = NDArray[np.float64]
+from armimp_bringup.study.table import FloatArray, Table
 
 MOST_JOINTS: Final = 3
 """With more of them, elements are drawn by the row; there would be too many marks."""
-MOTION_SYMBOL: Final = "θ"
 
 
-@dataclass(frozen=True, kw_only=True, order=True)
-class Subject:
-    """What a mark stands for: a symbol with indices; a column of None is the whole row."""
-
-    symbol: str
-    row: int
-    column: int | None = None
-
-    @property
-    def indices(self) -> str:
-        """Indices, 1-based; a dot for a whole row."""
-        if self.symbol == MOTION_SYMBOL:
-            return f"{self.row + 1}"
-        return f"{self.row + 1}{'·' if self.column is None else self.column + 1}"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class LevelScore:
-    """A score by level.
+    """A score of Figure 3 or 4: its field of the results, name, unit, and quantity with targets."""
 
-    Parameters
-    ----------
-    name, unit : str
-        For people; the unit may be empty.
-    values : mapping of Subject to ndarray, shape (n_entries, n_elements)
-        Of each entry.
-    limit : float or None
-        Target.
-    """
-
+    field: str
     name: str
-    unit: str
-    values: Mapping[Subject, FloatArray]
-    limit: float | None = None
+    unit: str = ""
+    quantity: str = ""
+
+    def subjects(self, table: Table) -> Mapping[tuple[str, str], FloatArray]:
+        """Values, shape (n_conditions, n_elements), by symbol and 1-based indices of their marks.
+
+        Parameters
+        ----------
+        table : ndarray, shape (n_conditions, n, n)
+            Results of one estimator.
+        """
+        values, n = table[self.field], table.shape[-1]
+        if self.field == "coherence_motion":
+            return {("θ", f"{k + 1}"): values[:, 0, k, np.newaxis] for k in range(n)}
+        if n > MOST_JOINTS:
+            return {("Z", f"{i + 1}·"): values[:, i] for i in range(n)}
+        return {
+            ("Z", f"{i + 1}{k + 1}"): values[:, i, k, np.newaxis]
+            for i in range(n)
+            for k in range(n)
+        }
+
+
+FIT_SCORES: Final = (
+    LevelScore(field="vaf_percent", name="VAF", unit="%", quantity="VAF"),
+    LevelScore(field="r2", name="R²", quantity="R²"),
+)
+"""Those of Figure 3."""
+COHERENCE_SCORES: Final = (
+    LevelScore(field="coherence_derived", name="derived coherence", quantity="derived coherence"),
+    LevelScore(field="coherence_torque", name="coherence τΔ → τ"),
+    LevelScore(field="coherence_motion", name="coherence τΔ → θ"),
+)
+"""Band means, those of Figure 4."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,59 +67,9 @@ class LevelStatistics:
     high: FloatArray
 
 
-def fit_scores(entries: Sequence[StudyEntry], estimator: str) -> tuple[LevelScore, ...]:
-    """VAF and R², those of Fig. 3."""
-    limits = targets(entries[0].joints).get(estimator, {})
-    return (
-        LevelScore(
-            name="VAF",
-            unit="%",
-            values=_elements(entries, estimator, "vaf"),
-            limit=limits.get("VAF"),
-        ),
-        LevelScore(
-            name="R²", unit="", values=_elements(entries, estimator, "r2"), limit=limits.get("R²")
-        ),
-    )
-
-
-def coherence_scores(entries: Sequence[StudyEntry], estimator: str) -> tuple[LevelScore, ...]:
-    """Band means of derived coherence and of those with the perturbation, those of Fig. 4."""
-    motion = {
-        Subject(symbol=MOTION_SYMBOL, row=k): np.array(
-            [[entry.estimators[estimator].coherence_motion[k]] for entry in entries]
-        )
-        for k in range(entries[0].joints)
-    }
-    return (
-        LevelScore(
-            name="derived coherence",
-            unit="",
-            values=_elements(entries, estimator, "coherence_derived"),
-            limit=targets(entries[0].joints).get(estimator, {}).get("derived coherence"),
-        ),
-        LevelScore(
-            name="coherence τΔ → τ",
-            unit="",
-            values=_elements(entries, estimator, "coherence_torque"),
-        ),
-        LevelScore(name="coherence τΔ → θ", unit="", values=motion),
-    )
-
-
-def statistics(entries: Sequence[StudyEntry], factor: str, values: FloatArray) -> LevelStatistics:
-    """Mean and range of values by level of a factor.
-
-    Parameters
-    ----------
-    entries : sequence of StudyEntry
-        Results.
-    factor : str
-        Such as ``friction``.
-    values : ndarray, shape (n_entries, n_elements)
-        Of the entries.
-    """
-    levels = np.array([getattr(entry, factor) for entry in entries])
+def statistics(table: Table, factor: str, values: FloatArray) -> LevelStatistics:
+    """Mean and range by level of a factor of values of shape (n_conditions, n_elements)."""
+    levels = table[factor][:, 0, 0]
     present = np.unique(levels)
     groups = [values[levels == level] for level in present]
     return LevelStatistics(
@@ -126,19 +78,3 @@ def statistics(entries: Sequence[StudyEntry], factor: str, values: FloatArray) -
         low=np.array([np.min(group) for group in groups]),
         high=np.array([np.max(group) for group in groups]),
     )
-
-
-def _elements(
-    entries: Sequence[StudyEntry], estimator: str, score: str
-) -> dict[Subject, FloatArray]:
-    n = entries[0].joints
-    matrices = np.array(
-        [getattr(entry.estimators[estimator], score) for entry in entries], dtype=np.float64
-    )
-    if n > MOST_JOINTS:
-        return {Subject(symbol="Z", row=i): matrices[:, i, :] for i in range(n)}
-    return {
-        Subject(symbol="Z", row=i, column=k): matrices[:, i, k, np.newaxis]
-        for i in range(n)
-        for k in range(n)
-    }

@@ -2,27 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
-from armimp_bringup.study.conditions import LEVELS
-from armimp_bringup.study.entry import StudyEntry
-from armimp_bringup.study.figures import Curves
+import numpy as np
+
+from armimp_bringup.study.conditions import LEVELS, Condition
+from armimp_bringup.study.levels import COHERENCE_SCORES, FIT_SCORES, MOST_JOINTS, LevelScore
 from armimp_bringup.study.report_accuracy import accuracy_content
-from armimp_bringup.study.report_levels import coherence_content, scores_content
-from armimp_bringup.study.report_maps import conditions_content, locking_content
-from armimp_bringup.study.report_overlay import impedance_content
-from armimp_bringup.study.report_settings import levels_content, made_content
-from armimp_bringup.study.report_verdict import verdict_content
-from armimp_bringup.study.store import write_file
-from armimp_bringup.study.verdict import StudyVerdict
-from armimp_estimation.report.page import Section, render_page
+from armimp_bringup.study.report_plots import Panel, heat_map, levels_view, overlay_plot
+from armimp_bringup.study.store import StudyEntry
+from armimp_bringup.study.table import FloatArray
+from armimp_bringup.study.table import Table as Results
+from armimp_bringup.study.verdict import (
+    QUANTITIES,
+    Quantity,
+    Scale,
+    StudyVerdict,
+    WorstValue,
+    targets,
+)
+from armimp_estimation.report.formats import NONE, code, mark, symbol, written
+from armimp_estimation.report.frequency_plots import TRUTH, estimator_tag, plot_matrix
+from armimp_estimation.report.look import LEVEL_DASHES, Look, looks
+from armimp_estimation.report.page import Content, Section, Table, box, render_page
+from armimp_estimation.report.plots import Plot, View
 from armimp_estimation.report.result import setting
-from armimp_estimation.report.run import REPORT_FILE
-from armimp_estimation.report.settings import assumptions_content
-from armimp_estimation.results import OriginSummary
+from armimp_estimation.report.run import advised
+from armimp_estimation.report.settings import (
+    assumptions_content,
+    configuration,
+    identity,
+    marked_origin,
+)
+from armimp_estimation.results import ImpedanceCurve, OriginSummary
+from armimp_estimation.verdict import Limits
+
+Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
+_COUNTS: Final = ("", "one", "two", "three", "four", "five", "six", "seven")
+_MOST_PROBLEMS: Final = 10
+_BUDGET: Final = 2_000_000  # bytes for all curves of a page
+_BYTES: Final = 2 * 4 * 4 / 3  # of a point of a line: two numbers of single precision in base64
+_POINTS: Final = (40, 160)
+_LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
+    "friction": ("arm_sim", ("friction.",)),
+    "resolution": ("arm_sim", ("sensors.encoder_resolution", "sensors.torque_resolution")),
+    "perturbation": ("imbic_controller", ("perturbation.peak",)),
+}
+"""Node and beginnings of the parameters that each factor sets."""
+_LOCKING: Final = Scale(unit=" %", floor=False, digits=3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +63,8 @@ class StudyReport:
     ----------
     entries : sequence of StudyEntry
         Results with the same estimators and number of joints, at least one.
+    table : ndarray, shape (n_conditions, n_estimators, n, n)
+        Their numbers.
     verdict : StudyVerdict
         Of these.
     curves : callable
@@ -44,75 +76,78 @@ class StudyReport:
     """
 
     entries: Sequence[StudyEntry]
+    table: Results
     verdict: StudyVerdict
     curves: Curves
     files: Mapping[str, str]
     origin: OriginSummary | None = None
 
+    @property
+    def _estimators(self) -> dict[str, Look]:
+        return looks(self.entries[0].estimators)
+
+    @property
+    def _seeds(self) -> list[int]:
+        return sorted({entry.seed for entry in self.entries})
+
+    def _of(self, estimator: str) -> Results:
+        """Numbers of one estimator, shape (n_conditions, n, n)."""
+        return self.table[:, list(self.entries[0].estimators).index(estimator)]
+
     def page(self) -> str:
         """HTML document."""
-        entries, verdict = self.entries, self.verdict
-        config = entries[0].config
-        friction = f"levels {_present(entries, 'friction')}"
-        found: list[tuple[str, str, str, Any]] = [
-            ("verdict", "Verdict", "study/verdict", verdict_content(entries, verdict)),
-            ("conditions", "Conditions", "study/conditions", conditions_content(entries)),
-            ("accuracy", "Elements", "study/accuracy", accuracy_content(entries)),
+        first = self.entries[0]
+        friction = f"levels {_present(self.entries, 'friction')}"
+        scores, coherence = "VAF and R² by level (Fig. 3)", "Coherence by level (Fig. 4)"
+        found: list[tuple[str, str, str, Content | None]] = [
+            ("verdict", "Verdict", "study/verdict", self._verdict()),
+            ("conditions", "Conditions", "study/conditions", self._conditions()),
+            ("accuracy", "Elements", "study/accuracy", accuracy_content(self.entries, self.table)),
+            ("impedance", "Impedance (Fig. 2)", "study/impedance", self._impedance()),
             (
-                "impedance",
-                "Impedance (Fig. 2)",
-                "study/impedance",
-                impedance_content(entries, self.curves),
+                "scores",
+                "VAF and R² (Fig. 3)",
+                "study/levels",
+                self._by_level("scores", scores, FIT_SCORES),
             ),
-            ("scores", "VAF and R² (Fig. 3)", "study/levels", scores_content(entries)),
-            ("coherence", "Coherence (Fig. 4)", "study/levels", coherence_content(entries)),
-            ("locking", "Locking", "study/locking", locking_content(entries)),
-            ("levels", "Levels", "study/meaning", levels_content(entries)),
-            ("settings", "Settings", "report/settings", made_content(entries)),
+            (
+                "coherence",
+                "Coherence (Fig. 4)",
+                "study/levels",
+                self._by_level("coherence", coherence, COHERENCE_SCORES),
+            ),
+            ("locking", "Locking", "study/locking", self._locking()),
+            ("levels", "Levels", "study/meaning", self._meaning()),
+            ("settings", "Settings", "report/settings", self._settings()),
             (
                 "assumptions",
                 "Assumptions",
                 "report/assumptions",
-                assumptions_content(config, friction=friction),
+                assumptions_content(first.config, friction=friction),
             ),
             ("files", "Files", "study/files", {"files": self.files}),
         ]
-        sections = [
-            Section(identifier=name, title=title, template=f"{template}.html", content=content)
-            for name, title, template, content in found
-        ]
-        state = "targets met" if verdict.met else "targets missed"
         return render_page(
-            f"Study of {verdict.conditions} conditions: {state}",
+            f"Study of {self.verdict.conditions} conditions: "
+            f"{'targets met' if self.verdict.met else 'targets missed'}",
             "study/header.html",
-            sections,
+            [
+                Section(identifier=i, title=title, template=f"{template}.html", content=content)
+                for i, title, template, content in found
+            ],
             packages={"study": "armimp_bringup.study"},
-            joints=entries[0].joints,
-            count=_count(entries[0].joints),
+            joints=first.joints,
+            count=_COUNTS[first.joints],
             facts=self._facts(),
             origin=self.origin,
         )
 
-    def write(self, directory: Path) -> Path:
-        """Write ``report.html``, in place of one that is there.
-
-        Raises
-        ------
-        StudyError, DataError
-            If it can't be written, or curves not be read.
-        """
-        path = directory / REPORT_FILE
-        write_file(path, self.page())
-        return path
-
     def _facts(self) -> list[str]:
-        entries = self.entries
-        first = entries[0]
-        seeds = sorted({entry.seed for entry in entries})
+        first, seeds = self.entries[0], self._seeds
         many = f"seeds {seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"seed {seeds[0]}"
         facts = [
-            f"{len(entries)} conditions",
-            *(f"{factor} {_present(entries, factor)}" for factor in LEVELS),
+            f"{len(self.entries)} conditions",
+            *(f"{factor} {_present(self.entries, factor)}" for factor in LEVELS),
             many if len(seeds) < 3 else f"{len(seeds)} {many}",
             f"{first.joints} trials each",
         ]
@@ -124,10 +159,307 @@ class StudyReport:
             facts.append(f"control law {law}")
         return facts
 
+    # --- verdict -------------------------------------------------------------------------------
 
-def _count(joints: int) -> str:
-    words = {1: "one", 2: "two", 3: "three", 4: "four", 5: "five", 6: "six", 7: "seven"}
-    return words.get(joints, str(joints))
+    def _verdict(self) -> Content:
+        verdict = self.verdict
+        judged = [one for one in verdict.worst if one.met is not None]
+        missed = [one for one in judged if not one.met]
+        title = "All targets met" if judged else "Valid; there are no targets for this"
+        if not verdict.met:
+            parts = [f"{len(missed)} of {len(judged)} targets missed"] if missed else []
+            if verdict.problems:
+                invalid = f"{len(verdict.problems)} of {verdict.conditions} conditions not valid"
+                parts.append(invalid)
+            title = ", ".join(parts)
+        worst = {
+            name: [one for one in verdict.worst if one.estimator == name]
+            for name in self._estimators
+        }
+        seeds = len(self._seeds) > 1
+        groups = [
+            (look.label, [_worst_row(one, seeds=seeds) for one in worst[name]])
+            for name, look in self._estimators.items()
+        ]
+        columns = ["quantity", "worst", "target", "verdict", "element", "condition"]
+        return {
+            "title": title,
+            "met": verdict.met,
+            "joints": verdict.joints,
+            "sentences": [
+                (look, _sentence(worst[name])) for name, look in self._estimators.items()
+            ],
+            "unresolved": f"{100.0 * verdict.unresolved:.1f}" if verdict.unresolved else None,
+            "problems": advised(verdict.problems[:_MOST_PROBLEMS]),
+            "more": len(verdict.problems) - _MOST_PROBLEMS,
+            "worst": Table(
+                caption="Worst values and targets", columns=columns, groups=groups, words=(3, 4, 5)
+            ),
+            "seeds": self._spread(worst) if seeds else None,
+        }
+
+    def _spread(self, worst: Mapping[str, Sequence[WorstValue]]) -> Table:
+        """How the worst values differ between seeds."""
+        groups = []
+        for name, look in self._estimators.items():
+            rows, table = [], self._of(name)
+            for one in worst[name]:
+                values, _ = _by_condition(table, one.of, judged=one.limit is not None)
+                seeds = table["seed"][:, 0, 0]
+                of_seeds = np.array(
+                    [_worst(values[seeds == seed], one.of)[0] for seed in self._seeds]
+                )
+                of_seeds = of_seeds[np.argsort(one.of.badness(of_seeds))]
+                met = NONE
+                if (limit := one.limit) is not None:
+                    within = sum(one.of.meets(float(value), limit) for value in of_seeds)
+                    met = f"{within} of {len(of_seeds)}"
+                shown = of_seeds[-1], np.median(of_seeds), of_seeds[0]
+                rows.append([_named(one.of), *map(one.of.format, shown), met])
+            groups.append((look.label, rows))
+        columns = ["worst value of a seed", "worst seed", "median seed", "best seed"]
+        return Table(
+            caption=f"Spread over {len(self._seeds)} seeds",
+            columns=[*columns, "seeds in target"],
+            groups=groups,
+        )
+
+    # --- conditions ----------------------------------------------------------------------------
+
+    def _conditions(self) -> Content:
+        """Maps of the worst score in each condition, and a table that can be sorted."""
+        n = self.entries[0].joints
+        plots = []
+        for name, look in self._estimators.items():
+            views = []
+            for quantity in QUANTITIES:
+                limit = targets(n, name).get(quantity.name)
+                found = _by_condition(self._of(name), quantity, judged=limit is not None)
+                views.append(self._map(quantity.name, quantity, limit, *found))
+            plots.append(
+                Plot(
+                    identifier=f"map-{name.replace('_', '-')}",
+                    caption=look.label,
+                    description=f"Worst values of {name} in each condition.",
+                    views=views,
+                    height=self._height,
+                )
+            )
+        return {"seeds": len(self._seeds), "plots": plots, "table": self._sortable()}
+
+    @property
+    def _height(self) -> int:
+        return 130 + 34 * len(np.unique(self.table["friction"]))
+
+    def _groups(self) -> dict[tuple[int, int, int], list[int]]:
+        """Numbers of the results of each combination of levels."""
+        groups: dict[tuple[int, int, int], list[int]] = {}
+        for place, one in enumerate(self.entries):
+            key = one.friction, one.resolution, one.perturbation
+            groups.setdefault(key, []).append(place)
+        return dict(sorted(groups.items()))
+
+    def _map(
+        self, name: str, scale: Scale, limit: float | None, values: FloatArray, where: Sequence[str]
+    ) -> View:
+        """Map over friction (rows) and resolution (columns), one panel for each perturbation."""
+        groups = self._groups()
+        frictions, resolutions, perturbations = (
+            sorted({levels[place] for levels in groups}) for place in range(3)
+        )
+        panels = []
+        for p in perturbations:
+            shown = np.full((len(frictions), len(resolutions)), np.nan)
+            notes: list[list[list[str] | None]] = [[None] * len(resolutions) for _ in frictions]
+            for (i, f), (k, r) in (
+                (a, b) for a in enumerate(frictions) for b in enumerate(resolutions)
+            ):
+                members = groups.get((f, r, p))
+                if members is None:
+                    continue
+                shown[i, k], place = _worst(values[members], scale)
+                best = values[members][np.argmin(scale.badness(values[members]))]
+                worst = members[place]
+                more = f", seed {self.entries[worst].seed}" if len(members) > 1 else ""
+                remarks = [f"in {where[worst]}{more}"]
+                if more:
+                    remarks.append(f"best seed {scale.format(best)}")
+                notes[i][k] = remarks
+            columns = [f"R{r}" for r in resolutions]
+            panels.append(
+                Panel(title=f"perturbation {p}", columns=columns, values=shown, notes=notes)
+            )
+        rows = [f"F{f}" for f in frictions]
+        titles = ("friction level", "resolution level")
+        return heat_map(name, rows, panels, scale, titles=titles, limit=limit)
+
+    def _sortable(self) -> Table:
+        found = {
+            name: [
+                _by_condition(self._of(name), quantity, judged=False)[0] for quantity in QUANTITIES
+            ]
+            for name in self._estimators
+        }
+        locks, _ = self._lock_ratios()
+        rows: list[list[object]] = []
+        for levels, members in self._groups().items():
+            row: list[object] = [*levels]
+            row.append("yes" if all(self.entries[one].valid for one in members) else "no")
+            row.append(f"{locks[members].max():.3f}" if self.entries[0].joints > 1 else NONE)
+            for columns in found.values():
+                for quantity, values in zip(QUANTITIES, columns, strict=True):
+                    worst, _ = _worst(values[members], quantity)
+                    # Units are in the headings, as cells are sorted as numbers.
+                    text = quantity.format(worst).removesuffix(quantity.unit)
+                    row.append(NONE if math.isnan(worst) else text)
+            rows.append(row)
+        heads: list[object] = ["F", "R", "P", "valid", "motion of held joints %"]
+        spans: list[tuple[object, int]] = [("Levels", 3), ("", 2)]
+        for look in self._estimators.values():
+            heads += [f"{quantity.name}{quantity.unit}" for quantity in QUANTITIES]
+            spans.append((look.label, len(QUANTITIES)))
+        return Table(
+            caption="Worst values of all elements",
+            columns=heads,
+            groups=[(None, rows)],
+            spans=spans,
+            sortable=True,
+        )
+
+    def _lock_ratios(self) -> tuple[FloatArray, list[str]]:
+        """Largest motion of a held joint in each condition (%), and which joint that was."""
+        n = self.entries[0].joints
+        ratios = 100.0 * np.where(np.eye(n, dtype=np.bool_), 0.0, self.table["lock_ratio"][:, 0])
+        return _largest(ratios, lambda i, k: f"joint {i + 1} while {k + 1} is perturbed")
+
+    def _locking(self) -> Content | None:
+        """How still the held joints were in each condition; None where none is held."""
+        if self.entries[0].joints == 1:
+            return None
+        limits = Limits()
+        bounds = _largest(100.0 * self.table["bias_bound"][:, 0], lambda i, k: f"Z{i + 1}{k + 1}")
+        parts = {
+            "motion of held joints": (100.0 * limits.lock_ratio, self._lock_ratios()),
+            "bias that it may cause": (100.0 * limits.bias_bound, bounds),
+        }
+        worst = [
+            f"{name}: at most {values.max():.3f} % (limit {limit:g} %)"
+            for name, (limit, (values, _)) in parts.items()
+        ]
+        plot = Plot(
+            identifier="map-locking",
+            caption="Worst trial in each condition",
+            description="Motion of held joints relative to the perturbed one in each condition.",
+            views=[
+                self._map(name, _LOCKING, limit, values, where)
+                for name, (limit, (values, where)) in parts.items()
+            ],
+            height=self._height,
+        )
+        return {"worst": "; ".join(worst).capitalize(), "plot": plot}
+
+    # --- curves and levels ---------------------------------------------------------------------
+
+    def _impedance(self) -> Content:
+        """Magnitude, phase and error of every element in all conditions of the first seed."""
+        first = self.entries[0]
+        n, names = first.joints, list(self._estimators)
+        conditions = [one.condition for one in self.entries if one.seed == first.seed]
+        if n > MOST_JOINTS:
+            for factor in ("friction", "resolution"):
+                levels = {getattr(one, factor) for one in conditions}
+                ends = min(levels), max(levels)
+                conditions = [one for one in conditions if getattr(one, factor) in ends]
+        lines = n * n * len(conditions) * len(names) * 3
+        points = int(min(max(_BUDGET / (lines * _BYTES), _POINTS[0]), _POINTS[1]))
+        curves = {
+            one: {name: _thinned(curve, points) for name, curve in self.curves(one).items()}
+            for one in conditions
+        }
+        assert first.truth is not None  # these are simulations
+        truth = first.truth.mbk()
+        return {
+            "seed": first.seed if len(self._seeds) > 1 else None,
+            "points": points,
+            "few": n > MOST_JOINTS,
+            "choices": list(self._choices(conditions)),
+            "switches": list(_switches(conditions)),
+            "plots": plot_matrix(n, lambda i, k: overlay_plot(curves, truth, i, k)),
+            "joints": n,
+        }
+
+    def _choices(
+        self, conditions: Sequence[Condition]
+    ) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
+        """Name, legend and options of what there is to choose."""
+        if len(self._estimators) > 1:
+            options = [(estimator_tag(one.name), one.label) for one in self._estimators.values()]
+            yield "overlay-estimator", "Estimator", options
+        perturbations = sorted({one.perturbation for one in conditions})
+        if len(perturbations) > 1:
+            options = [(f"perturbation:{level}", f"level {level}") for level in perturbations]
+            yield "overlay-perturbation", "Perturbation", options
+
+    def _by_level(self, identifier: str, title: str, scores: Sequence[LevelScore]) -> Content:
+        plot = Plot(
+            identifier=f"levels-{identifier}",
+            caption=title,
+            description=f"{title}: {', '.join(score.name for score in scores)}.",
+            views=[
+                levels_view(look.label, self._of(name), scores)
+                for name, look in self._estimators.items()
+            ],
+            height=90 + 190 * len(scores),
+        )
+        return {"title": title, "plot": plot, "rows": self.entries[0].joints > MOST_JOINTS}
+
+    # --- settings ------------------------------------------------------------------------------
+
+    def _meaning(self) -> Content | None:
+        """What the levels of each factor mean; None if the configuration does not tell."""
+        tables = [
+            self._parameters(factor, *of_factor)
+            for factor, of_factor in _LEVELLED.items()
+            if isinstance(setting(self.entries[0].config, of_factor[0]), Mapping)
+        ]
+        return {"tables": tables} if tables else None
+
+    def _parameters(self, factor: str, node: str, beginnings: tuple[str, ...]) -> Table:
+        first = self.entries[0].config
+        by_level = {getattr(entry, factor): entry.config for entry in reversed(self.entries)}
+        levels = sorted(by_level)
+        rows: list[list[object]] = [
+            [
+                code(name),
+                *(written(setting(by_level[level], node, name)) for level in levels),
+                marked_origin(first, node, name),
+            ]
+            for name in setting(first, node)
+            if name.startswith(beginnings)
+        ]
+        return Table(
+            caption=factor.capitalize(),
+            columns=["parameter", *(f"level {level}" for level in levels), "where from"],
+            groups=[(None, rows)],
+            words=(len(levels) + 1,),
+        )
+
+    def _settings(self) -> Content:
+        """Software, seeds, and the configuration but for what the levels set."""
+        config: dict[str, Any] = dict(self.entries[0].config)
+        runs: list[list[int]] = []
+        for seed in self._seeds:
+            if runs and seed == runs[-1][1] + 1:
+                runs[-1][1] = seed
+            else:
+                runs.append([seed, seed])
+        words = (f"{first} to {last}" if last > first else f"{first}" for first, last in runs)
+        return {
+            "identity": identity(config, ", ".join(words)),
+            "reading": None,
+            "conditions": True,
+            "tables": configuration(config),
+        }
 
 
 def _present(entries: Sequence[StudyEntry], factor: str) -> str:
@@ -136,3 +468,97 @@ def _present(entries: Sequence[StudyEntry], factor: str) -> str:
     if len(levels) > 2 and levels == list(range(levels[0], levels[-1] + 1)):
         return f"{levels[0]} to {levels[-1]}"
     return " and ".join(map(str, levels))
+
+
+def _worst(values: FloatArray, scale: Scale) -> tuple[float, int]:
+    """The worst of some values, and its place."""
+    place = int(np.argmax(scale.badness(values)))
+    return float(values[place]), place
+
+
+def _by_condition(
+    table: Results, quantity: Quantity, *, judged: bool
+) -> tuple[FloatArray, list[str]]:
+    """The worst value of one estimator in each condition, and the name of its element.
+
+    Parameters
+    ----------
+    table : ndarray, shape (n_conditions, n, n)
+        Results of the estimator.
+    quantity : Quantity
+        What is looked at.
+    judged : bool
+        Whether only elements count that are resolved.
+    """
+    values = quantity.values(table)
+    badness = quantity.badness(values)
+    if judged:
+        badness = np.where(table["resolved"][:, np.newaxis], badness, -np.inf)
+    flat = badness.reshape(len(table), -1).argmax(axis=1)
+    places = np.stack(np.unravel_index(flat, badness.shape[1:]), axis=1).tolist()
+    found = np.array([one[tuple(place)] for one, place in zip(values, places, strict=True)])
+    return found, [quantity.element(*place) for place in places]
+
+
+def _largest(values: FloatArray, name: Callable[[int, int], str]) -> tuple[FloatArray, list[str]]:
+    """Largest of (n_conditions, n, n) values in each condition, and its name."""
+    flat = values.reshape(len(values), -1)
+    places = flat.argmax(axis=1)
+    return flat.max(axis=1), [name(*divmod(int(one), values.shape[-1])) for one in places]
+
+
+def _named(quantity: Quantity) -> str:
+    return quantity.name.replace("scaled", "error, scaled")
+
+
+def _worst_row(one: WorstValue, *, seeds: bool) -> list[object]:
+    place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
+    limit = NONE
+    if one.limit is not None:
+        limit = f"{'≥' if one.of.floor else '≤'} {one.limit:g}{one.of.unit}"
+    return [
+        _named(one.of),
+        NONE if math.isnan(one.worst) else one.of.format(one.worst),
+        limit,
+        "not judged" if one.met is None else mark(one.met),
+        symbol(one.element[0], one.element[1:]),
+        f"{place}, seed {one.seed}" if seeds else place,
+    ]
+
+
+def _sentence(worst: Sequence[WorstValue]) -> str:
+    """Which targets one estimator meets or misses, and by how much."""
+    judged = [one for one in worst if one.met is not None]
+    missed = [one for one in judged if not one.met]
+    if not judged:
+        return "has no targets; it is shown for comparison."
+    if missed:
+        far = "; ".join(_miss(one) for one in missed)
+        return f"misses {len(missed)} of {len(judged)} targets: {far}."
+    bounds = (
+        f"{one.quantity} {'at least' if one.of.floor else 'at most'} {one.of.format(one.worst)}"
+        for one in judged
+    )
+    return f"meets all {len(judged)} targets: {', '.join(bounds)}."
+
+
+def _miss(one: WorstValue) -> str:
+    if one.limit is None or math.isnan(one.worst):
+        return f"{one.quantity} is unknown in {one.place}"
+    value, limit = one.of.format(one.worst), one.of.format(one.limit)
+    return f"{one.quantity} {value} where {limit} is asked for, in {one.place}"
+
+
+def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:
+    """About this many values, at frequencies that are evenly spaced over their logarithm."""
+    wanted = np.geomspace(curve.f[0], curve.f[-1], points)
+    chosen = np.unique(np.abs(curve.f[:, np.newaxis] - wanted).argmin(axis=0))
+    return replace(curve, f=curve.f[chosen], Z=curve.Z[:, :, chosen])
+
+
+def _switches(conditions: Sequence[Condition]) -> Iterator[Content]:
+    for level in sorted({one.friction for one in conditions}):
+        yield box(f"friction:{level}", f"friction {level}", f"--level-{level}")
+    for level in sorted({one.resolution for one in conditions}):
+        yield box(f"resolution:{level}", f"resolution {level}", "--soft", LEVEL_DASHES[level])
+    yield box(TRUTH, "truth", "--ink", "dot")

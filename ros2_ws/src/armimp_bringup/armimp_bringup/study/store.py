@@ -8,74 +8,110 @@ from __future__ import annotations
 
 import fcntl
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
+
+from pydantic import TypeAdapter, ValidationError, model_validator
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study.conditions import Condition
-from armimp_bringup.study.engine import ConditionResult, Provenance
-from armimp_bringup.study.entry import StudyEntry, differences, read_entry
-from armimp_bringup.study.errors import StudyError
-from armimp_common.errors import ConfigurationError
-from armimp_estimation.atomic_write import is_part, open_lock, read_text, write_whole
-from armimp_estimation.results import ImpedanceCurve, read_frf, write_frf, write_summary
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.atomic_write import is_part, open_lock, read_bytes, read_text, write_text
+from armimp_estimation.json_model import first_complaint
+from armimp_estimation.results import ImpedanceCurve, Summary, read_frf, write_frf, write_summary
+
+if TYPE_CHECKING:
+    from armimp_bringup.study.engine import ConditionResult
 
 CONFIG_FILE = "config.json"
 RESULTS_DIRECTORY = "conditions"
 _LOCK = ".lock"
-# What differs between the conditions of a study, and is not part of its configuration.
 _VARIED = {"friction", "resolution", "perturbation", "seed", "mode", "processes"}
+"""What differs between the conditions of a study, and is not part of its configuration."""
+_Content = TypeVar("_Content")
 
 
-class StudyStore:
-    """An open directory of a study, for one process at a time.
+class StudyEntry(Summary):
+    """The result of one condition: a summary with the levels; its seed is part of any summary."""
 
-    Parameters
-    ----------
-    directory : Path
-        New, empty, or that of a study with the same configuration.
-    base : ExperimentConfig
-        Configuration; levels and seed in it do not count.
-    provenance : Provenance
-        Software, which counts as part of the configuration.
+    seed: int
+    friction: int
+    resolution: int
+    perturbation: int
+
+    @model_validator(mode="after")
+    def _check_complete(self) -> StudyEntry:
+        """Whatever simulates a condition knows the truth, and perturbs each joint once."""
+        if self.truth is None:
+            raise ValueError("truth is missing")
+        if not self.estimators:
+            raise ValueError("estimators are missing")
+        if any(estimator.vaf is None for estimator in self.estimators.values()):
+            raise ValueError("a VAF is missing")
+        perturbed = [trial.k for trial in self.trials]
+        if sorted(perturbed) != list(range(1, self.joints + 1)):
+            raise ValueError(f"trials perturb the joints {perturbed}, of {self.joints}")
+        return self
+
+    @property
+    def condition(self) -> Condition:
+        """What the result is of."""
+        return Condition(
+            seed=self.seed,
+            friction=self.friction,
+            resolution=self.resolution,
+            perturbation=self.perturbation,
+        )
+
+
+_ENTRY = TypeAdapter(StudyEntry)
+_ENTRIES = TypeAdapter(list[StudyEntry])
+
+
+def study_text(entries: Sequence[StudyEntry]) -> str:
+    """Content of ``study.json``: a list of entries."""
+    return _ENTRIES.dump_json(list(entries), indent=1, by_alias=True).decode() + "\n"
+
+
+def read_study(path: Path) -> list[StudyEntry]:
+    """Read ``study.json``.
 
     Raises
     ------
-    ConfigurationError
-        If the directory holds something else, or a study of another configuration.
-    StudyError
-        If it can't be made or written to, or another process works in it.
+    DataError
+        If it can't be read, or is something else.
     """
+    return _read(path, _ENTRIES, "a study")
 
-    def __init__(self, directory: Path, base: ExperimentConfig, provenance: Provenance) -> None:
-        self.directory = directory
-        self._estimators = set(base.estimators)
-        described = _description(base, provenance)
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            self._refuse_foreign()
-            self._lock = self._locked()
-        except OSError as error:
-            raise StudyError(f"{directory}: cannot be used: {error.strerror}") from None
-        try:
-            self._begin(described)
-            self._check(described)
-        except BaseException:
-            self._lock.close()
-            raise
 
-    def __enter__(self) -> StudyStore:
-        return self
+def read_entry(path: Path) -> StudyEntry:
+    """Read the result of one condition.
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._lock.close()
+    Raises
+    ------
+    DataError
+        If it can't be read, or is something else.
+    """
+    return _read(path, _ENTRY, "the result of a condition")
+
+
+def _read(path: Path, adapter: TypeAdapter[_Content], what: str) -> _Content:
+    try:
+        return adapter.validate_json(read_bytes(path))
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from None
+    except ValidationError as error:
+        raise DataError(f"{path}: not {what}: {first_complaint(error)}") from None
+
+
+class StudyStore:
+    """The directory of a study, which `open_study` gives to one process at a time."""
+
+    def __init__(self, directory: Path, estimators: Iterable[str]) -> None:
+        self._results = directory / RESULTS_DIRECTORY
+        self._estimators = set(estimators)
 
     def missing(self, conditions: Iterable[Condition]) -> list[Condition]:
         """Conditions without a result."""
@@ -86,21 +122,21 @@ class StudyStore:
 
         Raises
         ------
-        StudyError, DataError
+        DataError
             If it can't be written.
         """
-        curves = self._path(result.condition, "npz")
+        curves = self._path(result.entry.condition, "npz")
         # Curves without a result were left by an interruption between the two.
         curves.unlink(missing_ok=True)
         write_frf(curves, result.results)
-        write_summary(self._path(result.condition, "json"), result.entry)
+        write_summary(self._path(result.entry.condition, "json"), result.entry)
 
     def entries(self, conditions: Sequence[Condition]) -> list[StudyEntry]:
         """Results of conditions, in their order.
 
         Raises
         ------
-        StudyError, DataError
+        DataError
             If one is missing or damaged.
         """
         found: list[StudyEntry] = []
@@ -108,14 +144,14 @@ class StudyStore:
             path = self._path(condition, "json")
             entry = read_entry(path)
             if entry.condition != condition:
-                raise StudyError(f"{path}: is of {entry.condition}, not {condition}")
+                raise DataError(f"{path}: is of {entry.condition}, not {condition}")
             if set(entry.estimators) != self._estimators:
-                raise StudyError(
+                raise DataError(
                     f"{path}: has the estimators {', '.join(sorted(entry.estimators))}, "
                     f"not {', '.join(sorted(self._estimators))}"
                 )
             if found and entry.joints != found[0].joints:
-                raise StudyError(f"{path}: has {entry.joints} joints, not {found[0].joints}")
+                raise DataError(f"{path}: has {entry.joints} joints, not {found[0].joints}")
             found.append(entry)
         return found
 
@@ -129,80 +165,86 @@ class StudyStore:
         """
         return read_frf(self._path(condition, "npz"))
 
-    def _refuse_foreign(self) -> None:
-        if (self.directory / CONFIG_FILE).exists():
-            return
-        if any(path.name != _LOCK for path in self.directory.iterdir()):
-            raise ConfigurationError(
-                f"{self.directory}: is not empty and holds no study, nothing is overwritten"
-            )
-
-    def _begin(self, described: dict[str, Any]) -> None:
-        path = self.directory / CONFIG_FILE
-        if not path.exists():
-            write_file(path, json.dumps(described, indent=1) + "\n")
-        results = self.directory / RESULTS_DIRECTORY
-        try:
-            results.mkdir(exist_ok=True)
-            for left_over in filter(is_part, results.glob(".*")):
-                left_over.unlink()
-        except OSError as error:
-            raise StudyError(f"{results}: cannot be used: {error.strerror}") from None
-
-    def _locked(self) -> BinaryIO:
-        lock = open_lock(self.directory / _LOCK)
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            raise StudyError(f"{self.directory}: another process is at work on it") from None
-        return lock
-
-    def _check(self, described: dict[str, Any]) -> None:
-        path = self.directory / CONFIG_FILE
-        try:
-            stored = json.loads(read_text(path))
-        except OSError as error:
-            raise StudyError(f"{path}: {error.strerror}") from None
-        except (ValueError, RecursionError) as error:
-            raise StudyError(f"{path}: not the configuration of a study: {error}") from None
-        different = next(iter(sorted(differences(stored, described))), None)
-        if different is not None:
-            raise ConfigurationError(
-                f"{self.directory}: holds a study of another configuration, where {different}"
-            )
-
     def _path(self, condition: Condition, suffix: str) -> Path:
-        return self.directory / RESULTS_DIRECTORY / f"{condition.name}.{suffix}"
+        return self._results / f"{condition.name}.{suffix}"
 
 
-def write_file(path: Path, content: str) -> None:
-    """Write or replace a text file, so that no part of it is ever seen.
+@contextmanager
+def open_study(
+    directory: Path, base: ExperimentConfig, software: Mapping[str, Any]
+) -> Iterator[StudyStore]:
+    """Have the directory of a study for one process, as long as the context lasts.
+
+    Parameters
+    ----------
+    directory : Path
+        New, empty, or that of a study with the same configuration.
+    base : ExperimentConfig
+        Configuration; levels and seed in it do not count.
+    software : mapping
+        Counts as part of the configuration.
 
     Raises
     ------
-    StudyError
-        If it can't be written.
+    ConfigurationError
+        If the directory holds something else, or a study of another configuration.
+    DataError
+        If it can't be made or written to, or another process works in it.
     """
-    replace_file(path, lambda part: part.write_text(content, encoding="utf-8"))
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        known = (directory / CONFIG_FILE).exists()
+        if not known and any(path.name != _LOCK for path in directory.iterdir()):
+            raise ConfigurationError(
+                f"{directory}: is not empty and holds no study, nothing is overwritten"
+            )
+        lock = _locked(directory)
+    except OSError as error:
+        raise DataError(f"{directory}: cannot be used: {error.strerror}") from None
+    with lock:
+        described = json.loads(base.model_dump_json(exclude=_VARIED))
+        _begin(directory, {"schema": 1, "experiment": described, **software})
+        yield StudyStore(directory, base.estimators)
 
 
-def replace_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Have a file written beside its place (with the same suffix), and move it there.
+def _locked(directory: Path) -> BinaryIO:
+    lock = open_lock(directory / _LOCK)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        lock.close()
+        raise DataError(f"{directory}: another process is at work on it") from None
+    return lock
 
-    Raises
-    ------
-    StudyError
-        If it can't be written.
-    """
-    write_whole(path, write, anew=True, error=StudyError)
+
+def _begin(directory: Path, described: Mapping[str, Any]) -> None:
+    """Write the configuration of a new study, or compare with that of an older one."""
+    path, results = directory / CONFIG_FILE, directory / RESULTS_DIRECTORY
+    if not path.exists():
+        write_text(path, json.dumps(described, indent=1) + "\n")
+    try:
+        results.mkdir(exist_ok=True)
+        for left_over in filter(is_part, results.glob(".*")):
+            left_over.unlink()
+        stored = json.loads(read_text(path))
+    except OSError as error:
+        raise DataError(f"{directory}: cannot be used: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{path}: not the configuration of a study: {error}") from None
+    different = next(iter(sorted(_differences(stored, described))), None)
+    if different is not None:
+        raise ConfigurationError(
+            f"{directory}: holds a study of another configuration, where {different}"
+        )
 
 
-def _description(base: ExperimentConfig, provenance: Provenance) -> dict[str, Any]:
-    described: dict[str, Any] = json.loads(base.model_dump_json(exclude=_VARIED))
-    return {
-        "schema": 1,
-        "experiment": described,
-        "versions": dict(provenance.versions),
-        "git_revision": provenance.git_revision,
-    }
+def _differences(one: object, other: object, where: str = "") -> Iterable[str]:
+    """Places where two JSON values differ, with the values, as in ``joints is 2, not 3``."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        for key in one.keys() | other.keys():
+            inside = f"{where}.{key}" if where else str(key)
+            yield from _differences(one.get(key), other.get(key), inside)
+    elif one != other:
+        shown, wanted = (json.dumps(value) for value in (one, other))
+        shown, wanted = (t if len(t) <= 200 else f"{t[:197]}..." for t in (shown, wanted))
+        yield f"{where or 'content'} is {shown}, not {wanted}"

@@ -1,32 +1,36 @@
-"""The study from beginning to end: conditions, results, tables, figures and verdict."""
+"""The study from beginning to end: conditions, results, tables, figures, report and verdict."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.backends import Backend
-from armimp_bringup.study.conditions import Condition
-from armimp_bringup.study.csv_tables import results_csv, verdict_csv
-from armimp_bringup.study.engine import Batch, Provenance, condition_parameters, split_evenly
-from armimp_bringup.study.entry import StudyEntry, study_text
-from armimp_bringup.study.figures import figure_title, write_figures
-from armimp_bringup.study.report import StudyReport
-from armimp_bringup.study.store import (
-    CONFIG_FILE,
-    RESULTS_DIRECTORY,
-    StudyStore,
-    write_file,
-)
-from armimp_bringup.study.verdict import StudyVerdict, judge
-from armimp_bringup.terminal import phase, progress
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+
+from armimp_bringup.bench import available_cores
+from armimp_bringup.config import ExperimentConfig, load_config
+from armimp_bringup.parameters import node_parameters
+from armimp_bringup.study.backends import Backend, Dask, Threads
+from armimp_bringup.study.conditions import Condition, select_conditions
+from armimp_bringup.study.engine import Batch, condition_config, software, split_evenly
+from armimp_bringup.study.store import CONFIG_FILE, RESULTS_DIRECTORY, open_study, study_text
+from armimp_bringup.study.table import results_csv, results_table
+from armimp_bringup.study.verdict import QUANTITIES, StudyVerdict, judge
+from armimp_bringup.terminal import leave_terminal, phase, progress, say
+from armimp_common.errors import ConfigurationError, InterruptionError
+from armimp_estimation.atomic_write import write_text
+from armimp_estimation.report.run import REPORT_FILE
 from armimp_estimation.results import OriginSummary
 
-STUDY_FILE = "study.json"
-VERDICT_FILE = "verdict.json"
-TABLES: Final = {
+DEFAULT_ESTIMATORS: Final = ("welch_siso", "lpm_full")
+STUDY_FILE: Final = "study.json"
+VERDICT_FILE: Final = "verdict.json"
+_FILES: Final = {
     STUDY_FILE: "all results",
     "results.csv": "one row for each condition, element and estimator",
     VERDICT_FILE: "worst values and targets",
@@ -34,6 +38,80 @@ TABLES: Final = {
     CONFIG_FILE: "what the results were made with",
     RESULTS_DIRECTORY + "/": "result and curves of each condition",
 }
+_MOST_FAILURES: Final = 20
+
+
+def reproduce(
+    *,
+    out: Path,
+    config: Path | None = None,
+    only: Sequence[str] = (),
+    seeds: str = "0",
+    workers: int | None = None,
+    scheduler: str | None = None,
+    figures: bool = True,
+    as_json: bool = False,
+    **options: Any,
+) -> int:
+    """Run the study, print its verdict, and return the exit status that it deserves.
+
+    Parameters
+    ----------
+    out : Path
+        Directory of the study.
+    config : Path, optional
+        YAML file with an experiment.
+    only, seeds
+        As for `armimp_bringup.study.conditions.select_conditions`.
+    workers : int, optional
+        Number of threads.
+    scheduler : str, optional
+        Address of a dask scheduler.
+    figures : bool
+        Whether to draw those for print.
+    as_json : bool
+        Whether to print the verdict as JSON.
+    **options
+        Values of `armimp_bringup.config.ExperimentConfig`; None for what was not given.
+
+    Raises
+    ------
+    ArmimpError
+        If the study can't be run.
+    """
+    if config is None and not options.get("estimators"):
+        options["estimators"] = DEFAULT_ESTIMATORS
+    base = load_config(config, options)
+    conditions = select_conditions(only, seeds)
+    backend: Backend
+    if scheduler is None:
+        backend = Threads(workers if workers is not None else available_cores())
+    elif workers is None:
+        backend = Dask(scheduler)
+    else:
+        raise ConfigurationError(
+            "--workers is for threads of this machine, a --scheduler has its own"
+        )
+    origin = OriginSummary.of(sys.argv)
+    try:
+        verdict = run_study(base, conditions, out, backend, figures=figures, origin=origin)
+    except KeyboardInterrupt:
+        raise InterruptionError("interrupted; the same command goes on from here") from None
+    leave_terminal()
+    if as_json:
+        print(verdict.model_dump_json(by_alias=True, ensure_ascii=True))
+    else:
+        console = Console(soft_wrap=True)
+        print_verdict(verdict, console)
+        told = "[bold]all targets met[/]" if verdict.met else "[bold red]targets missed[/]"
+        console.print(told if any(one.limit is not None for one in verdict.worst) else "no targets")
+        console.print(f"study in {out}", highlight=False)
+    failures = verdict.failures()
+    for failure in failures[:_MOST_FAILURES]:
+        say(f"armimp: {failure}")
+    if len(failures) > _MOST_FAILURES:
+        say(f"armimp: and {len(failures) - _MOST_FAILURES} more, see {out / VERDICT_FILE}")
+    return 0 if verdict.met else 1
 
 
 def run_study(
@@ -65,27 +143,25 @@ def run_study(
     Returns
     -------
     StudyVerdict
-        StoppingDecision of the given conditions.
+        Of the given conditions.
 
     Raises
     ------
     ConfigurationError
         If something is set wrongly, or the directory holds something else.
-    StudyError, DataError
+    DataError
         If the study cannot be run or stored.
     """
-    provenance = Provenance.here()
-    condition_parameters(
-        base, conditions[0]
-    )  # what is set wrongly should show before anything is made
-    with StudyStore(directory, base, provenance) as store:
+    here = software()
+    # What is set wrongly should show before anything is made.
+    node_parameters(condition_config(base, conditions[0]), None)
+    with open_study(directory, base, here) as store:
         missing = store.missing(conditions)
-        stored = len(conditions) - len(missing)
-        done = stored
+        done = stored = len(conditions) - len(missing)
         progress(done, len(conditions), stored, things="conditions")
         if missing:
             batches = [
-                Batch(base=base, conditions=part, provenance=provenance)
+                Batch(base=base, conditions=part, software=here)
                 for part in split_evenly(missing, backend.workers)
             ]
             for results in backend.run(batches):
@@ -94,26 +170,66 @@ def run_study(
                 done += len(results)
                 progress(done, len(conditions), stored, things="conditions")
         entries = store.entries(conditions)
-        verdict = judge(entries)
-        _write_tables(directory, entries, verdict)
-        drawn: list[Path] = []
-        if figures:
+        table = results_table(entries)
+        verdict = judge(entries, table)
+        write_text(directory / STUDY_FILE, study_text(entries))
+        write_text(directory / "results.csv", results_csv(table))
+        write_text(directory / "verdict.csv", verdict.to_csv())
+        text = verdict.model_dump_json(indent=1, by_alias=True)
+        write_text(directory / VERDICT_FILE, f"{text}\n")
+        drawn: dict[str, str] = {}
+        truth = entries[0].truth
+        if figures and truth is not None:
             phase("drawing the figures")
-            drawn = write_figures(directory, entries, store.curves)
+            from armimp_bringup.study.figures import write_figures
+
+            drawn = write_figures(directory, conditions, table, truth.mbk(), store.curves)
         phase("writing the report")
-        StudyReport(
+        from armimp_bringup.study.report import StudyReport
+
+        report = StudyReport(
             entries=entries,
-            origin=origin,
+            table=table,
             verdict=verdict,
             curves=store.curves,
-            files={**TABLES, **{path.name: figure_title(path.name) for path in drawn}},
-        ).write(directory)
+            files={**_FILES, **drawn},
+            origin=origin,
+        )
+        write_text(directory / REPORT_FILE, report.page())
     return verdict
 
 
-def _write_tables(directory: Path, entries: Sequence[StudyEntry], verdict: StudyVerdict) -> None:
-    write_file(directory / STUDY_FILE, study_text(entries))
-    write_file(directory / "results.csv", results_csv(entries))
-    write_file(directory / "verdict.csv", verdict_csv(verdict))
-    text = verdict.model_dump_json(indent=1, by_alias=True)
-    write_file(directory / VERDICT_FILE, f"{text}\n")
+def print_verdict(verdict: StudyVerdict, console: Console) -> None:
+    """Print the worst value of each quantity, wider than the terminal rather than with gaps."""
+    many = "s" if verdict.conditions > 1 else ""
+    caption = "F, R, P: levels of friction, resolution and perturbation"
+    if verdict.unresolved:
+        caption += f"\n{100.0 * verdict.unresolved:.1f} % of all elements not resolved, not judged"
+    table = Table(
+        title=f"worst values of {verdict.conditions} condition{many}, all elements",
+        caption=caption,
+        box=SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),  # fits into 80 characters
+        title_justify="left",
+        caption_justify="left",
+    )
+    for name, right in (
+        *(("estimator", False), ("quantity", False), ("worst", True), ("target", True)),
+        *(("", False), ("in", False), ("condition", False)),
+    ):
+        table.add_column(name, justify="right" if right else "left", no_wrap=True)
+    for place, one in enumerate(verdict.worst):
+        sign = "≥" if one.of.floor else "≤"
+        table.add_row(
+            one.estimator if place % len(QUANTITIES) == 0 else "",
+            one.quantity,
+            one.of.format(one.worst),
+            "–" if one.limit is None else f"{sign} {one.limit:g}{one.of.unit}",
+            {True: "[green]✓[/]", False: "[bold red]✗[/]", None: ""}[one.met],
+            one.element,
+            f"F{one.friction} R{one.resolution} P{one.perturbation} seed {one.seed}",
+            end_section=place % len(QUANTITIES) == len(QUANTITIES) - 1,
+        )
+    wide = Measurement.get(console, console.options.update(max_width=1000), table).maximum
+    console.width = max(console.width, wide)
+    console.print(table)

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from armimp_bringup.study.entry import StudyEntry
+from armimp_bringup.study.store import StudyEntry
+from armimp_bringup.study.table import Table
 from armimp_estimation.json_model import Number
 
-Quantity = Literal[
-    "VAF", "R²", "derived coherence", "M, K error", "B error", "M, K scaled", "B scaled"
-]
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,32 +46,49 @@ class Scale:
         """Whether a value is good enough; NaN never is."""
         return value >= limit if self.floor else value <= limit
 
-    def badness(self, value: float) -> float:
+    def badness(self, values: FloatArray) -> FloatArray:
         """Increases towards the worst value, which NaN is."""
-        if math.isnan(value):
-            return math.inf
-        return -value if self.floor else value
+        return np.where(np.isnan(values), np.inf, -values if self.floor else values)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Column(Scale):
-    """A column of the table of targets: a quantity and its scale."""
+class Quantity(Scale):
+    """A row of the table of targets: a quantity, and the fields of the results that it is in."""
 
-    quantity: Quantity
+    name: str
+    fields: tuple[str, ...]
+
+    def values(self, table: Table) -> FloatArray:
+        """Values of the rows of one estimator, without signs of errors; (n_conditions, F, n, n)."""
+        found = np.stack([table[field] for field in self.fields], axis=-3)
+        return found if self.floor else np.abs(found)
+
+    def element(self, field: int, i: int, k: int) -> str:
+        """Name of an element (0-based), such as ``Z12`` or ``M12``."""
+        return f"{'Z' if self.floor else self.fields[field][0]}{i + 1}{k + 1}"
 
 
-COLUMNS: Final = (
-    Column(quantity="VAF", unit=" %", floor=True, digits=3),
-    Column(quantity="R²", unit="", floor=True, digits=5),
-    Column(quantity="derived coherence", unit="", floor=True, digits=4),
-    Column(quantity="M, K error", unit=" %", floor=False, digits=2),
-    Column(quantity="B error", unit=" %", floor=False, digits=2),
-    Column(quantity="M, K scaled", unit=" %", floor=False, digits=2),
-    Column(quantity="B scaled", unit=" %", floor=False, digits=2),
+def _errors(letters: str, kind: str) -> tuple[str, ...]:
+    return tuple(f"{letter}_{kind}_percent" for letter in letters)
+
+
+QUANTITIES: Final = (
+    Quantity(name="VAF", fields=("vaf_percent",), unit=" %", floor=True, digits=3),
+    Quantity(name="R²", fields=("r2",), unit="", floor=True, digits=5),
+    Quantity(
+        name="derived coherence", fields=("coherence_derived",), unit="", floor=True, digits=4
+    ),
+    Quantity(name="M, K error", fields=_errors("MK", "error"), unit=" %", floor=False, digits=2),
+    Quantity(name="B error", fields=_errors("B", "error"), unit=" %", floor=False, digits=2),
+    Quantity(
+        name="M, K scaled", fields=_errors("MK", "scaled_error"), unit=" %", floor=False, digits=2
+    ),
+    Quantity(
+        name="B scaled", fields=_errors("B", "scaled_error"), unit=" %", floor=False, digits=2
+    ),
 )
-"""What is looked at. Scaled errors have no targets: see :func:`scaled_error`."""
-
-_TWO_JOINTS: Final[dict[str, dict[Quantity, float]]] = {
+"""What is looked at. Scaled errors have no targets."""
+_TARGETS: Final[Mapping[str, Mapping[str, float]]] = {
     "welch_siso": {
         "VAF": 99.5,
         "R²": 0.99,
@@ -77,23 +97,25 @@ _TWO_JOINTS: Final[dict[str, dict[Quantity, float]]] = {
         "B error": 8.0,
     },
     "lpm_full": {
-        "VAF": 99.7,
-        "R²": 0.997,
+        "VAF": 99.9,
+        "R²": 0.999,
         "derived coherence": 0.985,
-        "M, K error": 2.0,
-        "B error": 2.0,
+        "M, K error": 0.5,
+        "B error": 0.5,
     },
 }
-_OTHER_JOINTS: Final[dict[str, dict[Quantity, float]]] = {"lpm_full": {"VAF": 99.7}}
 
 
-def targets(joints: int) -> Mapping[str, Mapping[Quantity, float]]:
-    """Limits by estimator and quantity, for 50 s trials; not every estimator has any."""
-    return _TWO_JOINTS if joints == 2 else _OTHER_JOINTS
+def targets(joints: int, estimator: str) -> Mapping[str, float]:
+    """Limits of the quantities of an estimator that have one; with three joints of scores only."""
+    limits = _TARGETS.get(estimator, {})
+    if joints <= 2:
+        return limits
+    return {name: limit for name, limit in limits.items() if "error" not in name}
 
 
 class WorstValue(BaseModel):
-    """The worst value of a quantity over all conditions and elements, and where it is.
+    """The worst value of a quantity among the elements of all conditions that are judged.
 
     ``element`` is such as ``Z12``, ``M12`` or ``K21``. Where there is no target, limit and met
     are null.
@@ -102,7 +124,7 @@ class WorstValue(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     estimator: str
-    quantity: Quantity
+    quantity: str
     worst: Number
     limit: float | None
     met: bool | None
@@ -111,6 +133,11 @@ class WorstValue(BaseModel):
     resolution: int
     perturbation: int
     seed: int
+
+    @property
+    def of(self) -> Quantity:
+        """Its quantity."""
+        return next(one for one in QUANTITIES if one.name == self.quantity)
 
     @property
     def place(self) -> str:
@@ -122,7 +149,11 @@ class WorstValue(BaseModel):
 
 
 class StudyVerdict(BaseModel):
-    """Content of ``verdict.json``: judgement of what a study contains."""
+    """Content of ``verdict.json``: judgement of what a study contains.
+
+    ``unresolved`` is the share of elements, over all conditions, that make too little torque to be
+    judged.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
@@ -130,6 +161,7 @@ class StudyVerdict(BaseModel):
     met: bool
     joints: int
     conditions: int
+    unresolved: float
     worst: list[WorstValue]
     problems: list[str]
 
@@ -137,21 +169,29 @@ class StudyVerdict(BaseModel):
         """What is not as it should be, one line each."""
         return [*(_missed(one) for one in self.worst if one.met is False), *self.problems]
 
+    def to_csv(self) -> str:
+        """The worst values as a table."""
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(WorstValue.model_fields), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(one.model_dump() for one in self.worst)
+        return text.getvalue()
 
-def judge(entries: Sequence[StudyEntry]) -> StudyVerdict:
+
+def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
     """Find the worst values, and compare them with the targets.
 
     Parameters
     ----------
     entries : sequence of StudyEntry
         Results with the same estimators and number of joints, at least one.
+    table : ndarray
+        Their numbers.
     """
-    joints = entries[0].joints
-    limits = targets(joints)
     worst = [
-        _worst(entries, estimator, column, limits.get(estimator, {}).get(column.quantity))
-        for estimator in entries[0].estimators
-        for column in COLUMNS
+        _worst(of_estimator, quantity)
+        for of_estimator in np.moveaxis(table, 1, 0)
+        for quantity in QUANTITIES
     ]
     problems = [
         f"{entry.condition} is not valid: {problem}"
@@ -161,90 +201,38 @@ def judge(entries: Sequence[StudyEntry]) -> StudyVerdict:
     ]
     return StudyVerdict(
         met=all(one.met is not False for one in worst) and all(entry.valid for entry in entries),
-        joints=joints,
+        joints=entries[0].joints,
         conditions=len(entries),
+        unresolved=float(1.0 - np.mean(table["resolved"])),
         worst=worst,
         problems=problems,
     )
 
 
-def values(
-    entry: StudyEntry, estimator: str, quantity: Quantity
-) -> Iterator[tuple[str, int, int, float]]:
-    """Values of a quantity in one condition: name of the element, its row and column, value."""
-    result = entry.estimators[estimator]
-    letters, _, kind = quantity.rpartition(" ")
-    if kind in {"error", "scaled"}:
-        error = relative_error if kind == "error" else scaled_error
-        for letter in letters.split(", "):
-            for i in range(entry.joints):
-                for k in range(entry.joints):
-                    found = error(entry, estimator, letter, i, k)
-                    yield f"{letter}{i + 1}{k + 1}", i, k, abs(found)
-        return
-    matrix = {
-        "VAF": result.vaf,
-        "R²": result.r2,
-        "derived coherence": result.coherence_derived,
-    }[quantity]
-    for i in range(entry.joints):
-        for k in range(entry.joints):
-            yield f"Z{i + 1}{k + 1}", i, k, math.nan if matrix is None else matrix[i][k]
-
-
-def relative_error(entry: StudyEntry, estimator: str, letter: str, i: int, k: int) -> float:
-    """Error of an element of M, B or K against the truth, %; NaN without a truth."""
-    if entry.truth is None:
-        return math.nan
-    true = getattr(entry.truth, letter)[i][k]
-    found = getattr(entry.estimators[estimator], letter)[i][k]
-    return float(100.0 * (found - true) / abs(true)) if true else math.nan
-
-
-def scaled_error(entry: StudyEntry, estimator: str, letter: str, i: int, k: int) -> float:
-    """Error of an element ``X_ik`` relative to ``sqrt(|X_ii X_kk|)`` of the truth, %.
-
-    On the diagonal it is the relative error. Elsewhere it says what an error does to the arm as a
-    whole: an element that is tiny beside its diagonal may be wrong by far more than its own size,
-    and still not matter. NaN without a truth.
-    """
-    if entry.truth is None:
-        return math.nan
-    true = getattr(entry.truth, letter)
-    scale = math.sqrt(abs(true[i][i] * true[k][k]))
-    found = getattr(entry.estimators[estimator], letter)[i][k]
-    return float(100.0 * (found - true[i][k]) / scale) if scale else math.nan
-
-
-def _worst(
-    entries: Sequence[StudyEntry], estimator: str, column: Column, limit: float | None
-) -> WorstValue:
-    entry, element, value = max(
-        (
-            (entry, element, value)
-            for entry in entries
-            for element, _, _, value in values(entry, estimator, column.quantity)
-        ),
-        key=lambda found: column.badness(found[2]),
-    )
+def _worst(table: Table, quantity: Quantity) -> WorstValue:
+    """Worst value of a quantity of one estimator."""
+    estimator, joints = str(table["estimator"].flat[0]), table.shape[-1]
+    judged = table["resolved"].any()
+    limit = targets(joints, estimator).get(quantity.name) if judged else None
+    values = quantity.values(table)
+    badness = quantity.badness(values)
+    if limit is not None:
+        badness = np.where(table["resolved"][:, np.newaxis], badness, -np.inf)
+    place, field, i, k = np.unravel_index(int(np.argmax(badness)), badness.shape)
+    value, row = float(values[place, field, i, k]), table[place, i, k]
     return WorstValue(
         estimator=estimator,
-        quantity=column.quantity,
+        quantity=quantity.name,
         worst=value,
         limit=limit,
-        met=None if limit is None else column.meets(value, limit),
-        element=element,
-        friction=entry.friction,
-        resolution=entry.resolution,
-        perturbation=entry.perturbation,
-        seed=entry.seed,
+        met=None if limit is None else quantity.meets(value, limit),
+        element=quantity.element(int(field), int(i), int(k)),
+        **{name: int(row[name]) for name in ("friction", "resolution", "perturbation", "seed")},
     )
 
 
 def _missed(one: WorstValue) -> str:
-    column = next(column for column in COLUMNS if column.quantity == one.quantity)
-    limit = "" if one.limit is None else column.format(one.limit)
-    sign = "<" if column.floor else ">"
-    return (
-        f"{one.estimator}: {one.quantity} {column.format(one.worst)} {sign} {limit} in {one.place}"
-    )
+    limit = math.nan if one.limit is None else one.limit
+    sign = "<" if one.of.floor else ">"
+    worst, limited = one.of.format(one.worst), one.of.format(limit)
+    return f"{one.estimator}: {one.quantity} {worst} {sign} {limited} in {one.place}"

@@ -39,6 +39,9 @@ _PALETTES: Mapping[str, Sequence[tuple[str, str]]] = {
 COLOURS = tuple(light for light, _ in _PALETTES["estimator"])
 ELEMENT_COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#8f8f8f")
 """Of elements that are compared with each other: those that Tol calls bright."""
+LEVEL_COLOURS = tuple(light for light, _ in _PALETTES["level"])
+LEVEL_DASHES = ("solid", "dash", "dashdot", "dot")
+"""Of friction and resolution in a study."""
 TRUTH_COLOUR = "#000000"
 MOTION_COLOUR, TORQUE_COLOUR = (light for light, _ in _PALETTES["signal"])
 """Of the coherences of the perturbation with angle and torque."""

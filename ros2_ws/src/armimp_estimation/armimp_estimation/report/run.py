@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from armimp_estimation.atomic_write import write_whole
+from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.advice import advise
 from armimp_estimation.report.curves import reference_of
 from armimp_estimation.report.formats import (
@@ -87,8 +87,7 @@ def write_report(directory: Path, result: Result) -> Path:
         If it cannot be written.
     """
     path = directory / REPORT_FILE
-    text = report_page(result)
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), anew=True)
+    write_text(path, report_page(result))
     return path
 
 
