@@ -14,7 +14,7 @@ endif
 unexport _ROS_WHEELS_BOOTSTRAP_COMPLETE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup run test test-all compiled bench research colcon lint format lock sbom clean
+.PHONY: help setup run test test-all compiled bench research pictures colcon lint format lock sbom clean
 
 help:  ## list what make can do here
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "make %-8s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -41,6 +41,9 @@ bench: setup  ## measure what a run costs here, e.g. ARGS="start growth"
 
 research: setup  ## repeat a study of research/, e.g. ARGS="limits --seeds 0:8"
 	@$(BIN)/python -m research $(ARGS)
+
+pictures: setup  ## make the pictures of README and docs whose sources have changed, or those in ARGS
+	@$(BIN)/python scripts/make_pictures.py $(ARGS)
 
 colcon: setup  ## build the workspace with colcon, as a full ROS 2 does, and run all its tests
 	cd ros2_ws && ../$(BIN)/python -m colcon build --symlink-install
