@@ -134,7 +134,7 @@ def bound_of(
         angle=simulator.sensors.encoder_resolution, torque=simulator.sensors.torque_resolution
     )
     f, motion = motion_in_band(quiet.records, band)
-    disturbance = power_spectrum(simulator.voluntary_config(), f, PERIOD_NS / NS_PER_S)
+    disturbance = power_spectrum(simulator.voluntary, f, PERIOD_NS / NS_PER_S)
     samples = quiet.records[0].samples
     covariance = error_covariance(experiment.truth, f, samples, noise, disturbance)
     return cramer_rao_bound(f, motion, covariance)

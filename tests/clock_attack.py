@@ -38,15 +38,15 @@ class AttackingRig(node.ArmSimNode):
             self._log.write(f"{time.monotonic()!r} {what}\n")
 
     def _send(self) -> None:
-        tick = 0 if self.gate is None else self.gate.tick
+        tick = 0 if self.limiter is None else self.limiter.tick
         if tick == self._step_tick:
             with Path(os.environ["WALL_CLOCK"]).open("r+b") as file:
                 file.write(struct.pack("q", int(os.environ["CLOCK_STEP"])))
         super()._send()
         if self._log is not None and tick == self._step_tick + SOON:
             self._note("sample")
-            assert self._paced is not None
-            self._paced.stop()
+            assert self._simulator is not None
+            self._simulator.stop()
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         self._note("torque" if any(command) else "zero")

@@ -46,7 +46,7 @@ class Altered(ArmSimNode):
     """Sends what it measures in some other way."""
 
     def _send(self) -> None:
-        rig = self.gate
+        rig = self.limiter
         assert rig is not None
         self.tell(rig.tick, rig.stamp_ns, rig.position, rig.torque)
 
@@ -206,8 +206,8 @@ class Mute(ArmSimNode):
     """Tells nobody of its faults."""
 
     def report(self) -> None:
-        if self.gate is not None:
-            self.told, self._told_tick = self.gate.fault, self.gate.tick
+        if self.limiter is not None:
+            self.told, self._told_tick = self.limiter.fault, self.limiter.tick
 
 
 class Stubborn(ArmSimNode):

@@ -22,7 +22,7 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import PlantConfig
-from armimp_sim.voluntary import VoluntaryConfig
+from armimp_sim.voluntary import VoluntaryParameters
 from research.mimo import estimate_mimo
 
 pytestmark = pytest.mark.slow
@@ -49,7 +49,7 @@ def _rig(condition: Condition, *, seed: int, duration: float, push: float = 0.0)
             friction=sim_presets.friction(friction, 2),
             sensors=sim_presets.sensors(resolution),
         ),
-        voluntary=VoluntaryConfig(rms=push),
+        voluntary=VoluntaryParameters(rms=push),
         controller=control_presets.imbic(robot.mass_matrix(_ARM.posture), _ARM.posture),
         safety=SafetyParameters(),
         perturbation=control_presets.perturbation(level, 2),

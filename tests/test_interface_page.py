@@ -15,6 +15,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, ReliabilityPolicy
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import bag_metadata, node_parameters
 from armimp_common import qos
+from armimp_common.driver_base import MOST_UNDER_WAY
 from armimp_common.realtime import LATE_NS
 from armimp_common.schema import leaves
 from armimp_common.status import (
@@ -66,7 +67,6 @@ from armimp_estimation.results import (
 )
 from armimp_estimation.torque_timing import ReadingSummary
 from armimp_estimation.trial import TrialData
-from armimp_sim.flow_control import LIMIT
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.realtime_simulator import RAMP_TICKS
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
@@ -162,7 +162,7 @@ def test_the_arrays_of_the_data_streams_are_those_of_the_contract() -> None:
 def test_the_numbers_of_the_timing_are_those_of_the_contract() -> None:
     assert f"The period is {PERIOD_NS // 10**6} ms." in PAGE
     assert f"then every {RECEIVED_EVERY}, " in PAGE
-    assert f"while {LIMIT} or more are under way" in PAGE
+    assert f"while {MOST_UNDER_WAY} or more are under way" in PAGE
 
 
 # --- parameters --------------------------------------------------------------------------------

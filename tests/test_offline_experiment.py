@@ -19,7 +19,7 @@ from armimp_control.safety_limiter import Action, Limit
 from armimp_control.sequence import SequenceParameters, timetable
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import IntegrationError, Plant
-from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
+from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
 from support.compiled import brief_rig
 from support.safety import torque_only
 
@@ -83,7 +83,7 @@ def test_experiment_is_that_of_the_nodes_tick_by_tick() -> None:
         for k in range(segment.ticks):
             controller.tick(plant.position[0], plant.torque[0], tau_delta[k])
             record[:, :, k] = plant.position[0], plant.torque[0], controller.command
-            plant.tick(controller.command[None, :], voluntary.next()[None, :])
+            plant.tick(controller.command[None, :], voluntary.take(1)[0][None, :])
         if segment.phase is Phase.PERTURB:
             trial = trials[segment.joint]
             assert np.array_equal(trial.position, record[0])
@@ -108,7 +108,7 @@ def _another(level: int) -> Rig:
     return replace(
         rig,
         plant=replace(rig.plant, arm=arm),
-        voluntary=VoluntaryConfig(rms=0.1 * (level + 1)),
+        voluntary=VoluntaryParameters(rms=0.1 * (level + 1)),
         controller=replace(law, gamma=90.0 + level, target_damping=law.target_damping + level),
         safety=torque_only(10.0 + level),
     )
@@ -126,7 +126,7 @@ def test_experiments_side_by_side_give_the_bits_that_each_gives_alone() -> None:
 
 def test_voluntary_torque_does_not_change_the_perturbation() -> None:
     rig = brief_rig()
-    relaxed = replace(rig, voluntary=VoluntaryConfig(rms=0.0))
+    relaxed = replace(rig, voluntary=VoluntaryParameters(rms=0.0))
     (active_trials,), (relaxed_trials,) = run_offline([rig]), run_offline([relaxed])
     for one, two in zip(active_trials, relaxed_trials, strict=True):
         assert np.array_equal(one.perturbation, two.perturbation)
@@ -136,7 +136,7 @@ def test_voluntary_torque_does_not_change_the_perturbation() -> None:
 def test_perturbation_and_voluntary_torque_of_one_seed_have_nothing_in_common() -> None:
     rig = brief_rig()
     voluntary = VoluntaryTorque(
-        VoluntaryConfig(rms=1.0, cutoff=15.0), joints=2, period=1e-3, seed=rig.seed
+        VoluntaryParameters(rms=1.0, cutoff=15.0), joints=2, period=1e-3, seed=rig.seed
     ).take(100_000)
     for trial in (1, 2):
         tau_delta = perturbation(

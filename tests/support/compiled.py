@@ -10,7 +10,7 @@ from armimp_control.laws.law import Controller
 from armimp_control.sequence import SequenceParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import PlantConfig
-from armimp_sim.voluntary import VoluntaryConfig
+from armimp_sim.voluntary import VoluntaryParameters
 from support.safety import torque_only
 
 
@@ -24,7 +24,7 @@ def brief_rig(*, joints: int = 2, friction: int = 2, level: int = 3, seed: int =
             friction=sim_presets.friction(friction, joints),
             sensors=sim_presets.sensors(level),
         ),
-        voluntary=VoluntaryConfig(rms=0.2),
+        voluntary=VoluntaryParameters(rms=0.2),
         controller=control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture),
         # In so short a perturbation, scaled to its peak, joints are faster than in a long one.
         safety=torque_only(80.0),

@@ -24,7 +24,7 @@ from armimp_control.sequence import Segment, SequenceParameters, TareParameters,
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
 from armimp_sim.simd.lanes import Tag
-from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque
+from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +48,7 @@ class Rig:
     """
 
     plant: PlantConfig
-    voluntary: VoluntaryConfig
+    voluntary: VoluntaryParameters
     controller: LawConfig
     safety: SafetyParameters
     perturbation: PerturbationParameters
@@ -100,7 +100,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     substeps: int,
     step: float,
     interval_mean: bool,
-    transmission: NDArray[np.float64] | None,
+    sensor_lanes: NDArray[np.float64] | None,
     resolutions: NDArray[np.float64],
     position: NDArray[np.float64],
     torque: NDArray[np.float64],
@@ -123,7 +123,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     Parameters
     ----------
     batch, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
-    substeps, step, interval_mean, transmission, resolutions : as for
+    substeps, step, interval_mean, sensor_lanes, resolutions : as for
         :func:`armimp_sim.plant.tick`
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
     laws : (lanes,) kinds of the laws
@@ -174,7 +174,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             substeps,
             step,
             interval_mean,
-            transmission,
+            sensor_lanes,
             resolutions,
             command,
             voluntary[k],
@@ -308,7 +308,7 @@ def _run(
             plant.config.substeps,
             plant.config.step,
             plant.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            plant.transmission,
+            plant.sensor_lanes,
             plant.resolutions,
             plant.position,
             plant.torque,

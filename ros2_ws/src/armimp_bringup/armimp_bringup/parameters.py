@@ -46,7 +46,7 @@ class NodeParameters:
         """The same experiment for the offline loop."""
         return Rig(
             plant=self.simulator.plant_config(),
-            voluntary=self.simulator.voluntary_config(),
+            voluntary=self.simulator.voluntary,
             controller=self.controller.law_config(),
             safety=self.controller.safety,
             perturbation=self.controller.perturbation,

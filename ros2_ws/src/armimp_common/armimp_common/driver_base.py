@@ -27,16 +27,79 @@ from armimp_common.executor import steady_timer
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard
-from armimp_common.protection import CommandSequence
-from armimp_common.pubsub import CommandSubscription, JointStatePublisher, publisher_count
+from armimp_common.protection import CommandSequence, Protection
+from armimp_common.pubsub import (
+    CommandSubscription,
+    HasPublisher,
+    HasSubscription,
+    JointStatePublisher,
+    publisher_count,
+    wait_for_partners,
+)
+from armimp_common.realtime import TimingMeter
 from armimp_common.status import Level, TimingFigures, make_array, make_status, status_message
 
 _STOPPED = "emergency stop"
-_LOOK_PERIOD = 0.02
-"""How often it is looked whether something has happened (s)."""
+_CHECK_PERIOD = 0.02
+"""How often a driver checks whether something has happened (s)."""
+_DRIFT_NS = 20
+"""How much slower the clock of the stamps may run, in one period (ns)."""
 _LEFT = "perhaps one who has left before it was known"
 _NAMES_PATIENCE, _MOST_NAMES = 0.5, 8
 """How long the name of a publisher is waited for when all is over (s), and how many are told."""
+
+
+MOST_UNDER_WAY = 45
+"""Samples that may be under way to the recorder.
+
+They are lost if it is killed, and so is what it has not yet written, at most 50 ms of samples:
+together less than 100 ms. Their messages, four each, also fit the receive buffer of a socket: the
+kernel takes 1.3 KiB for one, and grants at least 416 KiB by default. What does not fit is lost by
+the transport, and a writer that waits repairs that only with its next heartbeat.
+"""
+
+
+class FlowControl:
+    """Flow control in lockstep: a rig waits for a recorder that falls behind.
+
+    A recorder tells how many samples it has received since it began; 0 announces it, and
+    :data:`armimp_common.topics.RECORDER_GONE` takes leave. Without a recorder nothing waits.
+    Nothing else in lockstep has a pace of its own, so without this a recorder on a loaded machine
+    would lose samples once the queues are full.
+
+    Attributes
+    ----------
+    silent : whether the recorder gives no sign of life, so that the next sample waits in any case
+    """
+
+    def __init__(self) -> None:
+        self._sent = self._base = self._received = 0
+        self._recorder = False
+        self.silent = False
+
+    def count_sent(self) -> None:
+        """One more sample is under way."""
+        self._sent += 1
+
+    def acknowledge(self, received: int) -> None:
+        """Take what the recorder tells."""
+        if received == 0:
+            self._base = self._sent
+        elif received < self._received < topics.RECORDER_GONE:
+            return  # of somebody else: a recorder does not forget what it has received
+        self._recorder = received != topics.RECORDER_GONE
+        self._received = received
+
+    @property
+    def recorded(self) -> bool:
+        """Whether there is a recorder that has not taken leave."""
+        return self._recorder
+
+    @property
+    def full(self) -> bool:
+        """Whether the next sample has to wait."""
+        under_way = self._sent - self._base - self._received
+        return self._recorder and (self.silent or under_way >= MOST_UNDER_WAY)
 
 
 class SafetyLimiter(Protocol):
@@ -69,13 +132,13 @@ class SafetyLimiter(Protocol):
         ...
 
 
-GateT = TypeVar("GateT", bound=SafetyLimiter)
+LimiterT = TypeVar("LimiterT", bound=SafetyLimiter)
 
 
-class DriverBase(ManagedNode, ABC, Generic[GateT]):
+class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
     """A lifecycle node in the place of the rig; subclasses say where torque goes.
 
-    `on_configure` calls :meth:`open_gate`, `on_activate` sets `active` once commands are obeyed,
+    `on_configure` calls :meth:`set_up`, `on_activate` sets `active` once commands are obeyed,
     and :meth:`rest` undoes that. What is made in between is given to :meth:`own`.
 
     Parameters
@@ -86,40 +149,40 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
     Attributes
     ----------
     active : whether commands are obeyed
-    gate : None while the node is not configured
-    controller : watch over the one who commands
+    limiter : None while the node is not configured
+    controller : heartbeat of the one who commands
     joint_states, torque_sensors, commands, diagnostics : topics that every rig has, once configured
-    told : the fault that was reported last
+    reported_fault : the fault that was reported last
     """
 
     def __init__(self, parameters: BaseModel, busy: str, **kwargs: Any) -> None:
         super().__init__(topics.SIM_NODE, **kwargs)
-        self.told = ""
+        self.reported_fault = ""
         self.active = self._stopped = False
-        self.gate: GateT | None = None
+        self.limiter: LimiterT | None = None
         self._owned: list[Publisher | Subscription | Timer] = []
         self._sequence = CommandSequence()
         self._accused = False
         self._commanders = 0
         self._names: list[str] = []
-        self._sign = Heartbeat(self, topics.SIM_NODE)
+        self._heartbeat = Heartbeat(self, topics.SIM_NODE)
         self.controller = HeartbeatMonitor(self, topics.CONTROLLER_NODE, self._on_controller)
         self.create_service(Trigger, topics.SIM_STOP_SERVICE, self._on_stop)
         self.create_service(Trigger, topics.SIM_RESET_SERVICE, self._on_reset)
         declare(self, type(parameters), parameters)
         guard(self, lambda: busy if self.active else None)
 
-    def open_gate(
+    def set_up(
         self,
-        gate: GateT,
+        limiter: LimiterT,
         joints: Sequence[str],
         on_command: Callable[[tuple[float, ...]], None],
         on_malformed: Callable[[ArmimpError], None],
     ) -> None:
         """Make the topics that every rig has; an emergency stop of before still holds."""
         if self._stopped:
-            gate.latch(_STOPPED)
-        self.gate = gate
+            limiter.latch(_STOPPED)
+        self.limiter = limiter
         self.joint_states = JointStatePublisher(self, topics.JOINT_STATES, joints, "position")
         self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, joints, "effort")
         self.diagnostics = self.create_publisher(
@@ -134,7 +197,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
             on_malformed=on_malformed,
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
-        self.own(self.commands.subscription, steady_timer(self, _LOOK_PERIOD, self.look))
+        self.own(self.commands.subscription, steady_timer(self, _CHECK_PERIOD, self.check))
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Have these destroyed when the node is cleaned up."""
@@ -157,12 +220,12 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         GraphError
             If torque would come back with a jerk.
         """
-        if self.gate is not None:
-            self.gate.reset()
+        if self.limiter is not None:
+            self.limiter.reset()
 
     @property
-    def alone(self) -> AbstractContextManager[object]:
-        """Keeps other threads away from the gate."""
+    def locked(self) -> AbstractContextManager[object]:
+        """Keeps other threads away from the safety limiter."""
         return nullcontext()
 
     def stamp_ns(self) -> int:
@@ -179,8 +242,8 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
 
     # One command for one sample, from one publisher.
 
-    def look(self) -> None:
-        """See whether somebody else commands, and tell what is new; called every 20 ms."""
+    def check(self) -> None:
+        """Find out whether somebody else commands, and report news; called every 20 ms."""
         if self.active:
             publishers = publisher_count(self, self.commands.subscription)
             if publishers > 1:
@@ -192,15 +255,15 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
 
     def accuse(self, reason: str) -> None:
         """Latch a fault of whoever commands, with the names of all who do."""
-        gate = self.gate
-        if gate is None or gate.fault:
+        limiter = self.limiter
+        if limiter is None or limiter.fault:
             return
         when = self.stamp_ns() / topics.NS_PER_S
         accusation = f"{topics.COMMANDS}: {reason} at {when:.3f} s"
         self.latch(accusation)
         self._names.clear()
         self._commanders = 0
-        self._accused = gate.fault == accusation
+        self._accused = limiter.fault == accusation
         self._name_publishers()
         self.report_news()
 
@@ -209,7 +272,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
 
         Torque has gone, and the middleware may learn later whose a publisher is.
         """
-        if not self._accused or self.gate is None:
+        if not self._accused or self.limiter is None:
             return
         topic = self.commands.subscription.topic_name
         known = [
@@ -219,11 +282,11 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         ]
         self._commanders = max(self._commanders, len(known))
         new = known if self._commanders > 1 or not last else [*known, _LEFT]
-        with self.alone:
+        with self.locked:
             for name in new:
                 if name not in self._names and len(self._names) < _MOST_NAMES:
-                    self.gate.fault += ", " if self._names else "; published by "
-                    self.gate.fault += name
+                    self.limiter.fault += ", " if self._names else "; published by "
+                    self.limiter.fault += name
                     self._names.append(name)
 
     def _conclude_accusation(self) -> None:
@@ -231,7 +294,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         end = time.monotonic() + _NAMES_PATIENCE
         while self._accused and self._commanders < 2 and time.monotonic() < end:
             self._name_publishers()
-            time.sleep(_LOOK_PERIOD)
+            time.sleep(_CHECK_PERIOD)
         self._name_publishers(last=True)
         self.report_news()
 
@@ -252,23 +315,23 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
 
     def latch(self, reason: str) -> None:
         """Take torque away; a node that is not active gives none, and needs no fault."""
-        gate = self.gate
-        if gate is None or not (self.active or self._stopped):
+        limiter = self.limiter
+        if limiter is None or not (self.active or self._stopped):
             return
-        with self.alone:
-            gate.latch(reason)
+        with self.locked:
+            limiter.latch(reason)
             if self.active:
                 self.torque_was_taken()
 
     def report(self) -> None:
         """Publish on ``/diagnostics`` how things are."""
-        gate = self.gate
-        if gate is None or not self.context.ok():
+        limiter = self.limiter
+        if limiter is None or not self.context.ok():
             return
-        with self.alone:
-            stamp_ns, fault, figures = self.stamp_ns(), gate.fault, self.timing()
-            values = {**self.values(), "applied": gate.applied, **self._guard()}
-        self.told = fault
+        with self.locked:
+            stamp_ns, fault, figures = self.stamp_ns(), limiter.fault, self.timing()
+            values = {**self.values(), "applied": limiter.applied, **self._guard()}
+        self.reported_fault = fault
         words = fault or ("running" if self.active else "stopped")
         level = Level.ERROR if fault else Level.OK
         statuses = [make_status(f"{topics.SIM_NODE}: rig", level, words, values)]
@@ -278,7 +341,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
 
     def report_news(self) -> None:
         """Report a fault that has not been reported yet, or its end."""
-        if self.gate is not None and self.gate.fault != self.told:
+        if self.limiter is not None and self.limiter.fault != self.reported_fault:
             self.report()
 
     def _on_controller(self, controller: HeartbeatMonitor) -> None:
@@ -297,7 +360,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         try:
-            with self.alone:
+            with self.locked:
                 self.obey_again()
         except GraphError as error:
             response.success, response.message = False, str(error)
@@ -329,7 +392,7 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
             else:
                 self.destroy_subscription(thing)
         self._owned.clear()
-        self.gate = None
+        self.limiter = None
         self._accused = False
         return TransitionCallbackReturn.SUCCESS
 
@@ -344,3 +407,93 @@ class DriverBase(ManagedNode, ABC, Generic[GateT]):
         """Leave no torque behind, should the node end while it is active."""
         self.rest()
         super().destroy_node()
+
+
+class ProtectedDriver(DriverBase[Protection], ABC):
+    """A driver whose commands pass its own :class:`Protection` before the drives get them.
+
+    `on_configure` gives :meth:`on_command` to :meth:`set_up`, `on_activate` calls
+    :meth:`wait_for_controller`; each sample goes through :meth:`check_sample` and
+    :meth:`publish_sample`.
+    """
+
+    @abstractmethod
+    def drive(self, torque: Sequence[float]) -> None:
+        """Give the drives torques of the joints (n,), N·m."""
+
+    def wait_for_controller(
+        self,
+        publishers: Sequence[HasPublisher] = (),
+        subscriptions: Sequence[HasSubscription] = (),
+    ) -> None:
+        """Wait for whoever commands, and for the peers of further channels.
+
+        Raises
+        ------
+        GraphError
+            If somebody does not turn up.
+        """
+        wait_for_partners(
+            self,
+            publishers=[self.joint_states, self.torque_sensors, *publishers],
+            subscriptions=[self.commands, *subscriptions],
+            monitors=[self.controller],
+        )
+        self._meter = TimingMeter()
+        self._sent_ns = self._stamp_ns = 0
+        self.restart_clock()
+
+    def restart_clock(self) -> None:
+        """Let samples be due by their next stamp anew, as stamps may have jumped."""
+        self._begin_ns: int | None = None
+
+    def check_sample(self, angles: Sequence[float], periods: int) -> None:
+        """Check the angles (n,), rad, of a sample that so many periods led to; 0 in lockstep."""
+        protection = self.limiter
+        assert protection is not None
+        protection.sample(angles)
+        for _ in range(periods):
+            if protection.period():
+                self._meter.missed()
+        # Only what the driver changes by itself; commands go out as they come.
+        if periods and protection.fault:
+            self.drive(protection.applied)
+
+    def publish_sample(
+        self, stamp_ns: int, angles: Sequence[float], torques: Sequence[float]
+    ) -> None:
+        """Publish a sample: stamp, ns; angles (n,), rad; torques on the arm (n,), N·m."""
+        now_ns = self._sent_ns = time.monotonic_ns()
+        self.joint_states.publish(stamp_ns, angles)
+        self.torque_sensors.publish(stamp_ns, torques)
+        # Nobody's clock starts with the first sample, which may have come late.
+        begin_ns = now_ns - stamp_ns
+        if self._begin_ns is not None:
+            drift_ns = _DRIFT_NS * (stamp_ns - self._stamp_ns) // topics.PERIOD_NS
+            begin_ns = min(self._begin_ns + drift_ns, begin_ns)
+        self._begin_ns, self._stamp_ns = begin_ns, stamp_ns
+        self._meter.sent(begin_ns + stamp_ns, now_ns)
+
+    def on_command(self, command: tuple[float, ...]) -> None:
+        """Pass a command (n,), N·m, on to the drives as far as it may be obeyed."""
+        protection = self.limiter
+        if not self.active or protection is None:
+            return
+        self._meter.answered(time.monotonic_ns() - self._sent_ns)
+        with self.locked:
+            protection.command(command)
+            self.drive(protection.applied)
+
+    def torque_was_taken(self) -> None:
+        """Tell the drives."""
+        if self.limiter is not None:
+            self.drive(self.limiter.applied)
+
+    @property
+    def timed(self) -> bool:
+        """Whether the timing means anything: in real time, while the node is active."""
+        return self.active
+
+    def timing(self) -> TimingFigures | None:
+        """How regular samples and commands are."""
+        return self._meter.figures() if self.timed else None

@@ -12,7 +12,8 @@ from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import BITS, Calibration, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters
-from armimp_sim.parameters import ActuatorParameters, SensorParameters, SimulatorParameters
+from armimp_sim.model.sensors import SensorParameters
+from armimp_sim.parameters import ActuatorParameters, SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
 
 

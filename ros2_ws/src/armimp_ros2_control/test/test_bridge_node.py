@@ -19,7 +19,6 @@ from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
 from armimp_common.status import Level, to_time
 from armimp_common.topics import PERIOD_NS
-from armimp_ros2_control import node as node_module
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
 from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, overrides, set_clock
@@ -158,7 +157,7 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
             waiting.feed()
         time.sleep(0.1)
 
-    monkeypatch.setattr(node_module, "wait_for_partners", wait)
+    monkeypatch.setattr("armimp_common.driver_base.wait_for_partners", wait)
     waiting.manager.activate(topics.SIM_NODE)
     a_moment(waiting.spinner)
     assert waiting.angles == []

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
-from armimp_sim import dynamics
-from armimp_sim import sensor_dynamics as transmission
+from armimp_sim import dynamics, sensor_model
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
-from armimp_sim.model.sensors import Sampling, Sensors, quantise
-from armimp_sim.sensor_model import SensorModel
+from armimp_sim.model.sensors import Sampling, SensorParameters, quantise
 from armimp_sim.simd.lanes import Tag
 
 RK4_LIMIT = 2.7
@@ -37,8 +35,8 @@ class PlantConfig:
     ----------
     arm, robot : with the same number of joints n
     friction : one law per joint
-    sensors : resolutions and sampling instant
-    imperfections : of transducers and drives; by default none
+    sensors : SensorParameters
+    actuator_lag : time constant with which the torque of the drives follows commands, s; 0: at once
     period : s, between samples; commands are held over it
     substeps : RK4 steps per period
 
@@ -52,8 +50,8 @@ class PlantConfig:
     arm: HumanArm
     robot: PlanarChain
     friction: tuple[LuGre, ...]
-    sensors: Sensors
-    imperfections: SensorModel = field(default_factory=SensorModel)
+    sensors: SensorParameters
+    actuator_lag: float = 0.0
     period: float = 1e-3
     substeps: int = 100
 
@@ -64,7 +62,11 @@ class PlantConfig:
                 f"plant: arm has {n} joints, robot {self.robot.joints}, "
                 f"friction {len(self.friction)}"
             )
-        self.imperfections.check(n)
+        self.sensors.check(n)
+        if not 0.0 <= self.actuator_lag < np.inf:
+            raise ConfigurationError(
+                f"actuators: lag must not be negative, got {self.actuator_lag} s"
+            )
         if not self.period > 0.0 or self.substeps < 1:
             raise ConfigurationError(
                 f"plant: period {self.period} s with {self.substeps} substeps is not a step"
@@ -128,7 +130,7 @@ class Plant:
     ----------
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
-    transmission : the lanes of :mod:`armimp_sim.sensor_dynamics`; None without imperfections
+    sensor_lanes : of :mod:`armimp_sim.sensor_model`; None where readings and drives are direct
     """
 
     def __init__(self, configs: Sequence[PlantConfig]) -> None:
@@ -152,8 +154,8 @@ class Plant:
         self.resolutions = np.array(
             [(c.sensors.encoder_resolution, c.sensors.torque_resolution) for c in configs]
         )
-        self.transmission = _transmission(configs)
-        self._at_first = None if self.transmission is None else self.transmission.copy()
+        self.sensor_lanes = _sensor_lanes(configs)
+        self._at_first = None if self.sensor_lanes is None else self.sensor_lanes.copy()
         self.position = np.zeros((lanes, n))
         self.torque = np.zeros((lanes, n))
         for lane in range(blocks * width):
@@ -188,7 +190,7 @@ class Plant:
             self.config.substeps,
             self.config.step,
             self.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            self.transmission,
+            self.sensor_lanes,
             self.resolutions,
             command,
             voluntary,
@@ -209,8 +211,8 @@ class Plant:
         """
         for lane, values in enumerate(state):
             self._of_lane(lane)[: values.size] = values.ravel()
-        if self.transmission is not None:
-            self.transmission[:] = self._at_first
+        if self.sensor_lanes is not None:
+            self.sensor_lanes[:] = self._at_first
         self._sample()
 
     def _of_lane(self, lane: int) -> NDArray[np.float64]:
@@ -222,10 +224,10 @@ class Plant:
         return of_lane
 
     def _sample(self) -> None:
-        if self.transmission is None:
+        if self.sensor_lanes is None:
             dynamics.sample_now(self.batch, self.joint_tag, self.width_tag)
         else:
-            transmission.settle(self.batch, self.joint_tag, self.width_tag, self.transmission)
+            sensor_model.settle(self.batch, self.joint_tag, self.width_tag, self.sensor_lanes)
         read(
             self.batch, self.joint_tag, self.width_tag, self.resolutions, self.position, self.torque
         )
@@ -256,20 +258,23 @@ def check_ratio(ratio: float, step: float) -> None:
     )
 
 
-def _transmission(configs: Sequence[PlantConfig]) -> NDArray[np.float64] | None:
-    """Imperfections of all lanes, or None if there are none."""
-    if all(config.imperfections.none for config in configs):
+def _sensor_lanes(configs: Sequence[PlantConfig]) -> NDArray[np.float64] | None:
+    """Sensors and drives of all lanes, or None if all of them are direct."""
+    if all(one.sensors.direct and not one.actuator_lag for one in configs):
         return None
-    first = configs[0]
-    periods = max(
-        config.imperfections.whole_periods(config.step, config.substeps) for config in configs
-    )
+    step, substeps = configs[0].step, configs[0].substeps
+    periods = max(sensor_model.whole_periods(one.sensors, step, substeps) for one in configs)
     return np.array(
         [
-            config.imperfections.numbers(
-                joints=first.joints, step=first.step, substeps=first.substeps, periods=periods
+            sensor_model.lane_numbers(
+                one.sensors,
+                one.actuator_lag,
+                joints=one.joints,
+                step=step,
+                substeps=substeps,
+                periods=periods,
             )
-            for config in configs
+            for one in configs
         ]
     )
 
@@ -343,7 +348,7 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
     substeps, step : number and length (s) of the RK4 steps
     interval_mean : whether torque is the mean over the period
-    lanes : of :mod:`armimp_sim.sensor_dynamics`, updated; None without imperfections
+    lanes : of :mod:`armimp_sim.sensor_model`, updated; None where all is direct
     resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
     command, voluntary : (lanes, n) N·m
     position, torque : (lanes, n), written, rad and N·m
@@ -362,6 +367,6 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     if lanes is None:
         dynamics.advance(w, joints, width, substeps, step, interval_mean)
     else:
-        transmission.advance(w, joints, width, substeps, step, interval_mean, lanes)
+        sensor_model.advance(w, joints, width, substeps, step, interval_mean, lanes)
     read(w, joints, width, resolutions, position, torque)
     return dynamics.stiffness_ratio(w, joints, width, step)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
-from armimp_sim.model import even_chain
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
-from armimp_sim.model.sensors import Sampling, Sensors
+from armimp_sim.model.sensors import Sampling, SensorParameters
 
 LEVELS = (0, 1, 2, 3)
 
@@ -18,7 +18,7 @@ JOINT_NAMES: dict[int, tuple[str, ...]] = {
     1: ("elbow",),
     2: ("shoulder", "elbow"),
     3: ("shoulder", "elbow", "wrist"),
-    **{n: tuple(f"joint_{i + 1}" for i in range(n)) for n in even_chain.JOINTS},
+    **{n: tuple(f"joint_{i + 1}" for i in range(n)) for n in (4, 5, 6, 7)},
 }
 
 _PAPER_JOINTS = ("shoulder", "elbow")
@@ -34,12 +34,21 @@ _FRICTION = (
     LuGre(coulomb=2.0, static=2.5, sigma_0=2000.0, sigma_1=4.0, sigma_2=0.20),
 )
 
+# Of the even chain, see _rods.
+_REACH = 0.65  # m
+_FIRST, _BEND = 62.708, 77.260  # degrees
+_INERTIA, _DAMPING, _STIFFNESS = 0.187, 0.651, 7.967  # of the shoulder
+_DAMPING_COUPLING = 0.46
+_STIFFNESS_COUPLING = (0.43, 0.22)  # above and below the diagonal
+_ROBOT_SHARE = 2.0  # M_r,ii over M_h,ii
+_LINK_SHARE = 0.125  # of M_r,ii
+
 
 def human_arm(joints: int) -> HumanArm:
     """The arm: Table I of the paper for two joints, its elbow alone for one.
 
-    Assumptions: for three joints a wrist is added; four to seven are those of
-    :mod:`armimp_sim.model.even_chain`.
+    Assumptions: for three joints a wrist is added; four to seven are an even chain, see
+    :func:`_rods`.
 
     Raises
     ------
@@ -64,13 +73,13 @@ def human_arm(joints: int) -> HumanArm:
             damping=np.array([[0.651, 0.239, 0.030], [0.236, 0.407, 0.040], [0.028, 0.036, 0.070]]),
             stiffness=np.array([[7.967, 3.187, 0.40], [1.663, 6.901, 0.55], [0.30, 0.45, 1.60]]),
         )
-    return even_chain.arm(joints)
+    return _even_arm(joints)
 
 
 def robot(joints: int) -> PlanarChain:
     """The exoskeleton. Assumption, constrained by an endpoint mass of about 1 kg.
 
-    One joint is the second of two; four to seven are those of :mod:`armimp_sim.model.even_chain`.
+    One joint is the second of two; four to seven are an even chain, see :func:`_rods`.
 
     Raises
     ------
@@ -93,7 +102,7 @@ def robot(joints: int) -> PlanarChain:
             masses=np.array([0.0, 0.60, 0.20]),
             centres=np.array([0.0, 0.15, 0.04]),
         )
-    return even_chain.robot(joints)
+    return _even_robot(joints)
 
 
 def friction(level: int, joints: int) -> tuple[LuGre, ...]:
@@ -115,7 +124,7 @@ def friction(level: int, joints: int) -> tuple[LuGre, ...]:
     )
 
 
-def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> Sensors:
+def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorParameters:
     """Encoder and torque resolution at a level from 0 (unquantised) to 3 (Table II).
 
     Raises
@@ -124,7 +133,7 @@ def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> Sensors:
         If there is no such level.
     """
     counts = _ENCODER_COUNTS[_checked("resolution", level)]
-    return Sensors(
+    return SensorParameters(
         encoder_resolution=2.0 * np.pi / counts if counts else 0.0,
         torque_resolution=_TORQUE_RESOLUTION[level],
         sampling=sampling,
@@ -143,3 +152,68 @@ def _check_joints(what: str, joints: int) -> None:
             f"there is no preset {what} with {joints} joints, only with "
             f"{min(JOINT_NAMES)} to {max(JOINT_NAMES)}"
         )
+
+
+def _even_arm(joints: int) -> HumanArm:
+    """The arm with 4 to 7 joints."""
+    posture = _posture(joints)
+    size = np.array(JOINT_SIZES[joints])
+    mean_size = np.sqrt(np.outer(size, size))
+    distance = np.arange(joints) - np.arange(joints)[:, None]
+    coupling = np.where(distance > 0, *_STIFFNESS_COUPLING)
+    return HumanArm(
+        posture=posture,
+        inertia=_rods(joints).mass_matrix(posture),
+        damping=_DAMPING * mean_size * _DAMPING_COUPLING ** np.abs(distance),
+        stiffness=_STIFFNESS * mean_size * coupling ** np.abs(distance),
+    )
+
+
+def _even_robot(joints: int) -> PlanarChain:
+    """The robot for it."""
+    rods = _rods(joints)
+    inertia = np.diag(rods.mass_matrix(_posture(joints)))
+    links = _LINK_SHARE * _ROBOT_SHARE
+    # What a joint has more of than the next one outwards is its own.
+    drives = (_ROBOT_SHARE - links) * (inertia - np.append(inertia[1:], 0.0))
+    return PlanarChain(
+        lengths=rods.lengths,
+        moments=links * rods.moments + drives,
+        masses=links * rods.masses,
+        centres=rods.centres,
+    )
+
+
+def _posture(joints: int) -> NDArray[np.float64]:
+    rest = joints - 1
+    return np.radians([_FIRST] + [_BEND / rest] * rest)
+
+
+def _rods(joints: int) -> PlanarChain:
+    """The segments of the assumed arm of four to seven joints.
+
+    No arm has so many parallel joints; this is a test piece for the method at larger n. All of it
+    is assumption, by one rule that ties it to the arm of the paper and the robot with two joints:
+
+    - n equal segments reach as far as the two of that robot together. The first joint stands as the
+      shoulder does; the bend of the elbow is spread evenly over the other joints.
+    - The arm: uniform rods. M_h is that of the chain of rods, with their mass such that the first
+      diagonal element is that of the shoulder. Damping and stiffness are those of the shoulder
+      times the size of the joint (:data:`armimp_common.sizes.JOINT_SIZES`). Between joints i and j
+      they are √(X_ii X_jj) c^|i−j|, with c from the two joints of the paper: 0.46 in damping, and
+      in stiffness 0.43 above and 0.22 below the diagonal.
+    - The robot: M_r,ii(θ_0) = 2 M_h,ii, of which an eighth are links, shaped as the arm, and the
+      rest are drives. (Without drives the chain is so light in some directions that bristles of
+      friction swing faster there than the control period, which no sampled law can follow.)
+    """
+    length = _REACH / joints
+
+    def rods(mass: float) -> PlanarChain:
+        return PlanarChain(
+            lengths=np.full(joints, length),
+            moments=np.full(joints, mass * length**2 / 3.0),
+            masses=np.full(joints, mass),
+            centres=np.full(joints, length / 2.0),
+        )
+
+    return rods(_INERTIA / float(rods(1.0).mass_matrix(_posture(joints))[0, 0]))

@@ -42,7 +42,7 @@ class SimulatedRig:
         self.position: NDArray[np.float64] = self._plant.position[0]
         self.torque: NDArray[np.float64] = self._plant.torque[0]
         self._voluntary = VoluntaryTorque(
-            parameters.voluntary_config(),
+            parameters.voluntary,
             joints=config.joints,
             period=config.period,
             seed=parameters.seed,

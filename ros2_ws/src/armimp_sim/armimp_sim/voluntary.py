@@ -3,42 +3,27 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
 
 _STREAM = 2  # keeps this random stream apart from those of the perturbations
 _BLOCK = 4096
 
 
-@dataclass(frozen=True, kw_only=True)
-class VoluntaryConfig:
-    """Second-order Butterworth noise.
+class VoluntaryParameters(Schema):
+    """Voluntary torque of the person: second-order Butterworth noise."""
 
-    Parameters
-    ----------
-    rms : N·m, 0 for a relaxed arm
-    cutoff : Hz
-
-    Raises
-    ------
-    ConfigurationError
-        If a value is out of range.
-    """
-
-    rms: float = 0.0
-    cutoff: float = 2.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.rms < np.inf:
-            raise ConfigurationError(f"voluntary torque: rms must not be negative, got {self.rms}")
-        if not 0.0 < self.cutoff < np.inf:
-            raise ConfigurationError(
-                f"voluntary torque: cutoff must be positive, got {self.cutoff}"
-            )
+    rms: float = Field(
+        default=0.0, ge=0.0, description="rms of the voluntary torque of every joint (N·m)"
+    )
+    cutoff: float = Field(
+        default=2.0, gt=0.0, description="cut-off frequency of the voluntary torque (Hz)"
+    )
 
 
 @functools.lru_cache(maxsize=16)
@@ -53,13 +38,13 @@ def _low_pass(cutoff: float, period: float) -> tuple[NDArray[np.float64], float]
 
 
 def power_spectrum(
-    config: VoluntaryConfig, f: NDArray[np.float64], period: float
+    config: VoluntaryParameters, f: NDArray[np.float64], period: float
 ) -> NDArray[np.float64]:
     """Power of each sample of d by frequency; its mean over all frequencies is the variance.
 
     Parameters
     ----------
-    config : VoluntaryConfig
+    config : VoluntaryParameters
     f : (n_freq,) Hz
     period : s, between ticks
 
@@ -81,7 +66,7 @@ class VoluntaryTorque:
 
     Parameters
     ----------
-    config : VoluntaryConfig
+    config : VoluntaryParameters
     joints : number of joints n
     period : s, between ticks
     seed : of the experiment, not negative
@@ -92,7 +77,9 @@ class VoluntaryTorque:
         If the cut-off is not below half the sampling rate.
     """
 
-    def __init__(self, config: VoluntaryConfig, *, joints: int, period: float, seed: int) -> None:
+    def __init__(
+        self, config: VoluntaryParameters, *, joints: int, period: float, seed: int
+    ) -> None:
         if not config.cutoff < 0.5 / period:
             raise ConfigurationError(
                 f"voluntary torque: cutoff {config.cutoff} Hz is not below half the sampling rate"
@@ -105,11 +92,6 @@ class VoluntaryTorque:
             self._gain = config.rms / passed
         self._block = np.zeros((0, joints))
         self._next = 0
-
-    def next(self) -> NDArray[np.float64]:
-        """Torque d (n,), N·m, of the next tick."""
-        tick: NDArray[np.float64] = self.take(1)[0]
-        return tick
 
     def take(self, ticks: int) -> NDArray[np.float64]:
         """Torque d (ticks, n), N·m, of the next ticks; independent of how the stream is cut."""

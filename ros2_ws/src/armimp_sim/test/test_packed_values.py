@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_sim.dynamics import WIDTH, width_for
-from armimp_sim.simd.lanes import Tag, fill, load, power_of_two, store, where_less
+from armimp_sim.simd.lanes import Tag, load, power_of_two, store, where_less
 from armimp_sim.simd.math import exp_minus, sine_cosine
 
 Array = NDArray[np.float64]
@@ -29,16 +29,6 @@ def _arithmetic(a: Array, b: Array, factor: float, width: Tag, out: Array) -> No
     results = (x + y, x - y, x * y, x / y, -x, abs(x), x * factor, factor - y, factor / x, x + 1.0)
     for row in range(len(results)):
         store(out, row * len(width), results[row])
-
-
-@compiled_entry
-def _in_place(a: Array, b: Array, width: Tag, out: Array) -> None:
-    x, y = load(a, 0, width), load(b, 0, width)
-    x += y
-    x *= y
-    x -= fill(0.5, width)
-    x /= y
-    store(out, 0, x)
 
 
 @compiled_entry
@@ -101,14 +91,6 @@ def test_arithmetic_is_that_of_single_floats_to_the_last_bit(seed: int) -> None:
     assert _same_bits(together, alone)
     expected = [a + b, a - b, a * b, a / b, -a, abs(a), a * 0.3, 0.3 - b, 0.3 / a, a + 1.0]
     assert _same_bits(together, np.array(expected))
-
-
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_arithmetic_in_place_gives_the_same_as_with_new_names() -> None:
-    a, b = _mixed(1)
-    together, alone = _both_ways(_in_place, 1, a, b)
-    assert _same_bits(together, alone)
-    assert _same_bits(together[0], ((a + b) * b - 0.5) / b)
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -193,25 +193,6 @@ class TestLockstep:
         assert commander.errors() == []
         assert {status.name for status in commander.diagnostics} == {"arm_sim: rig"}
 
-    def test_inactive_node_ignores_commands(
-        self, make: MakeRig, commander: Commander, spinner: Spinner
-    ) -> None:
-        simulator = make()
-        simulator.trigger_configure()
-        commander.wait_for_rig()
-
-        for command in [*some_commands(5), (math.nan, 0.0)]:
-            commander.channel.publish(command)
-        commander.channel.publisher.publish(b"rubbish")
-        a_moment(spinner)
-        assert commander.samples == 0
-
-        simulator.trigger_activate()
-        commands = some_commands(5)
-        send(commander, spinner, commands)
-        assert commander.positions == expected_samples(commands)[0]
-        assert commander.errors() == []
-
 
 MALFORMED = {
     "too short": (CommandEncoder(1).encode((1.0,)), "malformed command: Float64MultiArray"),
@@ -327,13 +308,6 @@ class TestParameters:
         simulator.set_parameters([good[name] for name in changes])
         manager.configure(SIM_NODE)
 
-    def test_node_without_any_parameter_is_the_default_rig(self, context: Context) -> None:
-        simulator = ArmSimNode(context=context)
-
-        assert simulator.trigger_configure() is SUCCESS
-        assert simulator.get_parameter("joints").value == ["shoulder", "elbow"]
-        simulator.destroy_node()
-
 
 class TestLife:
     def test_life_can_be_gone_through_again_and_starts_anew_after_configuring(
@@ -350,22 +324,6 @@ class TestLife:
             assert simulator.trigger_deactivate() is SUCCESS
             assert simulator.trigger_cleanup() is SUCCESS
         assert simulator.trigger_shutdown() is SUCCESS
-
-    def test_motion_goes_on_where_it_was_after_a_pause(
-        self, make: MakeRig, commander: Commander, spinner: Spinner
-    ) -> None:
-        simulator = make()
-        bring_up(simulator, commander)
-        commands = some_commands(20)
-        send(commander, spinner, commands[:10])
-
-        simulator.trigger_deactivate()
-        simulator.trigger_activate()
-        eventually(spinner, lambda: commander.samples == 12, "the sample of the activation")
-        send(commander, spinner, commands[10:])
-
-        expected = expected_samples(commands)[0]
-        assert commander.positions == [*expected[:11], *expected[10:]]
 
     def test_when_there_is_no_controller_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeRig, monkeypatch: pytest.MonkeyPatch

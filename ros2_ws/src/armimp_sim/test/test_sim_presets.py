@@ -7,7 +7,6 @@ import pytest
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
-from armimp_sim.model.friction import LuGre
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import PlantConfig
 
@@ -38,12 +37,6 @@ def test_resolutions_are_those_of_table_two(
     assert sensors.sampling is Sampling.BEFORE_UPDATE
 
 
-def test_resolution_level_zero_is_unquantised() -> None:
-    sensors = presets.sensors(0, Sampling.INTERVAL_MEAN)
-    assert (sensors.encoder_resolution, sensors.torque_resolution) == (0.0, 0.0)
-    assert sensors.sampling is Sampling.INTERVAL_MEAN
-
-
 @pytest.mark.parametrize(
     ("level", "values"),
     [
@@ -57,10 +50,6 @@ def test_friction_is_that_of_the_design(level: int, values: tuple[float, ...]) -
     for law in presets.friction(level, 2):
         assert (law.coulomb, law.static, law.sigma_0, law.sigma_1, law.sigma_2) == values
         assert law.stribeck_velocity == 0.01
-
-
-def test_friction_level_zero_is_none_at_all() -> None:
-    assert presets.friction(0, 3) == (LuGre.none(),) * 3
 
 
 @pytest.mark.parametrize("level", [-1, 4, 17])
@@ -94,13 +83,3 @@ def test_every_preset_makes_a_plant_at_the_steps_of_the_design(joints: int, fric
     assert config.joints == joints == len(presets.JOINT_NAMES[joints])
     assert config.step == pytest.approx(1e-5)
     assert config.period == 1e-3
-
-
-def test_third_joint_is_added_to_the_arm_of_table_one() -> None:
-    two, three = presets.human_arm(2), presets.human_arm(3)
-    for name in ("inertia", "damping", "stiffness"):
-        assert np.array_equal(getattr(three, name)[:2, :2], getattr(two, name))
-    assert np.array_equal(three.posture[:2], two.posture)
-    # Passive: no motion gains energy from the arm.
-    for matrix in (three.inertia, three.damping, three.stiffness):
-        assert np.min(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))) > 0.0

@@ -138,17 +138,6 @@ def test_samples_come_without_commands_one_for_each_millisecond(
     assert around.faults() == []
 
 
-def test_nothing_waits_for_a_recorder_that_falls_behind(
-    make: MakeRig, around: Surroundings
-) -> None:
-    around.received.publish(UInt64(data=0))
-    around.bring_up(make())
-
-    around.await_samples(500)
-
-    assert around.samples() >= 500
-
-
 def test_timing_is_told_while_commands_come_and_once_more_at_the_end(
     make: MakeRig, around: Surroundings
 ) -> None:
@@ -237,20 +226,3 @@ def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(
 
     with pytest.raises(IntegrationError, match="the plant broke down"):
         eventually(around.spinner, lambda: False, "the error")
-
-
-def test_a_core_that_does_not_exist_makes_activation_fail_with_one_line(
-    make: MakeRig, around: Surroundings
-) -> None:
-    simulator = make({"realtime.cpu": 1023})
-    assert simulator.trigger_configure() is SUCCESS
-    assert not wait_until_matched(
-        around.node,
-        publishers=[around.commands],
-        subscriptions=around.subscriptions,
-        timeout_s=PATIENCE,
-    )
-
-    assert simulator.trigger_activate() is FAILURE
-
-    assert simulator.transition_error == "parameter 'realtime.cpu' = 1023: Invalid argument"

@@ -75,8 +75,8 @@ class Surroundings:
 
     @property
     def applied(self) -> tuple[float, ...]:
-        assert self.simulator.gate is not None
-        return self.simulator.gate.applied
+        assert self.simulator.limiter is not None
+        return self.simulator.limiter.applied
 
     def call(self, service: str) -> Any:
         client = self.node.create_client(Trigger, service)
@@ -191,7 +191,7 @@ def test_when_the_controller_is_silent_expect_activation_to_fail(around: Surroun
 def with_recorder(around: Surroundings) -> HeartbeatMonitor:
     around.bring_up()
     around.received.publish(UInt64(data=0))
-    eventually(around.spinner, lambda: around.simulator._backlog.recorded, "the recorder")
+    eventually(around.spinner, lambda: around.simulator._flow.recorded, "the recorder")
     watch = around.simulator._recorder
     around.heard(watch, alive=1, silent=0)
     around.command(5.0, -5.0)
@@ -238,9 +238,9 @@ def test_when_a_recorder_takes_leave_or_there_was_none_expect_no_fault(
     assert around.applied == (5.0, -5.0)
 
     around.received.publish(UInt64(data=0))
-    eventually(around.spinner, lambda: around.simulator._backlog.recorded, "the recorder")
+    eventually(around.spinner, lambda: around.simulator._flow.recorded, "the recorder")
     around.received.publish(UInt64(data=topics.RECORDER_GONE))
-    eventually(around.spinner, lambda: not around.simulator._backlog.recorded, "its leave")
+    eventually(around.spinner, lambda: not around.simulator._flow.recorded, "its leave")
     around.heard(watch, alive=1, silent=0)
     around.heard(watch, alive=0, silent=0)
     around.command(5.0, -5.0)

@@ -7,11 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.topics import PERIOD_NS
-from armimp_sim.parameters import SimulatorParameters, VoluntaryParameters
+from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
 from armimp_sim.simulator import SimulatedRig
-from armimp_sim.voluntary import VoluntaryTorque
+from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
 
 TICKS = 60
 
@@ -34,23 +33,6 @@ def readings(rig: SimulatedRig, commands: NDArray[np.float64]) -> NDArray[np.flo
     return np.array(samples)
 
 
-def test_new_rig_rests_in_its_posture_at_time_zero() -> None:
-    rig = SimulatedRig(parameters())
-
-    assert (rig.tick, rig.stamp_ns, rig.fault) == (0, 0, "")
-    resolution = parameters().sensors.encoder_resolution
-    assert np.abs(rig.position - parameters().arm.posture).max() <= resolution / 2 + 1e-15
-    assert not rig.torque.any()
-
-
-def test_each_command_is_one_step_of_one_period() -> None:
-    rig = SimulatedRig(parameters())
-
-    for tick in range(1, 20):
-        rig.step((0.5, -0.5))
-        assert (rig.tick, rig.stamp_ns) == (tick, tick * PERIOD_NS)
-
-
 @pytest.mark.parametrize("joints", [2, 3])
 def test_samples_are_those_of_the_plant_bit_for_bit(joints: int) -> None:
     given = parameters(joints=joints, voluntary=0.3)
@@ -59,7 +41,7 @@ def test_samples_are_those_of_the_plant_bit_for_bit(joints: int) -> None:
     samples = readings(SimulatedRig(given), commands)
 
     plant = Plant([given.plant_config()])
-    voluntary = VoluntaryTorque(given.voluntary_config(), joints=joints, period=1e-3, seed=1)
+    voluntary = VoluntaryTorque(given.voluntary, joints=joints, period=1e-3, seed=1)
     for command, sample in zip(commands, samples, strict=True):
         plant.tick(command[None, :], voluntary.take(1))
         np.testing.assert_array_equal(sample, [plant.position[0], plant.torque[0]])
@@ -83,20 +65,6 @@ def test_when_a_command_is_not_finite_expect_zero_torque_the_same_tick_and_ever_
     assert not np.array_equal(samples, readings(SimulatedRig(parameters()), commands))
     assert rig.fault == f"command of joint {joint + 1} is not finite: {value}"
     assert rig.tick == TICKS
-
-
-def test_when_latched_from_outside_expect_zero_torque_and_the_first_reason_kept() -> None:
-    commands = some_commands()
-    rig = SimulatedRig(parameters())
-
-    rig.latch("one thing")
-    samples = readings(rig, commands)
-    rig.step((math.nan, 0.0))
-    rig.latch("another thing")
-
-    assert rig.fault == "one thing"
-    still = readings(SimulatedRig(parameters()), np.zeros_like(commands))
-    np.testing.assert_array_equal(samples, still)
 
 
 def test_voluntary_torque_follows_the_seed_and_goes_on_after_a_fault() -> None:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armimp_sim.voluntary import VoluntaryConfig, VoluntaryTorque, power_spectrum
+from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque, power_spectrum
 
 PERIOD = 1e-3
-CONFIG = VoluntaryConfig(rms=0.3, cutoff=2.0)
+CONFIG = VoluntaryParameters(rms=0.3, cutoff=2.0)
 
 
 def test_mean_over_all_frequencies_is_the_variance() -> None:
@@ -31,4 +31,4 @@ def test_band_power_is_that_of_a_long_stream() -> None:
 
 
 def test_relaxed_person_has_no_power() -> None:
-    assert not power_spectrum(VoluntaryConfig(), np.array([0.5, 5.0]), PERIOD).any()
+    assert not power_spectrum(VoluntaryParameters(), np.array([0.5, 5.0]), PERIOD).any()
