@@ -18,7 +18,8 @@ from std_msgs.msg import UInt64
 
 from armimp_bringup.bench import Measured
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.graph import GraphContext, NodeGroup, SeparateNodes
+from armimp_bringup.graph import GraphContext
+from armimp_bringup.nodes import NodeGroup, SeparateNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos
 from armimp_common.errors import GraphError
@@ -291,7 +292,7 @@ def bare_tick(processes: Processes, exchanges: int = 20_000) -> float:
         return took[0] / NS_PER_S / exchanges
 
 
-class _ComposedBare:
+class _ComposedBare(NodeGroup):
     """The bare nodes in this process."""
 
     def __init__(self, context: Context, spinner: Spinner, file: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from armimp_bringup.bench import Measured
-from armimp_bringup.graph import MODULES
+from armimp_bringup.nodes import MODULES
 from benchmarks.command_run import COMMAND, run_command
 
 DURATION = 50.0

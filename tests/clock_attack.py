@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, cast
 
-from armimp_bringup import cli, graph
+from armimp_bringup import cli, nodes
 from armimp_common.topics import SIM_NODE
 from armimp_sim import node
 
@@ -57,5 +57,5 @@ if __name__ == "__main__":
     setattr(node, "ArmSimNode", AttackingRig)  # noqa: B010 (a class is not assigned to, says mypy)
     if "--ros-args" in sys.argv:
         sys.exit(node.main())
-    cast("dict[str, Sequence[str]]", graph.MODULES)[SIM_NODE] = ("clock_attack",)
+    cast("dict[str, Sequence[str]]", nodes.MODULES)[SIM_NODE] = ("clock_attack",)
     sys.exit(cli.program())

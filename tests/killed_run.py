@@ -22,7 +22,8 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from armimp_bringup import orchestrator
 from armimp_bringup.cli import main
-from armimp_bringup.graph import GraphContext, SeparateNodes
+from armimp_bringup.graph import GraphContext
+from armimp_bringup.nodes import SeparateNodes
 from armimp_bringup.supervisor import Supervisor
 from armimp_common.lifecycle import LifecycleManager, TransitionName
 from armimp_common.status import values_of

@@ -1,11 +1,8 @@
 """Ctrl-C at any moment: one line, exit status 130 without a result, never a traceback."""
 
-import errno
-import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -38,31 +35,6 @@ def interrupt(process: subprocess.Popen[str], *, status: int = 130) -> list[str]
     _, error = process.communicate(timeout=PATIENCE)
     assert process.returncode == status, error
     return error.splitlines()
-
-
-def reader_of(pipe: Path, process: subprocess.Popen[str]) -> int:
-    """Wait until the process reads from a pipe, which it will do in vain."""
-    deadline = time.monotonic() + PATIENCE
-    while True:
-        try:
-            return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
-        except OSError as error:
-            if error.errno != errno.ENXIO:
-                raise
-        assert process.poll() is None
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-def test_while_it_reads_a_bag_expect_one_line(tmp_path: Path) -> None:
-    pipe = tmp_path / "metadata.yaml"
-    os.mkfifo(pipe)
-    with program("estimate", str(tmp_path)) as process:
-        writer = reader_of(pipe, process)
-        try:
-            assert interrupt(process) == ["armimp: interrupted"]
-        finally:
-            os.close(writer)
 
 
 def test_while_it_measures_expect_one_line() -> None:

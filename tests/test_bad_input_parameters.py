@@ -13,7 +13,6 @@ from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import flatten
-from armimp_control.parameters import ControllerParameters
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_sim.parameters import SimulatorParameters
 from support.command import refused
@@ -22,108 +21,62 @@ COMMANDS = (("run",), ("reproduce", "--no-figures"))
 
 NOT_YAML = {
     "binary": bytes(range(256)),
-    "only zeros": bytes(1000),
-    "UTF-16": "friction: 1".encode("utf-16"),
     "unclosed": b"a: [",
     "undefined alias": b"*nowhere",
-    "two documents": b"--- {friction: 1}\n--- {friction: 2}",
-    "list as a key": b"? [1, 2]\n: 3",
     "foreign tag": b"friction: !level 3",
     "tag of Python": b"!!python/object/apply:os.system ['true']",
-    "merge of a number": b"<<: 3",
-    "control character": b"colour\x07: 1",
 }
 
 NO_SUCH_VALUE = {
     "duration: 2024-13-45": "'2024-13-45' is no timestamp",
     "seed: " + "9" * 5000: "is no int",
     "friction: !!int x": "'x' is no int",
-    "friction: !!int ''": "'' is no int",
-    "friction: !!int '_'": "'_' is no int",
-    "friction: 0x_": "'0x_' is no int",
-    "duration: !!float x": "'x' is no float",
-    "json: !!bool x": "'x' is no bool",
-    "duration: !!timestamp x": "'x' is no timestamp",
 }
 
 DEEP = {
     "lists": "[" * 500,
-    "maps": "{a: " * 1000,
-    "closed": "arm_sim: " + "{a: " * 900 + "1" + "}" * 900,
     "indented": "\n".join(" " * i + "a:" for i in range(700)),
 }
 
 WRONG = {
     # Shapes of the file
-    "5": "not 5",
-    "hello": "not 'hello'",
     "[1, 2]": "not [1, 2]",
     # Names
     "colour: red": "'colour' does not exist",
     '"a\\nb": 1': r"'a\nb' does not exist",
-    "1: 2": "parameter '1' does not exist\n",
-    "null: 2": "parameter 'None' does not exist\n",
     "arm_sim: {1: 2}": "arm_sim[1]",
     "frition: 2": "'frition' does not exist; the nearest valid name is 'friction'",
-    "arm_sim: {arm: 3}": "'arm' does not exist",
     "arm_sim: {arm: {inertai: [1.0]}}": "'arm.inertai' does not exist; the nearest valid name",
-    "arm_sim: {'': 3}": "'' does not exist",
     "arm_sim: {'arm.inertia': {x: 3}}": "'arm.inertia.x' does not exist",
     # Types
     "friction: high": "'friction' = \"high\"",
     "friction: 1.5": "'friction' = 1.5",
-    "friction: [3]": "'friction' = [3]",
-    "friction: {a: 3}": "'friction'",
-    "friction: !!binary aGVsbG8=": "'friction' = b'hello'",
-    "duration: 2024-01-02": "'duration' = 2024-01-02",
-    "mode: 5": "'mode' = 5",
     'mode: "a\\nb"': r"'mode' = " + '"a\\nb"',
     "estimators: lpm_full": "'estimators' = \"lpm_full\"",
-    "estimators: [1]": "'estimators[0]' = 1",
     "estimators: []": "'estimators' needs distinct names",
-    "estimators: [lpm_full, lpm_full]": "'estimators' needs distinct names",
     "estimators: [guess]": "there is no 'guess'",
     "arm_sim: null": "'arm_sim' = None",
-    "arm_sim: hello": "'arm_sim' = \"hello\"",
-    "arm_sim: !!set {a}": "'arm_sim' = {'a'}",
     "arm_sim: {substeps: 1.5}": "'substeps' = 1.5",
-    "arm_sim: {substeps: true}": "'substeps' = True",
-    "imbic_controller: {law: {gamma: [100.0]}}": "'law.gamma' = [100.0]",
     "imbic_controller: {law: {kind: lqr}}": "'law.kind' = \"lqr\"",
     "impedance_estimator: {directory: 5}": "'directory' = 5",
     "impedance_estimator: {metadata: '[1]'}": "'metadata' is not a JSON object of strings: '[1]'",
-    "impedance_estimator: {metadata: '" + "[" * 9999 + "'}": "'metadata' is not a JSON object",
     # Shapes of matrices
-    "arm_sim: {arm: {inertia: []}}": "'arm.inertia' has 0 values, needs 4",
     "arm_sim: {arm: {inertia: [[1, 0], [0]]}}": "'arm.inertia' = [[1, 0], [0]]: rows differ",
-    "arm_sim: {arm: {inertia: [[1, 0], 1]}}": "'arm.inertia' = [[1, 0], 1]: rows differ",
     "arm_sim: {arm: {inertia: [[1, 0, 0, 1]]}}": "'arm.inertia' has 1 row for 4 columns",
-    "arm_sim: {arm: {inertia: [[[1], 0], [0, 1]]}}": "'arm.inertia' = [[1], 0, 0, 1]",
     "arm_sim: {arm: {inertia: [1.0]}}": "'arm.inertia' has 1 values, needs 4",
-    "arm_sim: {arm: {posture: [1.0]}}": "'arm.posture' has 1 values for 2 joints",
     "arm_sim: {joints: []}": "0 joints",
-    "arm_sim: {joints: [a, b, c]}": "for 3 joints",
-    "imbic_controller: {law: {model_inertia: [1.0]}}": "model_inertia",
     # Numbers
     "duration: .nan": "'duration' = nan",
-    "duration: .inf": "'duration' = inf",
-    "duration: -5": "'duration' = -5",
     "seed: -1": "'seed' = -1",
-    "seed: 99999999999999999999": "'seed' = 99999999999999999999",
     "arm_sim: {seed: 99999999999999999999}": "'seed' = 99999999999999999999: is too large",
-    "arm_sim: {substeps: " + "9" * 400 + "}": "'substeps' = 9999",
     "arm_sim: {substeps: 0}": "'substeps' = 0",
-    "arm_sim: {arm: {stiffness: [1, 2, 3, " + "9" * 400 + "]}}": "is too large",
     "arm_sim: {arm: {inertia: [.nan, 0, 0, 1]}}": "inertia.list[0].float' = nan",
     "imbic_controller: {law: {gamma: .inf}}": "gamma",
-    "imbic_controller: {law: {gamma: -1.0}}": "gamma",
     # Physics
     "arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}": "inertia of joint 1 must be positive",
     "arm_sim: {arm: {stiffness: [1.0e+300, 0, 0, 1.0]}}": "'arm.stiffness' = 1e+300: is too large",
     "arm_sim: {arm: {stiffness: [1.0e+20, 0, 0, 1.0]}}": "|h·λ|",
     "imbic_controller: {law: {model_inertia: [9.0, 0.0, 0.0, 9.0]}}": "must be below 2",
-    "imbic_controller: {law: {model_inertia: [-1.0, 0.0, 0.0, -1.0]}}": "positive real parts",
-    "imbic_controller: {law: {model_inertia: [0.0, 0.0, 0.0, 0.0]}}": "positive real parts",
 }
 
 
@@ -175,17 +128,6 @@ def test_a_wrong_value_is_named(text: str, file: Path) -> None:
 @pytest.mark.parametrize("text", ["arm_sim: &a {b: *a}", "&a {arm_sim: *a}", "estimators: &a [*a]"])
 def test_a_file_that_contains_itself_is_refused(text: str, file: Path) -> None:
     assert "cannot be read as YAML: the alias *a is not allowed" in complaint(file, text)
-
-
-def test_a_matrix_may_be_written_as_a_list_of_its_rows(file: Path) -> None:
-    text = "arm_sim: {{arm: {{inertia: {}}}}}"
-    nested, flat = (
-        accepted(file, text.format(value).encode())
-        for value in ("[[0.3, 0.1], [0.1, 0.2]]", "[0.3, 0.1, 0.1, 0.2]")
-    )
-    assert nested is not None
-    assert flat is not None
-    assert nested.simulator == flat.simulator
 
 
 def test_an_empty_file_leaves_the_defaults(file: Path) -> None:
@@ -241,7 +183,6 @@ QUICK = settings(
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
-LONG = settings(QUICK, max_examples=20_000)
 
 
 def dumped(value: object) -> bytes:
@@ -250,30 +191,21 @@ def dumped(value: object) -> bytes:
     return text.getvalue().encode(errors="surrogatepass")
 
 
-def check_values(file: Path, experiment: dict[str, Any]) -> None:
-    parameters = accepted(file, dumped(experiment))
-    if parameters is not None:
-        # What was accepted can be flown: it has all the numbers of the offline rig.
-        assert parameters.rig().plant.joints >= 1
-        assert isinstance(parameters.controller, ControllerParameters)
-
-
-def check_text(file: Path, content: bytes) -> None:
-    accepted(file, content)
-
-
 @QUICK
 @given(experiment=EXPERIMENTS)
 def test_any_values_are_taken_or_refused_with_a_reason(
     file: Path, experiment: dict[str, Any]
 ) -> None:
-    check_values(file, experiment)
+    parameters = accepted(file, dumped(experiment))
+    if parameters is not None:
+        # What was accepted can be flown: it has all the numbers of the offline rig.
+        assert parameters.rig().plant.joints >= 1
 
 
 @QUICK
 @given(content=st.binary(max_size=60) | st.text(max_size=60).map(str.encode))
 def test_any_bytes_are_taken_or_refused_with_a_reason(file: Path, content: bytes) -> None:
-    check_text(file, content)
+    accepted(file, content)
 
 
 DEFAULTS = dumped(NODES)
@@ -284,30 +216,7 @@ DEFAULTS = dumped(NODES)
 def test_changed_bytes_of_a_good_file_are_taken_or_refused_with_a_reason(
     file: Path, data: st.DataObject
 ) -> None:
-    check_text(file, mutated(data))
-
-
-def mutated(data: st.DataObject) -> bytes:
     start = data.draw(st.integers(0, len(DEFAULTS) - 1))
     length = data.draw(st.integers(0, 6))
     part = data.draw(st.binary(max_size=4) | st.sampled_from([b": ", b"\n- ", b"[", b"&a ", b"*a"]))
-    return DEFAULTS[:start] + part + DEFAULTS[start + length :]
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-class TestAtLength:
-    @LONG
-    @given(experiment=EXPERIMENTS)
-    def test_any_values(self, file: Path, experiment: dict[str, Any]) -> None:
-        check_values(file, experiment)
-
-    @LONG
-    @given(content=st.binary(max_size=300) | st.text(max_size=300).map(str.encode))
-    def test_any_bytes(self, file: Path, content: bytes) -> None:
-        check_text(file, content)
-
-    @settings(LONG, max_examples=5000)
-    @given(data=st.data())
-    def test_changed_bytes_of_a_good_file(self, file: Path, data: st.DataObject) -> None:
-        check_text(file, mutated(data))
+    accepted(file, DEFAULTS[:start] + part + DEFAULTS[start + length :])

@@ -73,13 +73,8 @@ def with_value(result: dict[str, Any], path: tuple[str | int, ...], value: objec
 
 NO_JSON = {
     "empty": b"",
-    "binary": bytes(range(256)),
-    "zeros": bytes(1000),
     "deep": b"[" * 100_000,
     "list": b"[]",
-    "number": b"5",
-    "null": b"null",
-    "not a number": b"NaN",
     "many digits": b"9" * 5000,
     "foreign": b'{"name": "armimp", "version": 3}',
     "half a pair": b'{"\\ud800": 1}',
@@ -113,37 +108,21 @@ MATRIX = [[1.0, 2.0], [3.0]]
     ("path", "value", "complaint"),
     [
         (("schema",), 2, "schema"),
-        (("config",), [], "config"),
-        (("joints",), -1, "joints"),
         (("joints",), 3, "for 3 joints"),
         (("joints",), 10**30, "for 1000000000000000000000000000000 joints"),
-        (("joints",), "two", "joints"),
-        (("joints",), float("nan"), "joints"),
-        (("seed",), None, "seed"),
         (("seed",), 1.5, "seed"),
         (("seed",), 5, "seed 5, not friction 0"),
-        (("seed",), 10**30, f"seed {10**30}, not friction 0"),
-        (("friction",), "high", "friction"),
         (("friction",), 9, "is of friction 9"),
-        (("valid",), "perhaps", "valid"),
-        (("problems",), [5], "problems.0"),
         (("trials",), [], "trials perturb the joints [], of 2"),
-        (("trials", 0, "k"), 2, "trials perturb the joints [2, 2], of 2"),
         (("trials", 0, "k"), -1, "trials.0.k = -1 is none of 2 joints"),
-        (("trials", 0, "ticks"), "many", "trials.0.ticks"),
         (("trials", 0, "lock_ratio"), [], "trials.0.lock_ratio has 0 values for 2 joints"),
         (("trials", 1, "bias_bound"), [1.0], "trials.1.bias_bound has 1 values for 2 joints"),
         (("truth",), None, "truth is missing"),
-        (("truth", "M"), [], "truth.M has 0 values for 2 joints"),
         (("truth", "K"), MATRIX, "a row of truth.K has 1 values for 2 joints"),
         (("estimators",), {}, "estimators are missing"),
-        (("estimators",), None, "estimators"),
         ((*ESTIMATOR, "vaf"), None, "VAF is missing"),
-        ((*ESTIMATOR, "M"), "x", "estimators.welch_full.M"),
         ((*ESTIMATOR, "M"), [[]], "estimators.welch_full.M has 1 values for 2 joints"),
         ((*ESTIMATOR, "B"), MATRIX, "a row of estimators.welch_full.B has 1 values"),
-        ((*ESTIMATOR, "K_se"), [[1.0]], "estimators.welch_full.K_se has 1 values"),
-        ((*ESTIMATOR, "coherence_motion"), [], "coherence_motion has 0 values"),
         ((*ESTIMATOR, "colour"), "red", "colour"),
     ],
 )
@@ -188,13 +167,9 @@ def archive(file: Path, **arrays: Any) -> bytes:
     ("arrays", "complaint"),
     [
         ({"f": np.zeros(0)}, "frequencies of welch_full"),
-        ({"f": np.zeros((2, 2))}, "frequencies of welch_full"),
-        ({"f": np.array(["a"])}, "frequencies of welch_full"),
-        ({"f": np.array([np.nan, 1.0])}, "frequencies of welch_full"),
         ({"f": np.array([2.0, 1.0])}, "frequencies of welch_full"),
         ({"Z_welch_full": np.zeros(3)}, "Z_welch_full has shape (3,)"),
         ({"Z_welch_full": np.array([{}], dtype=object)}, "allow_pickle"),
-        ({"var_welch_full": np.zeros(3)}, "var_welch_full has shape (3,)"),
         ({"averages_welch_full": np.zeros(3)}, "scalar"),
     ],
 )
@@ -296,14 +271,6 @@ def changed_summaries(study: Path, file: Path, rounds: int, *, seed: int) -> int
 def test_changed_bytes_are_read_or_refused(study: Path, tmp_path: Path) -> None:
     assert changed_curves(study, tmp_path / "frf.npz", 300, seed=1) > 150
     assert changed_summaries(study, tmp_path / "summary.json", 300, seed=1) > 150
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-@pytest.mark.parametrize("seed", range(10))
-def test_many_changed_bytes_are_read_or_refused(seed: int, study: Path, tmp_path: Path) -> None:
-    assert changed_curves(study, tmp_path / "frf.npz", 5000, seed=100 + seed) > 2500
-    assert changed_summaries(study, tmp_path / "summary.json", 5000, seed=100 + seed) > 2500
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,10 @@ import pytest
 
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.external import ExternalNodes, external_domain
+from armimp_bringup.graph import external_domain
 from armimp_bringup.health import main as health
 from armimp_bringup.health import state_of
+from armimp_bringup.nodes import ExternalNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.supervisor import Progress

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from armimp_bringup.graph import NODES
+from armimp_bringup.nodes import NODES
 from armimp_common.domain import DomainClaim
 from armimp_common.process import endpoints
 from armimp_estimation.results import read_summary

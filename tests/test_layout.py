@@ -41,11 +41,10 @@ WITH_ROS = {
     "armimp_bringup.driver_check.command",
     "armimp_bringup.driver_check.moves",
     "armimp_bringup.driver_check.probe",
-    "armimp_bringup.external",
     "armimp_bringup.graph",
     "armimp_bringup.health",
     "armimp_bringup.orchestrator",
-    "armimp_bringup.remote_parameters",
+    "armimp_bringup.nodes",
     "armimp_bringup.replay",
     "armimp_bringup.supervisor",
 }

@@ -1,29 +1,28 @@
-"""Runs an experiment: wires the graph, leads it through its life, and watches over it."""
+"""Runs an experiment: brings its nodes up, watches over them, and takes them down again."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.external import ExternalNodes, external_domain
-from armimp_bringup.graph import ComposedNodes, GraphContext, NodeGroup, SeparateNodes
+from armimp_bringup.graph import GraphContext, external_domain
+from armimp_bringup.nodes import (
+    AskedParameters,
+    ComposedNodes,
+    ExternalNodes,
+    NodeGroup,
+    SeparateNodes,
+)
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_bringup.remote_parameters import Asked, RemoteParameters, read_back
 from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_common import topics
-from armimp_common.errors import (
-    ArmimpError,
-    DataError,
-    GraphError,
-)
+from armimp_common.errors import ArmimpError, DataError, GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.parameters import as_parameters
 from armimp_common.realtime import require_precedence, seldom_collecting
 from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase
@@ -35,11 +34,10 @@ from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
 from armimp_estimation.results import Summary, read_summary, write_summary
 
 PARAMETERS_FILE = "parameters.yaml"
-GRAPH_ORDER = (topics.ESTIMATOR_NODE, topics.CONTROLLER_NODE, topics.SIM_NODE)
-"""Order of activation: whoever listens comes before whoever speaks."""
 LOGS = "logs"
 _STALL = 30.0
 _PERIOD = 0.05
+_LONG = 60.0
 _INTERRUPTED = "interrupted by the user"
 _NICE = {False: 5, True: -10}
 """Niceness of the recorder in real time, by whether the others have precedence over everything.
@@ -92,44 +90,28 @@ def run_experiment(
     parameters = node_parameters(config, directory)
     require_precedence(config.priority)
     require_unused(directory)
-    problems: list[str] = []
     external = config.processes == "external"
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
         # Not before the domain is ours, so that nothing is left behind where it is not.
-        parameter_file = _prepare(directory, parameters)
+        file = _prepare(directory, parameters)
         supervisor = Supervisor(graph, on_progress, on_phase=on_phase)
+        supervisor.realtime = config.mode == "realtime"
         with Spinner([supervisor], context=graph.context) as spinner:
+            asked = AskedParameters(supervisor, spinner, parameters.by_node(), file)
             nodes: NodeGroup
-            asked: Asked = {
-                name: as_parameters(model) for name, model in parameters.by_node().items()
-            }
-
-            # Made early: where nodes are processes, discovery goes on while they start.
-            remote = {name: RemoteParameters(supervisor, spinner, name) for name in asked}
-
-            def confirm() -> list[str]:
-                return read_back(remote, asked, parameter_file)
-
-            care = Care(confirm=confirm)
             if external:
-                nodes = guests = ExternalNodes(supervisor, GRAPH_ORDER)
-
-                def prepare(manager: LifecycleManager) -> None:
-                    nonlocal asked
-                    asked = guests.prepare(manager, remote, parameters.by_node())
-
-                care = Care(prepare=prepare, confirm=confirm, retire=guests.retire)
+                nodes = ExternalNodes(supervisor, asked)
             elif config.processes == "composed":
-                nodes = ComposedNodes(graph.context, spinner, parameter_file)
+                nodes = ComposedNodes(graph.context, spinner, file)
             else:
-                nodes = SeparateNodes(parameter_file, directory / LOGS)
+                nodes = SeparateNodes(file, directory / LOGS)
                 if config.mode == "realtime":
                     nodes.renice(topics.ESTIMATOR_NODE, _NICE[config.priority > 0])
+            course = Course(
+                supervisor, spinner, nodes, interrupted=interrupted, confirm=asked.differences
+            )
             try:
-                supervisor.realtime = config.mode == "realtime"
-                problems += lead(
-                    supervisor, spinner, nodes, GRAPH_ORDER, interrupted=interrupted, care=care
-                )
+                problems = course.run()
             finally:
                 nodes.close()
                 spinner.remove_node(supervisor)
@@ -150,158 +132,119 @@ def _prepare(directory: Path, parameters: NodeParameters) -> Path:
     ticks = round(parameters.controller.sequence.duration * topics.NS_PER_S / topics.PERIOD_NS)
     n = len(parameters.simulator.joints)
     require_free_space(directory, n * expected_bytes(ticks, n))
-    parameter_file = directory / PARAMETERS_FILE
-    parameter_file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
-    return parameter_file
+    file = directory / PARAMETERS_FILE
+    file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
+    return file
 
 
-@dataclass(frozen=True, kw_only=True)
-class Care:
-    """What is done with nodes before they are configured, and when they are needed no more.
-
-    Attributes
-    ----------
-    prepare : called once, when all nodes are there
-    confirm : called before they are activated and when all is over, while none has torque and no
-        time is lost by it; tells what is not as it was asked for
-    retire : called for each node that was configured and lives, at the end
-    """
-
-    prepare: Callable[[LifecycleManager], None] = lambda _: None
-    confirm: Callable[[], Sequence[str]] = tuple
-    retire: Callable[[LifecycleManager, str], None] = LifecycleManager.shutdown
-
-
-def lead(
-    supervisor: Supervisor,
-    spinner: Spinner,
-    nodes: NodeGroup,
-    names: Sequence[str],
-    *,
-    interrupted: Callable[[], bool],
-    drive: Callable[[], None] = lambda: None,
-    care: Care | None = None,
-) -> list[str]:
-    """Lead nodes through their life, by default from unconfigured to finalized.
+class Course:
+    """The course of an experiment: nodes are brought up, watched over, and taken down again.
 
     Parameters
     ----------
     supervisor, spinner : who watches, and what runs the callbacks
     nodes : the nodes
-    names : their names, in the order of activation
     interrupted : asked often; once true, the nodes are taken down
-    drive : called once all nodes are active
-    care : what is done before and after
-
-    Returns
-    -------
-    list of str
-        What went wrong.
-    """
-    roll = _Roll(nodes, interrupted)
-    care = care or Care()
-    manager = LifecycleManager(
-        supervisor, names, spin_until=spinner.spin_until, timeout=60.0, check=roll.check
-    )
-    problems: list[str] = []
-    begun: list[str] = []
-    try:
-        manager.wait_for_nodes()
-        care.prepare(manager)
-        for name in names:
-            roll.check()
-            begun.append(name)
-            manager.configure(name)
-        problems += care.confirm()
-        if not problems:
-            for name in names:
-                roll.check()
-                manager.activate(name)
-            supervisor.last_news = time.monotonic()
-            drive()
-            problems += _watch(supervisor, spinner, roll)
-            problems += () if problems else care.confirm()
-    except ArmimpError as error:
-        # From the graph itself or, where nodes live in this process, from one of their callbacks.
-        problems += roll.deaths() or [str(error)]
-    # Those that were never asked for anything have nothing to close.
-    return problems + _shut_down(manager, roll, begun, care)
-
-
-class _Roll:
-    """Which nodes are known to have died.
-
-    Parameters
-    ----------
-    nodes : the nodes
-    interrupted : as for :func:`lead`
-
-    Attributes
-    ----------
-    awaited : the only node whose death matters to :meth:`check`, where the end can no longer be
-        interrupted; None if each does
-    told : sentences about those that died, by name
+    confirm : called before they are activated and when all is over, while none has torque and no
+        time is lost by it; tells what is not as it was asked for
     """
 
-    def __init__(self, nodes: NodeGroup, interrupted: Callable[[], bool]) -> None:
-        self._nodes = nodes
-        self.interrupted = interrupted
-        self.awaited: str | None = None
-        self.told: dict[str, str] = {}
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        spinner: Spinner,
+        nodes: NodeGroup,
+        *,
+        interrupted: Callable[[], bool],
+        confirm: Callable[[], Sequence[str]] = tuple,
+    ) -> None:
+        self._supervisor, self._spinner, self._nodes = supervisor, spinner, nodes
+        self._interrupted, self._confirm = interrupted, confirm
+        self._manager = LifecycleManager(
+            supervisor,
+            nodes.names,
+            spin_until=spinner.spin_until,
+            timeout=_LONG,
+            check=self._check,
+        )
+        self._configured: list[str] = []
+        self._dead: set[str] = set()
+        self._awaited: str | None = None  # the only node whose death matters, at the end
+        self._problems: list[str] = []
 
-    def deaths(self) -> list[str]:
-        """Return sentences about those that died since the last call."""
-        new = {name: how for name, how in self._nodes.dead().items() if name not in self.told}
-        self.told.update(new)
+    def run(self, drive: Callable[[], None] = lambda: None) -> list[str]:
+        """Go through all of it, with ``drive`` once all nodes are active; tell what went wrong."""
+        try:
+            if self.startup():
+                drive()
+                self.watch()
+        except ArmimpError as error:
+            # From the graph itself or, where nodes live in this process, from a callback.
+            self._problems += self._deaths() or [str(error)]
+        self.shutdown()
+        return self._problems
+
+    def startup(self) -> bool:
+        """Configure and activate the nodes, if they are as they were asked to be."""
+        self._manager.wait_for_nodes()
+        self._nodes.prepare(self._manager)
+        for name in self._nodes.names:
+            self._check()
+            self._configured.append(name)
+            self._manager.configure(name)
+        self._problems += self._confirm()
+        if self._problems:
+            return False
+        for name in self._nodes.names:
+            self._check()
+            self._manager.activate(name)
+        return True
+
+    def watch(self) -> None:
+        """Wait until all trials have ended and there is a result, or something goes wrong."""
+        supervisor = self._supervisor
+        supervisor.last_news = time.monotonic()
+
+        def over() -> bool:
+            if self._interrupted():
+                self._problems.append(_INTERRUPTED)
+            elif time.monotonic() - supervisor.last_news > _STALL:
+                self._problems.append(f"nothing happened for {_STALL:g} s")
+            self._problems.extend(self._deaths())
+            failed = supervisor.realtime and supervisor.problems and not supervisor.finished
+            return bool(self._problems or failed) or supervisor.over
+
+        with seldom_collecting():
+            self._spinner.spin(over, period=_PERIOD)
+        if not self._problems:
+            self._problems += self._confirm()
+
+    def shutdown(self) -> None:
+        """Retire the nodes that live and were configured, whatever has happened to the others."""
+        for name in reversed(self._configured):
+            self._problems += self._deaths()
+            if name in self._dead:
+                continue
+            self._awaited = name
+            try:
+                self._nodes.retire(self._manager, name)
+            except ArmimpError as error:
+                self._problems += self._deaths() or [str(error)]
+        self._problems += self._deaths()
+
+    def _deaths(self) -> list[str]:
+        """Return sentences about the nodes that died since the last call."""
+        new = {name: how for name, how in self._nodes.dead().items() if name not in self._dead}
+        self._dead |= set(new)
         return list(new.values())
 
-    def check(self) -> None:
+    def _check(self) -> None:
         """Raise a GraphError if it is vain to wait any longer, or nobody wants to."""
-        if self.awaited is None and self.interrupted():
+        if self._awaited is None and self._interrupted():
             raise GraphError(_INTERRUPTED)
         dead = self._nodes.dead()
-        if dead if self.awaited is None else self.awaited in dead:
+        if dead if self._awaited is None else self._awaited in dead:
             raise GraphError("a node died")
-
-
-def _shut_down(
-    manager: LifecycleManager, roll: _Roll, names: Sequence[str], care: Care
-) -> list[str]:
-    """Retire the nodes that live, whatever has happened to the others."""
-    problems: list[str] = []
-    for name in reversed(names):
-        problems += roll.deaths()
-        if name in roll.told:
-            continue
-        roll.awaited = name
-        try:
-            care.retire(manager, name)
-        except ArmimpError as error:
-            problems += roll.deaths() or [str(error)]
-    return problems + roll.deaths()
-
-
-def _watch(
-    supervisor: Supervisor,
-    spinner: Spinner,
-    roll: _Roll,
-) -> list[str]:
-    problems: list[str] = []
-
-    def over() -> bool:
-        if roll.interrupted():
-            problems.append(_INTERRUPTED)
-        elif deaths := roll.deaths():
-            problems.extend(deaths)
-        elif time.monotonic() - supervisor.last_news > _STALL:
-            problems.append(f"nothing happened for {_STALL:g} s")
-        elif supervisor.realtime and supervisor.problems and not supervisor.finished:
-            return True
-        return bool(problems) or supervisor.over
-
-    with seldom_collecting():
-        spinner.spin(over, period=_PERIOD)
-    return problems
 
 
 def settle(

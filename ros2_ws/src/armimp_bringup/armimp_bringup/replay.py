@@ -15,9 +15,10 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from armimp_bringup.graph import ComposedNodes, GraphContext
+from armimp_bringup.graph import GraphContext
+from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.offline_estimate import read_bags
-from armimp_bringup.orchestrator import PARAMETERS_FILE, lead, settle
+from armimp_bringup.orchestrator import PARAMETERS_FILE, Course, settle
 from armimp_bringup.resources import prepare_directory, require_unused
 from armimp_bringup.supervisor import Progress, Supervisor
 from armimp_bringup.terminal import complete
@@ -209,15 +210,9 @@ def replay_bags(
                     player.finish(contents[-1].trials[-1].window, len(contents))
                     complete("estimating")
 
+                course = Course(supervisor, spinner, nodes, interrupted=interrupted)
                 try:
-                    problems = lead(
-                        supervisor,
-                        spinner,
-                        nodes,
-                        (topics.ESTIMATOR_NODE,),
-                        interrupted=interrupted,
-                        drive=drive,
-                    )
+                    problems = course.run(drive)
                 finally:
                     nodes.close()
                     for node in (player, supervisor):

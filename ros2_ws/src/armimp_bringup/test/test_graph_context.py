@@ -11,7 +11,8 @@ import pytest
 from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.graph import ComposedNodes, GraphContext
+from armimp_bringup.graph import GraphContext
+from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.resources import config_file
 from armimp_common.domain import DomainClaim

@@ -16,7 +16,7 @@ from armimp_bringup.driver_check.findings import Finding, Verdict, report, with_
 from armimp_bringup.driver_check.probe import probe
 from armimp_bringup.driver_check.record import Record
 from armimp_bringup.driver_check.rules import judge
-from armimp_bringup.external import external_domain
+from armimp_bringup.graph import external_domain
 from armimp_common.errors import ConfigurationError
 from armimp_sim.presets import JOINT_NAMES
 

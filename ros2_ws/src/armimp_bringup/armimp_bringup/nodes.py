@@ -1,0 +1,389 @@
+"""The nodes of an experiment, in this process, in others or of others, and their parameters."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import BaseModel
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.client import Client
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter, parameter_value_to_python
+
+from armimp_common.errors import GraphError
+from armimp_common.executor import NO_LOG_FILES, Spinner
+from armimp_common.heartbeat import HeartbeatMonitor, Presence
+from armimp_common.lifecycle import LifecycleManager, ask
+from armimp_common.parameters import as_parameters
+from armimp_common.process import ParentWatchdog
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+
+NODES = (ESTIMATOR_NODE, CONTROLLER_NODE, SIM_NODE)
+"""In the order of activation: whoever listens comes before whoever speaks."""
+MODULES: Mapping[str, Sequence[str]] = {
+    SIM_NODE: ("armimp_sim.node",),
+    CONTROLLER_NODE: ("armimp_control.node",),
+    ESTIMATOR_NODE: ("armimp_estimation.node",),
+}
+"""Module of each node, with the first arguments of its process."""
+_TO_END = 5.0
+_TO_ANSWER = 10.0
+
+
+class RemoteParameters:
+    """The parameters of one node.
+
+    Parameters
+    ----------
+    node, spinner : who asks, and what spins it
+    name : of the node that is asked
+
+    Raises
+    ------
+    GraphError
+        Here and by every method, if it does not answer.
+    """
+
+    def __init__(self, node: Node, spinner: Spinner, name: str) -> None:
+        self._name, self._spinner = name, spinner
+        # Those of rclpy block for a quarter of a second wherever discovery takes a moment.
+        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
+        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
+        self._set = node.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically")
+
+    def names(self) -> set[str]:
+        """Return the names of the parameters that it has."""
+        return set(self._ask(self._list, ListParameters.Request()).result.names)
+
+    def values(self, names: Sequence[str]) -> dict[str, Any]:
+        """Return the present values of parameters; None for one that it does not have."""
+        answer = self._ask(self._get, GetParameters.Request(names=list(names)))
+        found = map(parameter_value_to_python, answer.values)
+        return {
+            name: value
+            if value is None or isinstance(value, bool | int | float | str)
+            else list(value)
+            for name, value in zip(names, found, strict=False)
+        }
+
+    def set(self, parameters: Sequence[Parameter]) -> None:
+        """Set them all, or none.
+
+        Raises
+        ------
+        GraphError
+            If the node refuses them.
+        """
+        messages = [parameter.to_parameter_msg() for parameter in parameters]
+        answer = self._ask(self._set, SetParametersAtomically.Request(parameters=messages))
+        if not answer.result.successful:
+            raise GraphError(f"node {self._name} refused its parameters: {answer.result.reason}")
+
+    def _ask(self, client: Client, request: Any) -> Any:
+        return ask(
+            client,
+            request,
+            f"node {self._name}",
+            "tell or take its parameters",
+            spin_until=self._spinner.spin_until,
+            timeout=_TO_ANSWER,
+        )
+
+
+class AskedParameters:
+    """What the parameters of nodes should be; asked for again when they are to be confirmed.
+
+    Parameters
+    ----------
+    node, spinner : who asks, and what spins it
+    models : parameters by the name of the node
+    record : file for the parameters that are active, all of each node; written if they differ
+    """
+
+    def __init__(
+        self, node: Node, spinner: Spinner, models: Mapping[str, BaseModel], record: Path
+    ) -> None:
+        self.asked = {name: as_parameters(model) for name, model in models.items()}
+        # Made early: where nodes are processes, discovery goes on while they start.
+        self.remote = {name: RemoteParameters(node, spinner, name) for name in models}
+        self._record = record
+
+    def differences(self) -> list[str]:
+        """Return a sentence for each parameter that is another than was asked for."""
+        active: dict[str, dict[str, Any]] = {}
+        problems: list[str] = []
+        for name, parameters in self.asked.items():
+            wanted = {item.name: item.value for item in parameters}
+            remote = self.remote[name]
+            found = active[name] = remote.values(sorted(remote.names().union(wanted)))
+            for key, given in wanted.items():
+                value = list(given) if isinstance(given, tuple) else given
+                if found.get(key) != value:
+                    problems.append(f"{name}: {key} is {found.get(key)!r:.200}, not {value!r:.200}")
+        if problems:
+            content = {name: {"ros__parameters": values} for name, values in active.items()}
+            text = yaml.safe_dump(content, sort_keys=False)
+            self._record.write_text(text, encoding="utf-8")
+        return problems
+
+
+class NodeGroup:
+    """Some nodes of the graph, wherever they live; here, what is done if nothing else is said."""
+
+    names: Sequence[str] = NODES
+    """In the order of activation."""
+
+    def dead(self) -> Mapping[str, str]:
+        """Return the names of the nodes that died, with a sentence that says how."""
+        return {}  # nodes of this process die with it
+
+    def prepare(self, manager: LifecycleManager) -> None:
+        """Have the nodes ready to be configured."""
+
+    def retire(self, manager: LifecycleManager, name: str) -> None:
+        """End the life of a node that is needed no more."""
+        manager.shutdown(name)
+
+    def close(self) -> None:
+        """Take the nodes down."""
+
+
+class ComposedNodes(NodeGroup):
+    """Nodes in this process, run by the given executor.
+
+    Parameters
+    ----------
+    context, spinner : where they live
+    parameters : Path
+        ROS parameter file for all of them.
+    names : which nodes
+    """
+
+    def __init__(
+        self,
+        context: Context,
+        spinner: Spinner,
+        parameters: Path,
+        names: Sequence[str] = NODES,
+    ) -> None:
+        from armimp_control.node import ImbicControllerNode
+        from armimp_estimation.node import ImpedanceEstimatorNode
+        from armimp_sim.node import ArmSimNode
+
+        classes: Mapping[str, Callable[..., Node]] = {
+            SIM_NODE: ArmSimNode,
+            CONTROLLER_NODE: ImbicControllerNode,
+            ESTIMATOR_NODE: ImpedanceEstimatorNode,
+        }
+        arguments = ["--ros-args", "--params-file", str(parameters)]
+        self.names, self._spinner = names, spinner
+        self._nodes: list[Node] = []
+        for name in reversed(names):
+            node = classes[name](context=context, cli_args=arguments, use_global_arguments=False)
+            self._nodes.append(node)
+            spinner.add_node(node)
+
+    def close(self) -> None:
+        """Destroy the nodes."""
+        for node in self._nodes:
+            self._spinner.remove_node(node)
+            node.destroy_node()
+        self._nodes.clear()
+
+
+class SeparateNodes(NodeGroup):
+    """Nodes in processes of their own, which end when this process does.
+
+    Parameters
+    ----------
+    parameters : Path
+        ROS parameter file for all of them.
+    log_directory : Path
+        Where their output goes, one file for each.
+    modules : module of each node, with the first arguments of its process
+
+    Raises
+    ------
+    GraphError
+        If a process can't be started.
+    """
+
+    def __init__(
+        self,
+        parameters: Path,
+        log_directory: Path,
+        modules: Mapping[str, Sequence[str]] = MODULES,
+    ) -> None:
+        self._logs = {name: log_directory / f"{name}.log" for name in modules}
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._forced: set[str] = set()
+        self._watchdog: ParentWatchdog | None = ParentWatchdog()
+        environment = self._watchdog.environment()
+        try:
+            log_directory.mkdir(parents=True, exist_ok=True)
+            for name, module in modules.items():
+                command = [sys.executable, "-m", *module, "--ros-args", NO_LOG_FILES]
+                command += ["--params-file", str(parameters)]
+                with self._logs[name].open("wb") as log:
+                    self.processes[name] = subprocess.Popen(
+                        command,
+                        stdin=subprocess.DEVNULL,
+                        stdout=log,
+                        stderr=subprocess.STDOUT,
+                        # Ctrl-C is for the orchestrator, which takes the nodes down in order.
+                        start_new_session=True,
+                        pass_fds=[self._watchdog.child_end],
+                        env=environment,
+                    )
+        except OSError as error:
+            self.close()
+            raise GraphError(f"the nodes could not be started: {error}") from None
+
+    def dead(self) -> Mapping[str, str]:
+        """Say which nodes died, how, and their last words."""
+        sentences: dict[str, str] = {}
+        for name, process in self.processes.items():
+            status = process.poll()
+            if status is not None:
+                how = (
+                    f"was killed by {signal.Signals(-status).name}"
+                    if status < 0
+                    else f"ended with status {status}"
+                )
+                lines = self._logs[name].read_text(errors="replace").strip().splitlines()
+                sentences[name] = f"node {name} {how}" + (f": {lines[-1]}" if lines else "")
+        return sentences
+
+    def renice(self, name: str, niceness: int) -> None:
+        """Set the niceness of a process just started, and of all threads that it makes.
+
+        Where the system does not permit that, nothing happens.
+        """
+        number = self.processes[name].pid
+        with suppress(OSError):
+            os.setpriority(os.PRIO_PROCESS, number, niceness)
+            # Each session may be a group of its own, within which alone that counts.
+            Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
+
+    def crashed(self) -> list[str]:
+        """Say which nodes died by a signal that did not come from here, at the very end too."""
+        ours = -signal.SIGINT
+        return [
+            sentence
+            for name, sentence in self.dead().items()
+            if ours != self.processes[name].returncode < 0 and name not in self._forced
+        ]
+
+    def close(self) -> None:
+        """End the processes: politely, then firmly."""
+        for signal_number in (signal.SIGINT, signal.SIGKILL):
+            for name, process in self.processes.items():
+                if process.poll() is None:
+                    process.send_signal(signal_number)
+                    if signal_number == signal.SIGKILL:
+                        self._forced.add(name)
+            deadline = time.monotonic() + _TO_END
+            for process in self.processes.values():
+                try:
+                    process.wait(max(deadline - time.monotonic(), 0.01))
+                except subprocess.TimeoutExpired:
+                    continue
+        if self._watchdog is not None:
+            self._watchdog.close()
+            self._watchdog = None
+        for name, process in self.processes.items():
+            if process.poll() is None:
+                raise GraphError(f"node {name} could not be ended (process {process.pid})")
+
+
+class ExternalNodes(NodeGroup):
+    """Nodes whose processes belong to others; only their lifecycle is led from here.
+
+    They get the parameters of the experiment over the graph, and are given back unconfigured, so
+    that the next experiment can use them. Their death shows by their heartbeat alone.
+
+    Parameters
+    ----------
+    supervisor : Node
+        Who asks and watches.
+    parameters : AskedParameters
+        What they are given.
+    """
+
+    def __init__(self, supervisor: Node, parameters: AskedParameters) -> None:
+        self._parameters = parameters
+        self._monitors = [HeartbeatMonitor(supervisor, name, lambda _: None) for name in self.names]
+
+    def dead(self) -> Mapping[str, str]:
+        """Say which nodes were there and are not any more.
+
+        One that is only silent may be stalled, in a place where it can't be looked up; the
+        middleware declares it dead soon if it is.
+        """
+        return {
+            one.name: f"node {one.sentence}"
+            for one in self._monitors
+            if one.presence in (Presence.GONE, Presence.LEFT)
+        }
+
+    def prepare(self, manager: LifecycleManager) -> None:
+        """Make sure that the nodes are free, and give them their parameters.
+
+        Raises
+        ------
+        GraphError
+            If a node is in use, or finalized, or refuses a parameter.
+        """
+        for name in manager.names:
+            state = manager.state(name)
+            if state == "inactive":
+                manager.cleanup(name)
+            elif state != "unconfigured":
+                raise GraphError(
+                    f"node {name} is {state}, not unconfigured: it belongs to another experiment,"
+                    " or has to be started anew"
+                )
+        asked, remote = self._parameters.asked, self._parameters.remote
+        known = remote[SIM_NODE].names()
+        if not known.issuperset(item.name for item in asked[SIM_NODE]):
+            _leave_to_driver(asked, known)
+        for name in manager.names:
+            remote[name].set(asked[name])
+
+    def retire(self, manager: LifecycleManager, name: str) -> None:
+        """Bring a node back to where the next experiment finds it.
+
+        Raises
+        ------
+        GraphError
+            If it does not answer or refuses.
+        """
+        if manager.state(name) == "active":
+            manager.deactivate(name)
+        if manager.state(name) == "inactive":
+            manager.cleanup(name)
+
+
+def _leave_to_driver(given: dict[str, list[Parameter]], known: set[str]) -> None:
+    """Keep from a driver what only the simulator has, and from the estimator a truth nobody knows.
+
+    A driver gets those parameters of the simulator that it has by the same name: the joints, and
+    how time passes.
+    """
+    given[SIM_NODE] = [item for item in given[SIM_NODE] if item.name in known]
+    for number, item in enumerate(given.get(ESTIMATOR_NODE, [])):
+        if item.name == "metadata":
+            metadata = json.loads(item.value)
+            metadata.pop("truth", None)
+            given[ESTIMATOR_NODE][number] = Parameter("metadata", value=json.dumps(metadata))
