@@ -414,24 +414,32 @@ class _Elements:
         return math.sqrt(square)
 
     def weights(self, row: int) -> FloatArray:
-        return _weights(self.f, self.Z[row], self.total[row], self.options)
+        options = self.options
+        return fit_weights(
+            self.f, self.Z[row], self.total[row], options.weight_floor, options.smoothing
+        )
 
     def lack(self, values: FloatArray) -> FloatArray:
-        """Lack of fit of each element, (elements,).
+        """Lack of fit of each element, (elements,); three real parameters are 1.5 complex ones."""
+        fitted = np.stack([_of_mbk(one, self.omega) for one in values.T])
+        ratio = _lack_ratio(self.Z, fitted, self.total, self.freedom)
+        return np.asarray(np.sum(ratio, axis=1) / max(self.f.size - 1.5, 1.0))
 
-        The variances come from m complex degrees of freedom, which makes the mean of their
-        inverses too large by ``m/(m - 1)``; three real parameters are one and a half complex ones.
-        """
-        finite = 1.0 < self.freedom < math.inf
-        spare = (self.freedom - 1.0) / self.freedom if finite else 1.0
-        lacks = []
-        for row, Z in enumerate(self.Z):
-            square = np.abs(Z - _of_mbk(values[:, row], self.omega)) ** 2
-            # Without any noise, what the estimator itself leaves would be lack of fit.
-            least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
-            ratio = square / (self.total[row] + least)
-            lacks.append(spare * float(np.sum(ratio)) / max(self.f.size - 1.5, 1.0))
-        return np.array(lacks)
+
+def lack_ratio(estimate: ImpedanceEstimate, fitted: ComplexArray) -> FloatArray:
+    """``|Z - fit|²/variance`` of each element and bin, (n, n, n_freq), 1 on average if it fits."""
+    return _lack_ratio(estimate.Z, fitted, estimate.variance, estimate.averages - 1.0)
+
+
+def _lack_ratio(
+    Z: ComplexArray, fitted: ComplexArray, variance: FloatArray, freedom: float
+) -> FloatArray:
+    # Variances of m complex degrees of freedom make the mean of their inverses too large.
+    spare = (freedom - 1.0) / freedom if 1.0 < freedom < math.inf else 1.0
+    # Without any noise, what the estimator itself leaves would be lack of fit.
+    least = (_EXACT * np.abs(Z)) ** 2 + np.finfo(np.float64).tiny
+    ratio: FloatArray = spare * np.abs(Z - fitted) ** 2 / (variance + least)
+    return ratio
 
 
 def _with_delay(
@@ -547,15 +555,19 @@ def _apply(coefficients: FloatArray, values: ComplexArray) -> FloatArray:
     return applied
 
 
-def _weights(
-    f: FloatArray, impedance: ComplexArray, variance: FloatArray, options: FitConfig
+def fit_weights(
+    f: FloatArray,
+    impedance: ComplexArray,
+    variance: FloatArray,
+    weight_floor: float,
+    smoothing: float,
 ) -> FloatArray:
     """Inverse of the floored variance, smoothed over frequency (geometric mean), at most 1."""
     # Even with no floor a variance below rounding means nothing.
     rounding = np.finfo(np.float64).eps * float(np.max(np.abs(impedance)))
-    floor = (options.weight_floor * np.abs(impedance)) ** 2 + rounding**2
+    floor = (weight_floor * np.abs(impedance)) ** 2 + rounding**2
     logarithm = np.log(np.maximum(variance + floor, np.finfo(np.float64).tiny))
-    reach = options.smoothing * (1.0 + 1e-9)
+    reach = smoothing * (1.0 + 1e-9)
     below = np.searchsorted(f, f - reach, side="left")
     above = np.searchsorted(f, f + reach, side="right")
     sums = np.concatenate(([0.0], np.cumsum(logarithm)))

@@ -1,0 +1,513 @@
+"""Arms that are more than M, B and K, fitted to the same impedance.
+
+Each :class:`ArmModel` is an equation ``Z(s)`` with the matrices M, B and K of the arm itself and a
+few parameters beside. All are fitted by weighted complex least squares with the weights of the
+M-B-K fit, and judged alike: by lack of fit, by the lack of fit of bins that had no part in the fit,
+and by an information criterion. Theory page, section 9.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.fit import MBKFit, fit_weights, lack_limit, lack_ratio
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+Values = Mapping[str, FloatArray]
+
+AUTO: Final = "auto"
+MBK_MODEL: Final = "mbk"
+DIAGONAL: Final = "diagonal"
+KEPT: Final = "kept"
+_MOST_JOINTS = 4
+_BLOCK = 0.5
+_STRONG = 10.0
+"""Difference of the criterion that is strong evidence (Kass & Raftery, J. Am. Stat. Ass. 1995)."""
+_ITERATIONS = 30
+_FAR = 40.0
+_LEAST = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One parameter of a model: a matrix, a value for each joint, or one value.
+
+    Attributes
+    ----------
+    name, unit : str
+    rank : int
+        2 for a matrix (n, n), 1 for a value for each joint, 0 for one value.
+    positive : bool
+        Whether it can't be 0 or less.
+    """
+
+    name: str
+    unit: str
+    rank: int = 2
+    positive: bool = False
+
+
+INTRINSIC: Final = (
+    Parameter(name="M", unit="kg·m²"),
+    Parameter(name="B", unit="N·m·s/rad"),
+    Parameter(name="K", unit="N·m/rad"),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmModel:
+    """Description of a model.
+
+    Attributes
+    ----------
+    name : str
+    equation : str
+        ``Z(s)`` in words of its parameters.
+    parameters : tuple of Parameter
+        M, B and K first.
+    impedance : callable
+        Values by name and ``s = jω`` (n_freq,) to ``Z``, (n, n, n_freq).
+    starts : tuple of mapping
+        Values of scalars and of joints to start from; matrices start from the fit of M, B and K,
+        others from 0.
+    variants : tuple of mapping
+        From simple to full: parameters of which only the diagonal is free, or which keep their
+        start. The one with the best criterion is taken.
+    """
+
+    name: str
+    equation: str
+    parameters: tuple[Parameter, ...]
+    impedance: Callable[[Values, ComplexArray], ComplexArray]
+    starts: tuple[Mapping[str, float], ...]
+    variants: tuple[Mapping[str, str], ...] = ({},)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelFit:
+    """A model fitted to an impedance.
+
+    Attributes
+    ----------
+    model : ArmModel
+    values, errors : mapping of str to ndarray
+        Parameters and standard errors; NaN for one without effect, or that was not fitted.
+    covariance : ndarray, shape (p, p)
+        Of all parameters, one after the other, matrices row by row.
+    lack : ndarray, shape (n, n)
+        Lack of fit of each element, as of :class:`armimp_estimation.fit.MBKFit`.
+    lack_limit : float
+        What chance doesn't exceed.
+    held_out : float
+        Mean lack of fit of bins that had no part in the fit; NaN if the others don't fit.
+    criterion : float
+        Bayesian information criterion, less is better.
+    Z : ndarray, shape (n, n, n_freq)
+        Fitted impedance.
+    """
+
+    model: ArmModel
+    values: Values
+    errors: Values
+    covariance: FloatArray
+    lack: FloatArray
+    lack_limit: float
+    held_out: float
+    criterion: float
+    Z: ComplexArray
+
+    @property
+    def fits(self) -> bool:
+        """Whether noise explains what it leaves, in the bins of the fit and in others."""
+        return bool((self.lack <= self.lack_limit).all() and self.held_out <= self.lack_limit)
+
+    @property
+    def text(self) -> str:
+        """Values and standard errors of what is beside M, B and K, in words."""
+        parts = []
+        for one in self.model.parameters[len(INTRINSIC) :]:
+            pairs = zip(self.values[one.name].flat, self.errors[one.name].flat, strict=True)
+            fitted = [f"{value:.4g} ± {error:.2g}" for value, error in pairs if error >= 0.0]
+            if fitted:
+                parts.append(f"{one.name} {', '.join(fitted)} {one.unit}".rstrip())
+        return "; ".join(parts)
+
+
+def _intrinsic(values: Values, s: ComplexArray) -> ComplexArray:
+    M, B, K = (values[one.name][:, :, None] for one in INTRINSIC)
+    return np.asarray(M * s**2 + B * s + K, dtype=np.complex128)
+
+
+def _delayed(values: Values, s: ComplexArray) -> ComplexArray:
+    return np.asarray(_intrinsic(values, s) * np.exp(-s * values["delay"]))
+
+
+def _reflex(values: Values, s: ComplexArray) -> ComplexArray:
+    omega, zeta = values["muscle"], values["damping_ratio"]
+    arc = np.exp(-s * values["delay"]) * omega**2 / (s**2 + 2.0 * zeta * omega * s + omega**2)
+    gains = values["velocity_gain"][:, :, None] * s + values["stretch_gain"][:, :, None]
+    return np.asarray(_intrinsic(values, s) + arc * gains)
+
+
+def _cuffed(values: Values, s: ComplexArray) -> ComplexArray:
+    arm = np.moveaxis(_intrinsic(values, s), 2, 0)
+    cuff = values["cuff_stiffness"] + values["cuff_damping"] * s[:, None]
+    both = arm + cuff[:, :, None] * np.eye(arm.shape[1])
+    series = cuff[:, :, None] * np.linalg.solve(both, arm)
+    return np.ascontiguousarray(np.moveaxis(series, 0, 2))
+
+
+_DELAY = Parameter(name="delay", unit="s", rank=0)
+_LATENESS = Parameter(name="torque_delay", unit="s", rank=0)
+"""Common delay of the torque readings, in any model, where it isn't known exactly."""
+
+MODELS: Final[Mapping[str, ArmModel]] = MappingProxyType(
+    {
+        one.name: one
+        for one in (
+            ArmModel(
+                name="mbk_delay",
+                equation="(M s² + B s + K) exp(-s delay)",
+                parameters=(*INTRINSIC, _DELAY),
+                impedance=_delayed,
+                starts=({"delay": 0.0}, {"delay": 0.01}),
+            ),
+            ArmModel(
+                name="reflex",
+                equation=(
+                    "M s² + B s + K + exp(-s delay) muscle² / (s² + 2 damping_ratio muscle s + "
+                    "muscle²) (velocity_gain s + stretch_gain)"
+                ),
+                parameters=(
+                    *INTRINSIC,
+                    Parameter(name="velocity_gain", unit="N·m·s/rad"),
+                    Parameter(name="stretch_gain", unit="N·m/rad"),
+                    Parameter(name="delay", unit="s", rank=0, positive=True),
+                    Parameter(name="muscle", unit="rad/s", rank=0, positive=True),
+                    Parameter(name="damping_ratio", unit="", rank=0, positive=True),
+                ),
+                impedance=_reflex,
+                starts=tuple(
+                    {"delay": delay, "muscle": muscle, "damping_ratio": 1.0}
+                    for delay in (0.025, 0.045, 0.07)
+                    for muscle in (15.0, 50.0)
+                ),
+                variants=(
+                    {"velocity_gain": DIAGONAL, "stretch_gain": KEPT, "damping_ratio": KEPT},
+                    {"velocity_gain": DIAGONAL, "stretch_gain": DIAGONAL, "damping_ratio": KEPT},
+                    {"velocity_gain": DIAGONAL, "stretch_gain": DIAGONAL},
+                    {},
+                ),
+            ),
+            ArmModel(
+                name="cuff",
+                equation="((M s² + B s + K)⁻¹ + (cuff_stiffness + cuff_damping s)⁻¹)⁻¹",
+                parameters=(
+                    *INTRINSIC,
+                    Parameter(name="cuff_stiffness", unit="N·m/rad", rank=1, positive=True),
+                    Parameter(name="cuff_damping", unit="N·m·s/rad", rank=1, positive=True),
+                ),
+                impedance=_cuffed,
+                starts=tuple(
+                    {"cuff_stiffness": stiffness, "cuff_damping": 0.001 * stiffness}
+                    for stiffness in (1e3, 1e4, 1e5)
+                ),
+            ),
+        )
+    }
+)
+"""Models by name, beside plain ``mbk``."""
+
+
+def require_model(name: str) -> str:
+    """Return the name of a model, ``auto`` or ``mbk``.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is none of that name.
+    """
+    known = (AUTO, MBK_MODEL, *MODELS)
+    if name not in known:
+        raise ConfigurationError(f"unknown model {name!r}, known are {', '.join(known)}")
+    return name
+
+
+def fit_models(
+    asked: str, estimate: ImpedanceEstimate, plain: MBKFit, weight_floor: float, smoothing: float
+) -> tuple[ModelFit, ...]:
+    """Fit what is asked for: one model, or all where an unbiased estimate isn't M, B and K.
+
+    Parameters
+    ----------
+    asked : str
+        Name of a model, ``auto`` or ``mbk``.
+    estimate : ImpedanceEstimate
+        As the estimator returns it: a delay that it leaves open is fitted in each model anew.
+    plain : MBKFit
+        That fit.
+    weight_floor, smoothing : float
+        As of :class:`armimp_estimation.fit.FitConfig`.
+    """
+    if asked == MBK_MODEL:
+        return ()
+    names: Sequence[str] = (asked,)
+    if asked == AUTO:
+        fits = bool((plain.lack <= plain.lack_limit).all())
+        names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
+    return tuple(
+        _Problem(MODELS[name], estimate, plain, weight_floor, smoothing).fit() for name in names
+    )
+
+
+def supported(models: Sequence[ModelFit]) -> ModelFit | None:
+    """Model that the data support: of those that fit, the one with the best criterion."""
+    return min((one for one in models if one.fits), key=lambda one: one.criterion, default=None)
+
+
+class _Problem:
+    """One model and one impedance."""
+
+    def __init__(
+        self,
+        model: ArmModel,
+        estimate: ImpedanceEstimate,
+        plain: MBKFit,
+        weight_floor: float,
+        smoothing: float,
+    ) -> None:
+        n = estimate.joints
+        self.model, self.estimate, self.plain = model, estimate, plain
+        self.s: ComplexArray = np.asarray(2j * np.pi * estimate.f, dtype=np.complex128)
+        self.doubt = 0.0 if _DELAY in model.parameters else estimate.delay_uncertainty or 0.0
+        self.parameters = (*model.parameters, *([_LATENESS] if self.doubt else []))
+        self.shapes = [(n,) * one.rank for one in self.parameters]
+        self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
+        self.weights = np.stack(
+            [
+                [
+                    fit_weights(
+                        estimate.f,
+                        estimate.Z[i, j],
+                        estimate.variance[i, j],
+                        weight_floor,
+                        smoothing,
+                    )
+                    for j in range(n)
+                ]
+                for i in range(n)
+            ]
+        )
+        # Weights are relative, with the largest of each element 1: rows differ in their noise.
+        least = np.min(estimate.variance + (weight_floor * np.abs(estimate.Z)) ** 2, axis=2)
+        self.weights /= least[:, :, None]
+        # Bins that are neighbours share most of what they tell.
+        self.used = np.arange(self.s.size) % max(1, estimate.bin_correlation.size // 4) == 0
+        self.weights *= self.used
+        self.positive = np.concatenate(
+            [
+                np.full(math.prod(shape), one.positive)
+                for one, shape in zip(self.parameters, self.shapes, strict=True)
+            ]
+        )
+
+    def values(self, vector: FloatArray) -> dict[str, FloatArray]:
+        parts = np.split(vector, self.ends[:-1])
+        return {
+            one.name: part.reshape(shape)
+            for one, part, shape in zip(self.parameters, parts, self.shapes, strict=True)
+        }
+
+    def impedance(
+        self, vector: FloatArray, bins: NDArray[np.bool_] | slice = slice(None)
+    ) -> ComplexArray:
+        values, s = self.values(vector), self.s[bins]
+        late = np.exp(-s * values.get(_LATENESS.name, np.zeros(())))
+        return np.asarray(self.model.impedance(values, s) * late)
+
+    def start(self, given: Mapping[str, float]) -> FloatArray:
+        parts = []
+        for one, shape in zip(self.parameters, self.shapes, strict=True):
+            begin = np.full(shape, given.get(one.name, 0.0))
+            parts.append(np.ravel(getattr(self.plain.mbk, one.name) if one in INTRINSIC else begin))
+        return np.concatenate(parts)
+
+    def free(self, variant: Mapping[str, str]) -> NDArray[np.bool_]:
+        """Which parameters a variant has."""
+        parts = []
+        for one, shape in zip(self.parameters, self.shapes, strict=True):
+            kind = variant.get(one.name)
+            every = np.full(shape, kind != KEPT)
+            parts.append(
+                np.ravel(every & (np.eye(len(every)) > 0.0) if kind == DIAGONAL else every)
+            )
+        return np.concatenate(parts)
+
+    def solve(
+        self,
+        start: FloatArray,
+        free: NDArray[np.bool_],
+        bins: NDArray[np.bool_],
+        tolerance: float = 1e-6,
+    ) -> tuple[FloatArray, float]:
+        """Least squares over the free parameters and some bins: parameters and sum of squares."""
+        from scipy.optimize import least_squares
+
+        root = np.sqrt(self.weights[:, :, bins])
+        measured = self.estimate.Z[:, :, bins]
+
+        positive = self.positive[free]
+
+        def whole(vector: FloatArray) -> FloatArray:
+            solution: FloatArray = start.copy()
+            solution[free] = np.where(positive, np.exp(np.clip(vector, -_FAR, _FAR)), vector)
+            return solution
+
+        def residual(vector: FloatArray) -> FloatArray:
+            solution = whole(vector)
+            left = root * (self.impedance(solution, bins) - measured)
+            prior = [solution[-1] / self.doubt] if self.doubt else []
+            return np.concatenate((left.real.ravel(), left.imag.ravel(), prior))
+
+        # Positive parameters are fitted by their logarithms, so none of them needs a bound.
+        first = np.where(positive, np.log(np.where(positive, start[free], 1.0)), start[free])
+        most = _ITERATIONS * (first.size + 1)
+        found = least_squares(
+            residual, first, method="lm", x_scale="jac", ftol=tolerance, max_nfev=most
+        )
+        return whole(found.x), float(found.cost)
+
+    def fit(self) -> ModelFit:
+        """Fit each variant, and take the one with the best criterion."""
+        kinds = [np.full(math.prod(shape), len(shape) == 2) for shape in self.shapes]
+        # With scalars kept, most models are linear.
+        free = self.free(self.model.variants[0])
+        rough = free & np.concatenate(kinds)
+        starts = [self.solve(self.start(one), rough, self.used, 1e-2) for one in self.model.starts]
+        solution = min(starts, key=lambda found: found[1])[0]
+        criterion, trial = math.inf, solution
+        for variant in self.model.variants:
+            more = self.free(variant)
+            trial = self.solve(trial, more, self.used)[0]
+            value = self.criterion(trial, more)
+            if value < criterion - _STRONG:
+                criterion, solution, free = value, trial, more
+        fitted = self.impedance(solution)
+        covariance = self.covariance(solution, free)
+        ratio = lack_ratio(self.estimate, fitted)
+        spare = 0.5 * np.sum(free) / len(ratio) ** 2
+        lack = np.sum(ratio, axis=2) / max(self.s.size - spare, 1.0)
+        limit = lack_limit(self.s.size, self.estimate.bin_correlation)
+        fits = bool((lack <= limit).all())
+        return ModelFit(
+            model=self.model,
+            values=self.values(solution),
+            errors=self.values(np.sqrt(np.diag(covariance))),
+            covariance=covariance,
+            lack=lack,
+            lack_limit=limit,
+            held_out=self.held_out(solution, free) if fits else math.nan,
+            criterion=criterion,
+            Z=fitted,
+        )
+
+    def held_out(self, solution: FloatArray, free: NDArray[np.bool_]) -> float:
+        """Mean lack of fit of every other stretch of bins, with the others fitted."""
+        even = np.floor(self.estimate.f / _BLOCK).astype(int) % 2 == 0
+        left = []
+        for bins in (even, ~even):
+            if 2 * np.sum(bins & self.used) * self.estimate.joints**2 <= 2 * np.sum(free):
+                return math.nan
+            other = self.solve(solution, free, bins & self.used)[0]
+            ratio = lack_ratio(self.estimate, self.impedance(other))
+            left.append(np.mean(ratio[:, :, ~bins]))
+        return float(np.mean(left))
+
+    def criterion(self, solution: FloatArray, free: NDArray[np.bool_]) -> float:
+        """``χ² + p log N`` with N independent real numbers, less is better."""
+        ratio = lack_ratio(self.estimate, self.impedance(solution))
+        rho = self.estimate.bin_correlation
+        independent = 2.0 * ratio.size / (1.0 + 2.0 * float(np.sum(np.abs(rho[1:]))))
+        return independent * float(np.mean(ratio)) + np.sum(free) * math.log(independent)
+
+    def covariance(self, solution: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+        """Covariance of the parameters, (p, p): the sandwich, whatever the weights.
+
+        To first order ``δp = Re Σ conj(b) δZ`` over elements and bins, with ``b = N⁻¹ W ∂Z/∂p``.
+        """
+        n, bins = self.estimate.joints, self.s.size
+        slopes = np.stack([*self._slopes(solution)])
+        flat = slopes.reshape(solution.size, -1)
+        weighted = self.weights.reshape(-1) * flat
+        size = np.linalg.norm(np.sqrt(self.weights.reshape(-1)) * flat, axis=1)
+        # One that went to 0 or without end has no effect any more.
+        free = free & (size * np.maximum(np.abs(solution), _LEAST) > _LEAST)
+        normal = (np.conj(flat[free]) @ weighted[free].T).real
+        if self.doubt:
+            normal[-1, -1] += 1.0 / self.doubt**2
+        scale = np.sqrt(np.diag(normal))
+        inverse = np.linalg.pinv(normal / np.outer(scale, scale), rcond=1e-14)
+        inverse /= np.outer(scale, scale)
+        b = (inverse @ weighted[free]).reshape(-1, n, n, bins)
+        found = self._spread(b)
+        systematics = [*self.estimate.systematics]
+        if self.doubt:
+            found += np.outer(inverse[-1], inverse[-1]) / self.doubt**2
+            # What doesn't jump with the commands is late by what nobody told; see the M-B-K fit.
+            M = self.values(solution)["M"][:, :, None]
+            systematics.append(self.doubt * self.s * (self.impedance(solution) - M * self.s**2))
+        for common in systematics:
+            # The error of a correction is that of one transducer, so it is common to a row.
+            shift = np.sum((np.conj(b) * common).real, axis=(2, 3))
+            found += shift @ shift.T
+        covariance = np.full((solution.size, solution.size), math.nan)
+        covariance[np.ix_(free, free)] = found
+        return covariance
+
+    def _slopes(self, solution: FloatArray) -> Iterator[ComplexArray]:
+        for place, value in enumerate(solution):
+            step = 1e-6 * max(abs(float(value)), 1e-3)
+            up, down = solution.copy(), solution.copy()
+            up[place] += step
+            down[place] -= step
+            yield (self.impedance(up) - self.impedance(down)) / (2.0 * step)
+
+    def _spread(self, b: ComplexArray) -> FloatArray:
+        """Covariance of ``Re Σ conj(b) δZ``, with that of elements and of neighbouring bins."""
+        estimate = self.estimate
+        noise = np.sqrt(estimate.without_systematics().variance)
+        if estimate.disturbance is None or estimate.inverse is None:
+            parts = [b * noise]
+        else:
+            # δZ = Σ_k V_k inverse_k with the columns V_k independent: b goes to each by its factor.
+            turned = [np.einsum("aijf,jf->aif", b, np.conj(one)) for one in estimate.inverse]
+            factors = [_root(np.moveaxis(one, 2, 0)) for one in estimate.disturbance]
+            parts = [
+                np.einsum("fim,aif->amf", np.conj(factor), one)
+                for factor, one in zip(factors, turned, strict=True)
+            ]
+        stacked = np.concatenate([one.reshape(len(b), -1, one.shape[-1]) for one in parts], axis=1)
+        total = np.zeros((len(b), len(b)))
+        bins = stacked.shape[-1]
+        for lag, rho in enumerate(estimate.bin_correlation[:bins]):
+            left = stacked[:, :, : bins - lag].reshape(len(b), -1)
+            right = stacked[:, :, lag:].reshape(len(b), -1)
+            product = rho * (np.conj(left) @ right.T).real
+            total += product if lag == 0 else product + product.T
+        return 0.5 * total
+
+
+def _root(matrices: ComplexArray) -> ComplexArray:
+    """Square roots of positive semidefinite matrices, (n_freq, n, n)."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
