@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.arm_models import ModelFit, supported
+from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
@@ -31,11 +33,14 @@ class Recording:
         When and how torques were read.
     truth : MBK or None
         The arm that was simulated, if it was.
+    calibration : Calibration
+        What is known of the torque transducers.
     """
 
     trials: tuple[TrialRecord, ...]
     reading: TorqueReading = field(default_factory=TorqueReading)
     truth: MBK | None = None
+    calibration: Calibration = field(default_factory=Calibration.undeclared)
 
     @classmethod
     def from_arrays(
@@ -49,6 +54,8 @@ class Recording:
         joint_names: Sequence[str] | None = None,
         timing: str = "unknown",
         torque_delay: float = 0.0,
+        gain_uncertainty: float | None = None,
+        cross_talk_uncertainty: float | None = None,
     ) -> Recording:
         """Make a recording of one array of shape (n, N) for each trial and signal.
 
@@ -72,6 +79,9 @@ class Recording:
             ``simultaneous``; ``unknown`` leaves it to the records, with the errors that this has.
         torque_delay : float
             How late torques are read beside that, s.
+        gain_uncertainty, cross_talk_uncertainty : float, optional
+            Standard errors of the gain of each transducer and of the share of another joint's
+            torque that it shows; 1 % is assumed of what isn't given.
 
         Raises
         ------
@@ -112,7 +122,10 @@ class Recording:
             for number, trial in enumerate(trials, start=1)
         ]
         reading = TorqueReading(timing=TorqueTiming(timing), delay=torque_delay)
-        return cls(trials=tuple(records), reading=reading)
+        told = {"gain": gain_uncertainty, "cross_talk": cross_talk_uncertainty}
+        known_of = {name: value for name, value in told.items() if value is not None}
+        calibration = replace(Calibration.undeclared(), assumed=len(known_of) < 2, **known_of)
+        return cls(trials=tuple(records), reading=reading, calibration=calibration)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,6 +150,10 @@ class Result:
         Whether Z(f) and its variance can.
     problems : tuple of str
         What speaks against the result, and what was found and put right.
+    models : dict of str to ModelFit
+        Models of the arm that were fitted beside M, B and K, with their values and errors.
+    model : str or None
+        Of these the one that the data support.
     """
 
     joint_names: tuple[str, ...]
@@ -152,6 +169,8 @@ class Result:
     valid: bool
     impedance_valid: bool
     problems: tuple[str, ...]
+    models: dict[str, ModelFit] = field(default_factory=dict)
+    model: str | None = None
 
     def interval(
         self, matrix: Literal["M", "B", "K"], level: float = 0.95
@@ -200,6 +219,7 @@ def simulate(**options: Any) -> Recording:
         trials=experiment.records,
         reading=experiment.options.lpm.reading,
         truth=experiment.truth,
+        calibration=Calibration(),
     )
 
 
@@ -219,7 +239,7 @@ def read_bag(*bags: str | Path) -> Recording:
         If the bags don't belong together, or a trial has lost samples.
     """
     from armimp_bringup.offline_estimate import read_bags
-    from armimp_estimation.conclusion import reading_of
+    from armimp_estimation.conclusion import calibration_of, reading_of
     from armimp_estimation.realtime_timing import latest_metadata
 
     contents = read_bags([Path(bag) for bag in bags])
@@ -229,13 +249,15 @@ def read_bag(*bags: str | Path) -> Recording:
         if others:
             raise DataError(f"trial {record.trial}: clipped commands divide it: armimp estimate")
         records.append(record)
+    metadata = latest_metadata([content.metadata for content in contents])
     return Recording(
         trials=tuple(records),
-        reading=reading_of(latest_metadata([content.metadata for content in contents])),
+        reading=reading_of(metadata),
+        calibration=calibration_of(metadata),
     )
 
 
-def identify(recording: Recording, estimator: str = "lpm_full") -> Result:
+def identify(recording: Recording, estimator: str = "lpm_full", model: str = "auto") -> Result:
     """Identify M, B and K from one trial for each joint.
 
     Parameters
@@ -243,11 +265,14 @@ def identify(recording: Recording, estimator: str = "lpm_full") -> Result:
     recording : Recording
     estimator : str
         Name of an estimator, as ``lpm_full`` or ``welch_siso``.
+    model : str
+        Model of the arm to fit beside M, B and K: ``mbk_delay``, ``reflex``, ``cuff``; ``mbk`` for
+        none; ``auto`` for all where M, B and K don't fit.
 
     Raises
     ------
     ConfigurationError
-        If there is no such estimator.
+        If there is no such estimator or model.
     DataError
         If the trials cannot be estimated.
     """
@@ -261,9 +286,15 @@ def identify(recording: Recording, estimator: str = "lpm_full") -> Result:
         raise DataError("there is no trial in the recording")
     welch = WelchConfig.for_samples(min(trial.samples for trial in recording.trials))
     data = [TrialData.from_record(one, welch, recording.reading) for one in recording.trials]
-    config = IdentifyConfig(welch=welch, lpm=LpmConfig(reading=recording.reading))
+    config = IdentifyConfig(
+        welch=welch,
+        lpm=LpmConfig(reading=recording.reading),
+        model=model,
+        calibration=recording.calibration,
+    )
     found = identify_trials(data, [estimator], recording.truth, config)
     one = found.estimators[estimator]
+    best = supported(one.models)
     return Result(
         joint_names=found.joint_names,
         M=one.fit.mbk.M,
@@ -278,4 +309,6 @@ def identify(recording: Recording, estimator: str = "lpm_full") -> Result:
         valid=found.valid,
         impedance_valid=found.impedance_valid,
         problems=tuple(problem.sentence for problem in found.problems),
+        models={fit.model.name: fit for fit in one.models},
+        model=None if best is None else best.model.name,
     )

@@ -153,6 +153,25 @@ class Declared(BaseModel):
         le=0.1,
         description="Standard error of what is told of that, s; by default 20 µs.",
     )
+    gain_uncertainty: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=1.0,
+        description="Standard error of the gain of each torque transducer, relative; by default as "
+        "recorded with the bags, else 0.01.",
+    )
+    cross_talk_uncertainty: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=1.0,
+        description="Standard error of the share of another joint's torque that each shows; by "
+        "default as recorded with the bags, else 0.01.",
+    )
+    model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = Field(
+        default=None,
+        description="Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or "
+        "cuff; auto tries all where M, B and K don't fit.",
+    )
     rate: float | None = Field(
         default=None,
         ge=200.0,

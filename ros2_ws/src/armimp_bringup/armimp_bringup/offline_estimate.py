@@ -14,6 +14,8 @@ from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.storage import require_distinct
 from armimp_estimation.conclusion import (
+    CALIBRATION_KEYS,
+    MODEL_KEY,
     RATE_KEY,
     TIMING_KEY,
     UNCERTAINTY_KEY,
@@ -103,6 +105,8 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
         "torque_delay": declared.torque_delay,
         UNCERTAINTY_KEY: declared.torque_uncertainty,
         RATE_KEY: declared.rate,
+        MODEL_KEY: declared.model,
+        **{key: getattr(declared, key) for key in CALIBRATION_KEYS},
     }
     return {key: json.dumps(value) for key, value in told.items() if value is not None}
 

@@ -19,7 +19,14 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import MBKFit, fit_weights, lack_limit, lack_ratio
+from armimp_estimation.fit import (
+    Calibration,
+    FitConfig,
+    MBKFit,
+    fit_weights,
+    lack_limit,
+    lack_ratio,
+)
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -244,7 +251,11 @@ def require_model(name: str) -> str:
 
 
 def fit_models(
-    asked: str, estimate: ImpedanceEstimate, plain: MBKFit, weight_floor: float, smoothing: float
+    asked: str,
+    estimate: ImpedanceEstimate,
+    plain: MBKFit,
+    config: FitConfig,
+    calibration: Calibration,
 ) -> tuple[ModelFit, ...]:
     """Fit what is asked for: one model, or all where an unbiased estimate isn't M, B and K.
 
@@ -256,8 +267,10 @@ def fit_models(
         As the estimator returns it: a delay that it leaves open is fitted in each model anew.
     plain : MBKFit
         That fit.
-    weight_floor, smoothing : float
-        As of :class:`armimp_estimation.fit.FitConfig`.
+    config : FitConfig
+        Options of that fit.
+    calibration : Calibration
+        What is known of the transducers.
     """
     if asked == MBK_MODEL:
         return ()
@@ -266,7 +279,7 @@ def fit_models(
         fits = bool((plain.lack <= plain.lack_limit).all())
         names = () if fits or not estimate.unbiased or estimate.joints > _MOST_JOINTS else [*MODELS]
     return tuple(
-        _Problem(MODELS[name], estimate, plain, weight_floor, smoothing).fit() for name in names
+        _Problem(MODELS[name], estimate, plain, config, calibration).fit() for name in names
     )
 
 
@@ -283,33 +296,25 @@ class _Problem:
         model: ArmModel,
         estimate: ImpedanceEstimate,
         plain: MBKFit,
-        weight_floor: float,
-        smoothing: float,
+        config: FitConfig,
+        calibration: Calibration,
     ) -> None:
         n = estimate.joints
+        floor = estimate.weight_floor
+        floor = config.weight_floor if floor is None else floor
+        self.calibration = calibration
         self.model, self.estimate, self.plain = model, estimate, plain
         self.s: ComplexArray = np.asarray(2j * np.pi * estimate.f, dtype=np.complex128)
         self.doubt = 0.0 if _DELAY in model.parameters else estimate.delay_uncertainty or 0.0
         self.parameters = (*model.parameters, *([_LATENESS] if self.doubt else []))
         self.shapes = [(n,) * one.rank for one in self.parameters]
         self.ends = np.cumsum([math.prod(shape) for shape in self.shapes])
-        self.weights = np.stack(
-            [
-                [
-                    fit_weights(
-                        estimate.f,
-                        estimate.Z[i, j],
-                        estimate.variance[i, j],
-                        weight_floor,
-                        smoothing,
-                    )
-                    for j in range(n)
-                ]
-                for i in range(n)
-            ]
-        )
+        self.weights = np.zeros(estimate.Z.shape)
+        for at in np.ndindex(n, n):
+            Z, variance = estimate.Z[at], estimate.variance[at]
+            self.weights[at] = fit_weights(estimate.f, Z, variance, floor, config.smoothing)
         # Weights are relative, with the largest of each element 1: rows differ in their noise.
-        least = np.min(estimate.variance + (weight_floor * np.abs(estimate.Z)) ** 2, axis=2)
+        least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)
         self.weights /= least[:, :, None]
         # Bins that are neighbours share most of what they tell.
         self.used = np.arange(self.s.size) % max(1, estimate.bin_correlation.size // 4) == 0
@@ -460,7 +465,7 @@ class _Problem:
         inverse /= np.outer(scale, scale)
         b = (inverse @ weighted[free]).reshape(-1, n, n, bins)
         found = self._spread(b)
-        systematics = [*self.estimate.systematics]
+        systematics = [*self.estimate.systematics, *self.calibration.effects(self.estimate.Z)]
         if self.doubt:
             found += np.outer(inverse[-1], inverse[-1]) / self.doubt**2
             # What doesn't jump with the commands is late by what nobody told; see the M-B-K fit.

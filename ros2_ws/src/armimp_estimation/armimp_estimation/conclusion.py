@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,10 @@ from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.alignment.gaps import GapConfig, judge_gaps, segments_for
+from armimp_estimation.arm_models import AUTO
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.fit import Calibration
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode
@@ -42,6 +44,10 @@ TIMING_KEY = "torque_timing"
 """Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
 UNCERTAINTY_KEY = "torque_uncertainty"
 """Name there of the standard error of what is told of the instant of torque readings, s."""
+MODEL_KEY = "arm_model"
+"""Name there of the model of the arm that was asked for."""
+CALIBRATION_KEYS = {"gain_uncertainty": "gain", "cross_talk_uncertainty": "cross_talk"}
+"""Names there of what is declared of the transducers, by attribute of :class:`Calibration`."""
 RATE_KEY = "sampling_rate"
 """Name there of the sampling rate, Hz, where it is an uncustomary one."""
 READING_KEYS = {
@@ -155,7 +161,12 @@ def conclude(
         reading = reading_of(metadata) if config is None else config.lpm.reading
         if config is None:
             lpm = LpmConfig(reading=reading, timing_uncertainty=uncertainty_of(metadata))
-            config = IdentifyConfig(welch=segments_for(parts), lpm=lpm)
+            config = IdentifyConfig(
+                welch=segments_for(parts),
+                lpm=lpm,
+                model=_parsed(metadata, MODEL_KEY, AUTO),
+                calibration=calibration_of(metadata),
+            )
         data = [TrialData.from_stretches(stretches, config.welch, reading) for stretches in parts]
         identification = identify(data, estimators, truth, config)
         found += [problem for one in trials for problem in judge_gaps(one.assembled, options)]
@@ -311,6 +322,29 @@ def uncertainty_of(metadata: Mapping[str, str]) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
         raise DataError(f"metadata: {UNCERTAINTY_KEY} is not a time in s: {value!r}")
     return float(value)
+
+
+def calibration_of(metadata: Mapping[str, str]) -> Calibration:
+    """What the metadata of a bag declare of the transducers, else what is assumed of any.
+
+    Raises
+    ------
+    DataError
+        If something is there, but makes no sense.
+    """
+    told = {
+        name: _parsed(metadata, key, None)
+        for key, name in CALIBRATION_KEYS.items()
+        if key in metadata
+    }
+    if not told:
+        return Calibration.undeclared()
+    if any(isinstance(one, bool) or not isinstance(one, int | float) for one in told.values()):
+        raise DataError(f"metadata: uncertainty of the calibration is not a number: {told!r}")
+    try:
+        return replace(Calibration.undeclared(), assumed=len(told) < len(CALIBRATION_KEYS), **told)
+    except ConfigurationError as error:
+        raise DataError(f"metadata: {error}") from None
 
 
 def _rate_is_declared(finding: Problem, metadata: Mapping[str, str]) -> bool:

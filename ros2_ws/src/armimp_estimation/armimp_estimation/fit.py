@@ -57,6 +57,53 @@ class FitConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """How well the transducers of torque are known, all alike.
+
+    Parameters
+    ----------
+    gain : float
+        Standard error of the gain of each, relative.
+    cross_talk : float
+        Standard error of the share of each other joint's torque that each shows.
+    assumed : bool
+        Whether nobody declared that.
+
+    Raises
+    ------
+    ConfigurationError
+        If one is negative or above 1.
+    """
+
+    gain: float = 0.0
+    cross_talk: float = 0.0
+    assumed: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("gain", "cross_talk"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise ConfigurationError(
+                    f"uncertainty of {name} must be 0 to 1, got {getattr(self, name)!r}"
+                )
+
+    @classmethod
+    def undeclared(cls) -> "Calibration":
+        """What a transducer of a laboratory is assumed to have: 1 % of either."""
+        return cls(gain=0.01, cross_talk=0.01, assumed=True)
+
+    def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
+        """Standard errors ``g Z_ij`` and, for each other joint l, ``c Z_lj``; rows independent.
+
+        No shape of Z over frequency could tell them, so they have no part in weights or lack of
+        fit.
+        """
+        sizes = [self.gain] + [self.cross_talk] * (len(Z) - 1)
+        return tuple(
+            size * np.roll(Z, -apart, axis=0) for apart, size in enumerate(sizes) if size > 0.0
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class CommonDelay:
     """Delay of all torques against the angles, beyond what the estimator knew of.
 
@@ -158,7 +205,9 @@ def fit_mbk(estimate: ImpedanceEstimate, config: FitConfig | None = None) -> MBK
 
 
 def fit_impedance(
-    estimate: ImpedanceEstimate, config: FitConfig | None = None
+    estimate: ImpedanceEstimate,
+    config: FitConfig | None = None,
+    calibration: Calibration | None = None,
 ) -> tuple[ImpedanceEstimate, MBKFit]:
     """Fit ``Z_ij(jω) = K - M ω² + jω B`` to each element, and a delay that is common to all.
 
@@ -177,11 +226,13 @@ def fit_impedance(
         ``delay_uncertainty``.
     config : FitConfig
         Options.
+    calibration : Calibration, optional
+        What is known of the transducers; by default that they are exact.
 
     Returns
     -------
     estimate : ImpedanceEstimate
-        The same, or with the delay corrected.
+        The same, or with the delay corrected, and with the calibration in its variance.
     fit : MBKFit
 
     Raises
@@ -206,6 +257,9 @@ def fit_impedance(
         freedom=estimate.averages - 1.0,
         options=options,
     )
+    if calibration is not None:
+        effects = calibration.effects(estimate.Z)
+        problem = replace(problem, calibration=tuple(one.reshape(n * n, -1) for one in effects))
     delay = None
     if estimate.delay_uncertainty is not None:
         problem, delay = _with_delay(problem, estimate.delay_uncertainty, estimate.delay_unknown)
@@ -216,6 +270,11 @@ def fit_impedance(
             systematics=tuple(one.reshape(estimate.Z.shape) for one in problem.systematics),
             delay_uncertainty=None,
         )
+    if problem.calibration:
+        variance = estimate.variance + sum(
+            np.abs(one.reshape(estimate.Z.shape)) ** 2 for one in problem.calibration
+        )
+        estimate = replace(estimate, variance=np.asarray(variance))
     values, errors = problem.fit()
     M, B, K = (value.reshape(n, n) for value in values)
     mbk = MBK(M=M, B=B, K=K)
@@ -265,7 +324,7 @@ def _parameter_covariance(estimate: ImpedanceEstimate, problem: "_Elements") -> 
         both = 0.5 * ((a * coherency) @ wide_b.T + (wide_a * coherency) @ b.T)
         block = np.where(imaginary == 0, both.real, imaginary * both.imag)
         if i == m:
-            for one in problem.systematics:
+            for one in (*problem.systematics, *problem.calibration):
                 shift, other = _apply(coefficients[i, j], one[i * n + j]), one[m * n + l]
                 block = block + np.outer(shift, _apply(coefficients[m, l], other))
         if (i, j) == (m, l):
@@ -358,6 +417,7 @@ class _Elements:
     correlation: FloatArray
     freedom: float
     options: FitConfig
+    calibration: tuple[ComplexArray, ...] = ()
 
     @property
     def omega(self) -> FloatArray:
@@ -384,7 +444,7 @@ class _Elements:
         coefficients = self.coefficients(row)
         values = _apply(coefficients, self.Z[row])
         squares = _sandwich(coefficients, self.noise[row], self.correlation)
-        for systematic in self.systematics:
+        for systematic in (*self.systematics, *self.calibration):
             squares += _apply(coefficients, systematic[row]) ** 2
         return values, np.sqrt(squares + self.change_by_more_terms(row))
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
+from armimp_estimation.arm_models import ModelFit, fit_models
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import make_estimator
@@ -16,7 +17,7 @@ from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_stiffness
 from armimp_estimation.plausibility import judge_angles
-from armimp_estimation.problems import Concern, Problem, spoiled
+from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, spoiled
 from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_order, judge_balance
 from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.signal_quality import judge_signals, lost_motion
@@ -39,12 +40,15 @@ class EstimatorResult:
         Variance accounted for, %, if the truth is known.
     coherence : Coherences
         Over frequency.
+    models : tuple of ModelFit
+        Models of the arm that were fitted beside M, B and K.
     """
 
     estimate: ImpedanceEstimate
     fit: MBKFit
     vaf: FloatArray | None
     coherence: scores.Coherences
+    models: tuple[ModelFit, ...] = ()
 
     @property
     def coherence_derived(self) -> FloatArray:
@@ -191,15 +195,19 @@ def identify(
     results: dict[str, EstimatorResult] = {}
     of_estimates: list[Problem] = []
     for worker in workers:
-        estimate, fit = fit_impedance(worker.estimate(ordered), options.fit)
+        found = worker.estimate(ordered)
+        estimate, fit = fit_impedance(found, options.fit, options.calibration)
+        models = fit_models(options.model, found, fit, options.fit, options.calibration)
         results[worker.name] = EstimatorResult(
             estimate=estimate,
             fit=fit,
             vaf=None if truth is None else scores.vaf(estimate, truth),
             coherence=scores.Coherences.of(spectra, estimate),
+            models=models,
         )
         declared = options.lpm.reading.sentence
         of_estimates += verdict.judge_estimate(names, estimate, fit, declared)
+        of_estimates += verdict.judge_models(estimate.name, models)
     first = next(iter(results.values()))
     problems: list[Problem] = []
     for trial in ordered:
@@ -210,6 +218,12 @@ def identify(
     if verdict.SINGLE in distinct:
         problems += verdict.judge_locking(names, locks, bounds, options.limits)
     problems += of_estimates
+    if options.calibration.assumed:
+        assumed = {"gain": 100.0 * options.calibration.gain}
+        assumed["cross_talk"] = 100.0 * options.calibration.cross_talk
+        problems.append(
+            Problem(code=ProblemCode.CALIBRATION_ASSUMED, severity=Severity.NOTE, values=assumed)
+        )
     best = next((r for r in results.values() if r.estimate.unbiased), None)
     reading = options.lpm.reading
     records = [trial.record for trial in ordered]

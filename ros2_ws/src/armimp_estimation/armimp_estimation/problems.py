@@ -38,6 +38,9 @@ class ProblemCode(str, Enum):
     DELAY_CORRECTED = "delay_corrected"
     TIMING_REFUTED = "timing_refuted"
     LACK_OF_FIT = "lack_of_fit"
+    MODEL_OFFERED = "model_offered"
+    NO_MODEL = "no_model"
+    CALIBRATION_ASSUMED = "calibration_assumed"
     IMPLAUSIBLE_INERTIA = "implausible_inertia"
     IMPLAUSIBLE_VALUE = "implausible_value"
     IMPLAUSIBLE_ANGLE = "implausible_angle"
@@ -86,6 +89,16 @@ SENTENCES: Final[Mapping[ProblemCode, str]] = {
     ProblemCode.LACK_OF_FIT: (
         "{estimator}: element {element} is not of the form M s² + B s + K: its lack of fit is "
         "{lack:.3g} times what noise explains (limit {limit:.3g})"
+    ),
+    ProblemCode.MODEL_OFFERED: (
+        "{estimator}: the data support the model {model}, Z = {equation}, with a lack of fit of "
+        "{lack:.3g}: {text}; its M, B and K stand beside the others"
+    ),
+    ProblemCode.NO_MODEL: ("{estimator}: noise doesn't explain what these models leave: {models}"),
+    ProblemCode.CALIBRATION_ASSUMED: (
+        "nobody declared how well the torque transducers are calibrated: standard errors assume "
+        "{gain:.3g} % of gain and {cross_talk:.3g} % of cross-talk (--gain-uncertainty, "
+        "--cross-talk-uncertainty)"
     ),
     ProblemCode.IMPLAUSIBLE_INERTIA: (
         "{estimator}: {matrix} is not that of a passive arm: its symmetric part has the eigenvalue "

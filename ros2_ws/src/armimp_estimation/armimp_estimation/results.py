@@ -14,6 +14,7 @@ from pydantic import Field, JsonValue, ValidationError, model_validator
 
 from armimp_common.errors import DataError
 from armimp_estimation.alignment.stream_statistics import StreamStatistics
+from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.atomic_write import open_regular, read_bytes, write_whole
 from armimp_estimation.curve_checks import UNREADABLE, check_curve
 from armimp_estimation.identify import EstimatorResult, Identification
@@ -97,6 +98,50 @@ class DelaySummary(JsonModel):
     refuted: bool
 
 
+class ModelParameterSummary(JsonModel):
+    """One parameter: numbers row by row, as many as a matrix, the joints, or one; SI units."""
+
+    values: Vector
+    errors: Vector
+    """Standard errors; null for what was not fitted."""
+    unit: str
+
+
+class ModelSummary(JsonModel):
+    """A model of the arm beside M, B and K, see `armimp_estimation.arm_models`."""
+
+    equation: str
+    parameters: dict[str, ModelParameterSummary]
+    lack_of_fit: Matrix
+    held_out: Number
+    """Mean lack of fit of bins that had no part in the fit."""
+    criterion: Number
+    """Bayesian information criterion."""
+    fits: bool
+
+    @classmethod
+    def of(cls, fit: ModelFit) -> "ModelSummary":
+        """Summary of a fitted model."""
+        parameters = {
+            one.name: {
+                "values": fit.values[one.name].ravel().tolist(),
+                "errors": fit.errors[one.name].ravel().tolist(),
+                "unit": one.unit,
+            }
+            for one in fit.model.parameters
+        }
+        return cls.model_validate(
+            {
+                "equation": fit.model.equation,
+                "parameters": parameters,
+                "lack_of_fit": fit.lack.tolist(),
+                "held_out": fit.held_out,
+                "criterion": fit.criterion,
+                "fits": fit.fits,
+            }
+        )
+
+
 class TrialSummary(JsonModel):
     """One trial: ``k`` is the perturbed joint, 1-based; ``lost`` the samples that are missing."""
 
@@ -176,6 +221,10 @@ class EstimatorSummary(JsonModel):
     """Whether its own numbers can be trusted."""
     delay: DelaySummary | None = None
     """Delay that was corrected, if one was left open."""
+    models: dict[str, ModelSummary] = Field(default_factory=dict)
+    """Models of the arm that were fitted beside M, B and K."""
+    model: str | None = None
+    """Of these the one that the data support."""
 
     @classmethod
     def of(cls, result: EstimatorResult, verdict: VerdictSummary) -> "EstimatorSummary":
@@ -184,6 +233,7 @@ class EstimatorSummary(JsonModel):
         values = {name: getattr(fit.mbk, name) for name in ("M", "B", "K")}
         errors = {name: getattr(fit, f"{name}_se") for name in values}
         ends = np.array((-NORMAL_95, NORMAL_95))
+        best = supported(result.models)
         return cls.model_validate(
             {
                 **{name: found.tolist() for name, found in values.items()},
@@ -199,6 +249,8 @@ class EstimatorSummary(JsonModel):
                 "lack_limit": fit.lack_limit,
                 "verdict": verdict,
                 "delay": None if fit.delay is None else DelaySummary(**vars(fit.delay)),
+                "models": {one.model.name: ModelSummary.of(one) for one in result.models},
+                "model": None if best is None else best.model.name,
                 "vaf": None if result.vaf is None else result.vaf.tolist(),
                 "r2": fit.r2.tolist(),
                 "coherence_derived": result.coherence_derived.tolist(),

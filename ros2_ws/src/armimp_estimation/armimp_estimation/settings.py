@@ -2,8 +2,9 @@
 
 from dataclasses import dataclass, field
 
+from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.lpm import LpmConfig
-from armimp_estimation.fit import FitConfig
+from armimp_estimation.fit import Calibration, FitConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.verdict import Limits
 
@@ -22,9 +23,24 @@ class IdentifyConfig:
         Fit of M, B and K.
     limits : Limits
         What a valid result has to meet.
+    model : str
+        Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
+        default those that it takes where M, B and K don't fit.
+    calibration : Calibration
+        What is known of the torque transducers.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such model.
     """
 
     welch: WelchConfig = field(default_factory=WelchConfig)
     lpm: LpmConfig = field(default_factory=LpmConfig)
     fit: FitConfig = field(default_factory=FitConfig)
     limits: Limits = field(default_factory=Limits)
+    model: str = AUTO
+    calibration: Calibration = field(default_factory=Calibration)
+
+    def __post_init__(self) -> None:
+        require_model(self.model)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.plausibility import judge_matrices
@@ -175,3 +176,33 @@ def judge_estimate(
             Problem(code=code, severity=Severity.NOTE, estimator=estimate.name, values=values)
         )
     return problems
+
+
+def judge_models(estimator: str, models: Sequence[ModelFit]) -> list[Problem]:
+    """Say which model the data support in the place of M, B and K, or that none of them does.
+
+    Parameters
+    ----------
+    estimator : str
+        Name of the estimator.
+    models : sequence of ModelFit
+        Those that were fitted.
+    """
+    if not models:
+        return []
+    best = supported(models)
+    if best is None:
+        code = ProblemCode.NO_MODEL
+        values: dict[str, float | int | str] = {
+            "models": ", ".join(one.model.name for one in models)
+        }
+    else:
+        code = ProblemCode.MODEL_OFFERED
+        values = {
+            "model": best.model.name,
+            "equation": best.model.equation,
+            "lack": float(np.max(best.lack)),
+            "text": best.text,
+        }
+    note = Problem(code=code, severity=Severity.NOTE, estimator=estimator, values=values)
+    return [note]
