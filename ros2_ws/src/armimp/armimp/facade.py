@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,7 +34,8 @@ class Recording:
     truth : MBK or None
         The arm that was simulated, if it was.
     calibration : Calibration
-        What is known of the torque transducers.
+        What is known of the torque transducers; by default what is assumed of any, 1 % of gain and
+        of cross-talk.
     """
 
     trials: tuple[TrialRecord, ...]
@@ -54,8 +55,6 @@ class Recording:
         joint_names: Sequence[str] | None = None,
         timing: str = "unknown",
         torque_delay: float = 0.0,
-        gain_uncertainty: float | None = None,
-        cross_talk_uncertainty: float | None = None,
     ) -> Recording:
         """Make a recording of one array of shape (n, N) for each trial and signal.
 
@@ -79,9 +78,6 @@ class Recording:
             ``simultaneous``; ``unknown`` leaves it to the records, with the errors that this has.
         torque_delay : float
             How late torques are read beside that, s.
-        gain_uncertainty, cross_talk_uncertainty : float, optional
-            Standard errors of the gain of each transducer and of the share of another joint's
-            torque that it shows; 1 % is assumed of what isn't given.
 
         Raises
         ------
@@ -122,10 +118,7 @@ class Recording:
             for number, trial in enumerate(trials, start=1)
         ]
         reading = TorqueReading(timing=TorqueTiming(timing), delay=torque_delay)
-        told = {"gain": gain_uncertainty, "cross_talk": cross_talk_uncertainty}
-        known_of = {name: value for name, value in told.items() if value is not None}
-        calibration = replace(Calibration.undeclared(), assumed=len(known_of) < 2, **known_of)
-        return cls(trials=tuple(records), reading=reading, calibration=calibration)
+        return cls(trials=tuple(records), reading=reading)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -79,7 +79,7 @@ def test_summary_has_the_keys_of_schema_1(summary: Summary, tmp_path: Path) -> N
     assert len(first["lock_ratio"]) == len(first["bias_bound"]) == 2
     wanted = {"M", "B", "K", "M_se", "B_se", "K_se", "M_ci", "B_ci", "K_ci", "covariance"}
     wanted |= {"vaf", "r2"}
-    wanted |= {"lack_of_fit", "lack_limit", "verdict", "delay"}
+    wanted |= {"lack_of_fit", "lack_limit", "verdict", "delay", "models", "model"}
     wanted |= {"coherence_derived", "coherence_torque", "coherence_motion"}
     assert set(content["estimators"]) == {"welch_siso", "welch_full"}
     assert set(content["estimators"]["welch_siso"]) == wanted

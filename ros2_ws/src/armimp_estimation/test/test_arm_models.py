@@ -1,0 +1,136 @@
+"""Models beyond M, B and K recover what was planted, and are offered where data support them."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_estimation.arm_models import (
+    AUTO,
+    MODELS,
+    ModelFit,
+    fit_models,
+    require_model,
+    supported,
+)
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.fit import Calibration, FitConfig, fit_impedance
+from support.synthetic_trials import TWO_JOINT_ARM
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+F = np.linspace(0.15, 15.0, 150)
+S: ComplexArray = np.asarray(2j * np.pi * F, dtype=np.complex128)
+INTRINSIC = {name: getattr(TWO_JOINT_ARM, name) for name in "MBK"}
+PLANTED: Mapping[str, Mapping[str, FloatArray]] = {
+    "mbk_delay": {"delay": np.array(0.012)},
+    "reflex": {
+        "velocity_gain": np.diag([0.3, 0.2]),
+        "stretch_gain": np.zeros((2, 2)),
+        "delay": np.array(0.04),
+        "muscle": np.array(50.0),
+        "damping_ratio": np.array(1.0),
+    },
+    "cuff": {
+        "cuff_stiffness": np.array([5e3, 3e3]),
+        "cuff_damping": np.array([10.0, 6.0]),
+    },
+}
+RESULTS = ("velocity_gain", "delay", "cuff_stiffness", "M", "B", "K")
+
+
+def measured(name: str, seed: int, noise: float = 0.01) -> ImpedanceEstimate:
+    """Impedance of a planted arm with independent errors in proportion to it."""
+    Z = MODELS[name].impedance({**INTRINSIC, **PLANTED[name]}, S)
+    variance = (noise * np.abs(Z)) ** 2
+    rng = np.random.default_rng(seed)
+    errors = rng.standard_normal((2, *Z.shape)) * np.sqrt(variance / 2.0)
+    return ImpedanceEstimate(
+        name="made",
+        f=F,
+        Z=Z + errors[0] + 1j * errors[1],
+        variance=variance,
+        bin_correlation=np.ones(1),
+        averages=1000.0,
+        T=Z,
+        R=Z,
+        weight_floor=0.0,
+        unbiased=True,
+    )
+
+
+def fits_of(
+    estimate: ImpedanceEstimate, asked: str = AUTO, calibration: Calibration | None = None
+) -> tuple[ModelFit, ...]:
+    known = calibration or Calibration()
+    _, plain = fit_impedance(estimate, FitConfig(), known)
+    return fit_models(asked, estimate, plain, FitConfig(), known)
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_the_planted_model_is_the_one_that_the_data_support_and_its_values_come_back(
+    name: str,
+) -> None:
+    best = supported(fits_of(measured(name, seed=1)))
+
+    assert best is not None
+    assert best.model.name == name
+    truth = {**INTRINSIC, **PLANTED[name]}
+    assert np.abs(best.values["M"] / truth["M"] - 1.0).max() < 0.03
+    assert np.abs(best.values["K"] / truth["K"] - 1.0).max() < 0.03
+    if name == "reflex":
+        assert abs(float(best.values["delay"]) - 0.04) < 3e-3
+        gains = np.diag(best.values["velocity_gain"])
+        assert gains == pytest.approx([0.3, 0.2], rel=0.1)
+    if name == "cuff":
+        assert best.values["cuff_stiffness"] == pytest.approx([5e3, 3e3], rel=0.1)
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_intervals_of_a_model_hold_what_was_planted(name: str) -> None:
+    scores: list[float] = []
+    truth = {**INTRINSIC, **PLANTED[name]}
+    for seed in range(12):
+        (fit,) = fits_of(measured(name, seed), asked=name)
+        for one in set(RESULTS) & set(truth):
+            free = fit.errors[one] > 0.0
+            scores += list(((fit.values[one] - truth[one]) / fit.errors[one])[free])
+    assert 0.8 < np.std(scores) < 1.2
+    assert np.mean(np.abs(scores) < 1.96) > 0.9
+
+
+def test_where_m_b_and_k_fit_no_other_model_is_tried() -> None:
+    estimate = measured("mbk_delay", seed=1)
+    noise = estimate.Z - estimate.T
+    assert fits_of(replace(estimate, Z=TWO_JOINT_ARM.impedance(F) + noise)) == ()
+
+
+def test_an_arm_that_no_model_describes_gets_none_offered() -> None:
+    estimate = measured("cuff", seed=1)
+    bent = estimate.Z * (1.0 + 0.2 * np.sin(F) ** 2)
+    assert supported(fits_of(replace(estimate, Z=bent))) is None
+
+
+def test_uncertain_gains_and_cross_talk_widen_intervals_but_hide_no_lack_of_fit() -> None:
+    estimate = measured("mbk_delay", seed=1, noise=1e-3)
+    _, exact = fit_impedance(estimate, FitConfig())
+    known = Calibration(gain=0.02, cross_talk=0.01)
+    _, loose = fit_impedance(estimate, FitConfig(), known)
+
+    K = exact.mbk.K
+    expected = np.sqrt(exact.K_se**2 + (0.02 * K) ** 2 + (0.01 * K[::-1]) ** 2)
+    assert loose.K_se == pytest.approx(expected, rel=0.01)
+    assert np.sqrt(np.diag(loose.covariance))[8:] == pytest.approx(loose.K_se.ravel(), rel=1e-6)
+    assert np.array_equal(loose.lack, exact.lack)
+    assert np.array_equal(loose.mbk.K, exact.mbk.K)
+    (fit,) = fits_of(estimate, "mbk_delay", known)
+    assert fit.errors["K"] == pytest.approx(np.hypot(0.02 * K, 0.01 * K[::-1]), rel=0.05)
+
+
+def test_a_model_that_does_not_exist_is_refused_by_name() -> None:
+    with pytest.raises(ConfigurationError, match=r"'spring'.*reflex"):
+        require_model("spring")
