@@ -32,6 +32,8 @@ METADATA: Mapping[str, str] = {
         }
     ),
     "seed": "5",
+    "gain_uncertainty": "0",
+    "cross_talk_uncertainty": "0",
     "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
 }
 

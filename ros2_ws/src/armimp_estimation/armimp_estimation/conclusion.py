@@ -15,7 +15,7 @@ from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
 from armimp_estimation.alignment.assemble import AssembledTrial
 from armimp_estimation.alignment.gaps import GapConfig, judge_gaps, segments_for
-from armimp_estimation.arm_models import AUTO
+from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.fit import Calibration
@@ -164,7 +164,7 @@ def conclude(
             config = IdentifyConfig(
                 welch=segments_for(parts),
                 lpm=lpm,
-                model=_parsed(metadata, MODEL_KEY, AUTO),
+                model=model_of(metadata),
                 calibration=calibration_of(metadata),
             )
         data = [TrialData.from_stretches(stretches, config.welch, reading) for stretches in parts]
@@ -322,6 +322,20 @@ def uncertainty_of(metadata: Mapping[str, str]) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
         raise DataError(f"metadata: {UNCERTAINTY_KEY} is not a time in s: {value!r}")
     return float(value)
+
+
+def model_of(metadata: Mapping[str, str]) -> str:
+    """Model of the arm that the metadata of a bag ask for; ``auto`` if they don't.
+
+    Raises
+    ------
+    DataError
+        If there is none of that name.
+    """
+    try:
+        return require_model(_parsed(metadata, MODEL_KEY, AUTO))
+    except ConfigurationError as error:
+        raise DataError(f"metadata: {error}") from None
 
 
 def calibration_of(metadata: Mapping[str, str]) -> Calibration:
