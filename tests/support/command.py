@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from armimp_bringup.cli import main
 
 
+_NOTES = ("note: ", "armimp: note: ", "trial ")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Told:
     """What a command left on the screen.
@@ -29,7 +32,7 @@ class Told:
     def complaints(self) -> list[str]:
         """Lines of standard error, without progress and notes, which are no complaints."""
         lines = self.err.split("\n")[:-1]
-        return [line for line in lines if not line.startswith(("note: ", "trial "))]
+        return [line for line in lines if not line.startswith(_NOTES)]
 
 
 def call(*arguments: str) -> Told:
