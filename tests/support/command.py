@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 from armimp_bringup.cli import main
 
-
 _NOTES = ("note: ", "armimp: note: ", "trial ")
 
 
