@@ -49,7 +49,7 @@ def environment() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
     def run_short(**options: Any) -> FinishedRun:
-        config = ExperimentConfig.model_validate({"duration": 10.0, **options})
+        config = ExperimentConfig.model_validate({"duration": 3.0, **options})
         directory = tmp_path_factory.mktemp("run") / "out"
         return FinishedRun(directory=directory, summary=run_experiment(config, directory))
 
@@ -63,7 +63,7 @@ def shared_run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> R
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
     def run_once(**options: Any) -> FinishedRun:
-        config = ExperimentConfig.model_validate({"duration": 10.0, **options})
+        config = ExperimentConfig.model_validate({"duration": 3.0, **options})
         directory = base / "-".join(["shared", *(f"{k}={v}" for k, v in options.items())])
         with (base / f"{directory.name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)

@@ -22,11 +22,11 @@ from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.results import read_frf
 from support.runs import FinishedRun, Run
 
-TICKS = 10_000
+TICKS = 3_000
 
 
 def offline(**options: Any) -> list[OfflineTrial]:
-    config = ExperimentConfig.model_validate({"duration": 10.0, **options})
+    config = ExperimentConfig.model_validate({"duration": TICKS / 1000, **options})
     return run_offline([node_parameters(config, None).rig()])[0]
 
 

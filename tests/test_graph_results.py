@@ -24,7 +24,7 @@ from armimp_estimation.messages import CONCLUSION_NAME
 from support.graph import PATIENCE
 from support.runs import FinishedRun
 
-SHORT = ExperimentConfig(duration=10.0)
+SHORT = ExperimentConfig(duration=3.0)
 
 
 def free_domain() -> int:
@@ -150,7 +150,7 @@ def test_progress_grows_in_every_trial(account: Account) -> None:
     order = [(progress.trial, progress.samples) for progress in account.progress]
     assert order == sorted(order)
     assert {progress.trials for progress in account.progress} == {2}
-    assert {progress.planned for progress in account.progress} == {10_000}
+    assert {progress.planned for progress in account.progress} == {3_000}
     assert all(progress.joint == progress.trial for progress in account.progress)
     assert {progress.phase for progress in account.progress} <= {
         phase.value for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
