@@ -17,8 +17,8 @@ from armimp_common.heartbeat import Heartbeat
 from armimp_common.status import LIMITER_STATUS, Level, Phase, TimingFigures, values_of
 from armimp_estimation.messages import CONCLUSION_NAME
 
-_MANY, _MOST = 1000, 2**53
-"""Trials, and numbers of anything else, beyond which nobody is believed."""
+_MOST = 2**53
+"""Numbers beyond which nobody is believed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +69,11 @@ class Progress:
             raise MalformedMessageError(f"{error} is missing") from None
         except ValueError as error:
             raise MalformedMessageError(f"{error}"[:200]) from None
-        counts = (progress.trial, progress.joint, progress.samples, progress.planned)
+        counts = (progress.trial, progress.trials, progress.joint)
+        counts += (progress.samples, progress.planned)
         if not (
             # A number may be above the count: trials of a session may be left out of its replay.
             min(progress.trial, progress.trials) >= 1
-            and max(progress.trial, progress.trials) <= _MANY
             and 0 <= min(counts) <= max(counts) < _MOST
             and 0.0 <= progress.rate < _MOST
         ):

@@ -95,7 +95,7 @@ PROGRESS = {
         {"samples": "-1"},
         {"trial": "9" * 5000},
         {"trial": "0"},
-        {"trial": "1001"},
+        {"trial": "-1"},
         {"rate": "nan"},
         {"phase": "lunch"},
         {"K_se": "1.0"},

@@ -456,7 +456,9 @@ class _Elements:
         squares = np.zeros(3)
         for term in (-1j * relative**3, relative**4 + 0j):
             left = term - _of_mbk(_apply(coefficients, term), self.omega)
-            functional = weights * left / np.sum(weights * np.abs(left) ** 2)
+            if not 0.0 < (total := float(np.sum(weights * np.abs(left) ** 2))) < math.inf:
+                continue  # nothing was measured: the values are no numbers either
+            functional = weights * left / total
             value = _functional(functional, self.Z[row])
             error = self.functional_error(row, functional)
             if abs(value) > _NOTICED * error:

@@ -217,4 +217,5 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         for j in range(n):
             total += model[i, j] * command[j]
         memory[COMMAND, i] = total
-    command[:] = memory[COMMAND]
+    for i in range(n):
+        command[i] = memory[COMMAND, i]

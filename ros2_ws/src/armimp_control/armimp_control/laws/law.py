@@ -27,6 +27,7 @@ from armimp_control.safety_limiter import (
     SafetyParameters,
     check_sample,
     continue_ramp,
+    copy_values,
     fault_of,
     limit_command,
     stop_commands,
@@ -80,7 +81,7 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     if journal[STOPPED] != 0.0:
         memory[:] = 0.0
     else:
-        memory[COMMAND] = command
+        copy_values(command, memory[COMMAND])
     return clipped
 
 
