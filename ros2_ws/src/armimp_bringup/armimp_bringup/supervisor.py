@@ -69,8 +69,8 @@ class Progress:
             raise MalformedMessageError(f"{error} is missing") from None
         except ValueError as error:
             raise MalformedMessageError(f"{error}"[:200]) from None
-        counts = (progress.trial, progress.trials, progress.joint)
-        counts += (progress.samples, progress.planned)
+        named = (progress.trial, progress.trials, progress.joint)
+        counts = (*named, progress.samples, progress.planned)
         if not (
             # A number may be above the count: trials of a session may be left out of its replay.
             min(progress.trial, progress.trials) >= 1
