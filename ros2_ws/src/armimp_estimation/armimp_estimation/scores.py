@@ -110,17 +110,22 @@ def coherence_significance(averages: float, alpha: float = 0.05) -> float:
 
 
 def require_motion(record: TrialRecord) -> None:
-    """Refuse a trial whose perturbed joint rests.
+    """Refuse a trial whose perturbed joint rests, or whose transducer there is dead.
 
     Raises
     ------
     DataError
-        If the perturbed joint did not move at all.
+        If angle or torque of the perturbed joint did not change at all.
     """
     k = record.perturbed_joint
     if np.ptp(record.position[k]) == 0.0:
         raise DataError(
             f"trial {record.trial}: {record.joint_names[k]} is perturbed but does not move"
+        )
+    if np.ptp(record.torque[k]) == 0.0:
+        raise DataError(
+            f"trial {record.trial}: torque of {record.joint_names[k]} reads "
+            f"{record.torque[k, 0]:.4g} N·m throughout"
         )
 
 

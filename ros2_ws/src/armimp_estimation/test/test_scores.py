@@ -146,6 +146,13 @@ def test_when_the_perturbed_joint_stands_still_expect_data_error() -> None:
         scores.require_motion(record)
 
 
+def test_when_a_transducer_never_changes_expect_data_error() -> None:
+    record = moving_record()
+    record.torque[record.perturbed_joint] = 0.3
+    with pytest.raises(DataError, match=r"torque of \w reads 0.3 N·m throughout"):
+        scores.require_motion(record)
+
+
 def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
     R = np.array([[2.0, 0.1], [0.3, 5.0]])
     T = np.array([[8.0, 4.0], [6.0, 10.0]])
