@@ -71,7 +71,7 @@ def test_verdict_is_read_first(page: Browser) -> None:
 
 
 def test_switches_hide_and_show_lines_in_all_plots(page: Browser) -> None:
-    single, full = "Welch, single input", "Welch, full matrix"
+    single, full = "welch_siso", "welch_full"
     # Magnitude, phase and distance of each estimator, with a band around each or about zero.
     assert shown(page, "bode-1-2") == {single: 3, full: 3, "truth": 2, "": 6}
     drawn = paths(page, "bode-1-2")

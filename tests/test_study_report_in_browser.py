@@ -31,7 +31,7 @@ def page(browser: Browser, study: Path) -> Browser:
 
 def _name(friction: int, resolution: int, perturbation: int) -> str:
     levels = f"friction {friction}, resolution {resolution}, perturbation {perturbation}"
-    return f"Welch, single input, {levels}"
+    return f"welch_siso, {levels}"
 
 
 def _visible(browser: Browser) -> Any:

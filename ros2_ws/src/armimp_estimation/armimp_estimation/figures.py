@@ -107,7 +107,7 @@ def impedance_figure(
     """
     n, names = summary.joints, looks(curves)
     truth = None if summary.truth is None else summary.truth.mbk()
-    keys: list[Any] = [line_key(look.label, look.colour, look.dash) for look in names.values()]
+    keys: list[Any] = [line_key(look.name, look.colour, look.dash) for look in names.values()]
     keys.append(Patch(color="#c9cdd2", label="95 % confidence"))
     if truth is not None:
         keys.append(line_key("truth (simulation)", TRUTH_COLOUR, "dot"))
@@ -165,7 +165,7 @@ def coherence_figure(curves: Mapping[str, ImpedanceCurve], *, width: float = TWO
     keys = [
         line_key("perturbation to angle", MOTION_COLOUR),
         line_key("perturbation to torque", TORQUE_COLOUR),
-        *(line_key(f"derived, {one.label}", one.colour, one.dash) for one in names.values()),
+        *(line_key(f"derived, {one.name}", one.colour, one.dash) for one in names.values()),
     ]
     lowest = min(np.nanmin(one.coherence.derived) for one in curves.values())
     lowest = min(lowest, np.nanmin(common.motion), np.nanmin(common.torque))

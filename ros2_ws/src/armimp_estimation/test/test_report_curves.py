@@ -188,4 +188,3 @@ def test_estimators_differ_in_colour_and_dashes_even_if_they_are_unknown() -> No
     every = looks(["welch_siso", "welch_full", "lpm_full", "direct", "mimo", "new"]).values()
     assert {look.colour for look in every} == set(COLOURS)
     assert len({look.dash for look in every}) == len(COLOURS)
-    assert looks(["new"])["new"].label == "new"

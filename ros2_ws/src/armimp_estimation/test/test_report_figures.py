@@ -49,8 +49,8 @@ def test_legend_names_estimators_bands_and_truth(result: Result) -> None:
     figure = impedance_figure(result.summary, result.curves)
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [
-        "Welch, single input",
-        "Welch, full matrix",
+        "welch_siso",
+        "welch_full",
         "95 % confidence",
         "truth (simulation)",
     ]

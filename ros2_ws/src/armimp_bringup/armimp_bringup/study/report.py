@@ -26,7 +26,7 @@ from armimp_bringup.study.verdict import (
 )
 from armimp_estimation.report.formats import NONE, code, mark, symbol, written
 from armimp_estimation.report.frequency_plots import TRUTH, estimator_tag, plot_matrix
-from armimp_estimation.report.look import LEVEL_DASHES, Look, looks
+from armimp_estimation.report.look import LEVEL_DASHES
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import Plot, View
 from armimp_estimation.report.result import setting
@@ -83,8 +83,8 @@ class StudyReport:
     origin: OriginSummary | None = None
 
     @property
-    def _estimators(self) -> dict[str, Look]:
-        return looks(self.entries[0].estimators)
+    def _estimators(self) -> list[str]:
+        return list(self.entries[0].estimators)
 
     @property
     def _seeds(self) -> list[int]:
@@ -92,7 +92,7 @@ class StudyReport:
 
     def _of(self, estimator: str) -> Results:
         """Numbers of one estimator, shape (n_conditions, n, n)."""
-        return self.table[:, list(self.entries[0].estimators).index(estimator)]
+        return self.table[:, self._estimators.index(estimator)]
 
     def page(self) -> str:
         """HTML document."""
@@ -178,17 +178,15 @@ class StudyReport:
         }
         seeds = len(self._seeds) > 1
         groups = [
-            (look.label, [_worst_row(one, seeds=seeds) for one in worst[name]])
-            for name, look in self._estimators.items()
+            (name, [_worst_row(one, seeds=seeds) for one in worst[name]])
+            for name in self._estimators
         ]
         columns = ["quantity", "worst", "target", "verdict", "element", "condition"]
         return {
             "title": title,
             "met": verdict.met,
             "joints": verdict.joints,
-            "sentences": [
-                (look, _sentence(worst[name])) for name, look in self._estimators.items()
-            ],
+            "sentences": [(name, _sentence(worst[name])) for name in self._estimators],
             "unresolved": f"{100.0 * verdict.unresolved:.1f}" if verdict.unresolved else None,
             "problems": advised(verdict.problems[:_MOST_PROBLEMS]),
             "more": len(verdict.problems) - _MOST_PROBLEMS,
@@ -201,7 +199,7 @@ class StudyReport:
     def _spread(self, worst: Mapping[str, Sequence[WorstValue]]) -> Table:
         """How the worst values differ between seeds."""
         groups = []
-        for name, look in self._estimators.items():
+        for name in self._estimators:
             rows, table = [], self._of(name)
             for one in worst[name]:
                 values, _ = _by_condition(table, one.of, judged=one.limit is not None)
@@ -216,7 +214,7 @@ class StudyReport:
                     met = f"{within} of {len(of_seeds)}"
                 shown = of_seeds[-1], np.median(of_seeds), of_seeds[0]
                 rows.append([_named(one.of), *map(one.of.format, shown), met])
-            groups.append((look.label, rows))
+            groups.append((name, rows))
         columns = ["worst value of a seed", "worst seed", "median seed", "best seed"]
         return Table(
             caption=f"Spread over {len(self._seeds)} seeds",
@@ -230,7 +228,7 @@ class StudyReport:
         """Maps of the worst score in each condition, and a table that can be sorted."""
         n = self.entries[0].joints
         plots = []
-        for name, look in self._estimators.items():
+        for name in self._estimators:
             views = []
             for quantity in QUANTITIES:
                 limit = targets(n, name).get(quantity.name)
@@ -239,7 +237,7 @@ class StudyReport:
             plots.append(
                 Plot(
                     identifier=f"map-{name.replace('_', '-')}",
-                    caption=look.label,
+                    caption=name,
                     description=f"Worst values of {name} in each condition.",
                     views=views,
                     height=self._height,
@@ -315,9 +313,9 @@ class StudyReport:
             rows.append(row)
         heads: list[object] = ["F", "R", "P", "valid", "motion of held joints %"]
         spans: list[tuple[object, int]] = [("Levels", 3), ("", 2)]
-        for look in self._estimators.values():
+        for name in self._estimators:
             heads += [f"{quantity.name}{quantity.unit}" for quantity in QUANTITIES]
-            spans.append((look.label, len(QUANTITIES)))
+            spans.append((name, len(QUANTITIES)))
         return Table(
             caption="Worst values of all elements",
             columns=heads,
@@ -363,7 +361,7 @@ class StudyReport:
     def _impedance(self) -> Content:
         """Magnitude, phase and error of every element in all conditions of the first seed."""
         first = self.entries[0]
-        n, names = first.joints, list(self._estimators)
+        n, names = first.joints, self._estimators
         conditions = [one.condition for one in self.entries if one.seed == first.seed]
         if n > MOST_JOINTS:
             for factor in ("friction", "resolution"):
@@ -393,7 +391,7 @@ class StudyReport:
     ) -> Iterator[tuple[str, str, list[tuple[str, str]]]]:
         """Name, legend and options of what there is to choose."""
         if len(self._estimators) > 1:
-            options = [(estimator_tag(one.name), one.label) for one in self._estimators.values()]
+            options = [(estimator_tag(one), one) for one in self._estimators]
             yield "overlay-estimator", "Estimator", options
         perturbations = sorted({one.perturbation for one in conditions})
         if len(perturbations) > 1:
@@ -405,10 +403,7 @@ class StudyReport:
             identifier=f"levels-{identifier}",
             caption=title,
             description=f"{title}: {', '.join(score.name for score in scores)}.",
-            views=[
-                levels_view(look.label, self._of(name), scores)
-                for name, look in self._estimators.items()
-            ],
+            views=[levels_view(name, self._of(name), scores) for name in self._estimators],
             height=90 + 190 * len(scores),
         )
         return {"title": title, "plot": plot, "rows": self.entries[0].joints > MOST_JOINTS}

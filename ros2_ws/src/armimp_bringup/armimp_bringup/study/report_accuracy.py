@@ -19,7 +19,6 @@ from armimp_bringup.study.table import Table as Results
 from armimp_bringup.study.verdict import QUANTITIES, Scale, targets
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import NONE, UNITS, number, symbol
-from armimp_estimation.report.look import looks
 from armimp_estimation.report.page import Content, Table
 from armimp_estimation.report.plots import Plot, View
 from armimp_estimation.results import NORMAL_95
@@ -77,15 +76,14 @@ def accuracy_content(entries: Sequence[StudyEntry], table: Results) -> Content:
     first = entries[0]
     assert first.truth is not None  # these are simulations
     truth = first.truth.mbk()
-    labels = looks(first.estimators)
     groups, plots = [], []
     for name, of_estimator in zip(first.estimators, np.moveaxis(table, 1, 0), strict=True):
         found = [element_errors(of_estimator, truth, letter) for letter in LETTERS]
-        groups.append((labels[name].label, [_row(one) for one in found]))
+        groups.append((name, [_row(one) for one in found]))
         plots.append(
             Plot(
                 identifier=f"elements-{name.replace('_', '-')}",
-                caption=labels[name].label,
+                caption=name,
                 description=f"Largest errors of each element by {name}.",
                 views=_maps(of_estimator, found),
                 height=130 + 34 * first.joints,

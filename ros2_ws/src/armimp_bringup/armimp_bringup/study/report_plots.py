@@ -17,7 +17,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.report.formats import NONE, number, symbol
 from armimp_estimation.report.frequency_plots import TRUTH, estimator_tag
-from armimp_estimation.report.look import ELEMENT_COLOURS, LEVEL_DASHES, looks
+from armimp_estimation.report.look import ELEMENT_COLOURS, LEVEL_DASHES
 from armimp_estimation.report.plots import (
     Layout,
     Plot,
@@ -371,7 +371,7 @@ def overlay_plot(
             z, centre = curve.Z[i, k], truth.impedance(curve.f)[i, k]
             words = ", ".join(f"{factor} {level}" for factor, level in levels.items())
             stroke = Stroke(
-                name=f"{looks([name])[name].label}, {words}",
+                name=f"{name}, {words}",
                 colour=f"--level-{condition.friction}",
                 dash=LEVEL_DASHES[condition.resolution],
                 width=1.2,

@@ -76,7 +76,7 @@ def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k
     data, every = [], []
     for name, look in looks(curves).items():
         tags = [estimator_tag(name)]
-        stroke = Stroke(name=look.label, colour=look.variable, dash=look.dash, tags=tags)
+        stroke = Stroke(name=name, colour=look.variable, dash=look.dash, tags=tags)
         one = element_curve(curves[name], i, k)
         for row, values, ends, unit in (
             (1, one.magnitude, one.magnitude_band, _IMPEDANCE),
@@ -150,7 +150,7 @@ def coherence_plot(
     for name, look in looks(curves).items():
         strokes.append(
             Stroke(
-                name=f"derived, {look.label}",
+                name=f"derived, {name}",
                 colour=look.variable,
                 dash=look.dash,
                 tags=[estimator_tag(name)],

@@ -47,14 +47,6 @@ MOTION_COLOUR, TORQUE_COLOUR = (light for light, _ in _PALETTES["signal"])
 """Of the coherences of the perturbation with angle and torque."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
 """As plotly names them; dotted is the truth's own, so it comes last."""
-_KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
-_LABELS = {
-    "welch_siso": "Welch, single input",
-    "welch_full": "Welch, full matrix",
-    "lpm_full": "Local polynomial",
-    "direct": "Direct",
-    "mimo": "All joints at once",
-}
 _REMARKS = {
     "welch_siso": (
         "the paper's estimator, one ratio of spectra for each element. Its viscosity is biased: "
@@ -74,48 +66,50 @@ _REMARKS = {
 }
 
 
+_KNOWN = tuple(_REMARKS)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Look:
-    """How an estimator appears.
+    """How an estimator appears, under the name that it has everywhere.
 
     Attributes
     ----------
     name : str
-        In files and on the command line.
-    label : str
-        For people.
+        Of the estimator.
     remark : str
         What to know about it; empty if nothing is known.
-    colour : str
-        Of its lines, ``#rrggbb``.
-    dash : str
-        Of its lines, as plotly names it.
+    number : int
+        Of its colour.
     """
 
     name: str
-    label: str
     remark: str
-    colour: str
-    dash: str
+    number: int
+
+    @property
+    def colour(self) -> str:
+        """Of its lines, ``#rrggbb``."""
+        return COLOURS[self.number]
 
     @property
     def variable(self) -> str:
         """Colour of its lines in a page."""
-        return f"--estimator-{COLOURS.index(self.colour)}"
+        return f"--estimator-{self.number}"
+
+    @property
+    def dash(self) -> str:
+        """Of its lines, as plotly names it."""
+        return DASHES[self.number]
 
 
 def looks(names: Iterable[str]) -> dict[str, Look]:
     """Looks of estimators by name. Known ones always look alike, others get what is left."""
     wanted = list(names)
-    others = [name for name in wanted if name not in _KNOWN]
-    order = [*_KNOWN, *others]
+    order = [*_KNOWN, *(name for name in wanted if name not in _KNOWN)]
     return {
         name: Look(
-            name=name,
-            label=_LABELS.get(name, name),
-            remark=_REMARKS.get(name, ""),
-            colour=COLOURS[order.index(name) % len(COLOURS)],
-            dash=DASHES[order.index(name) % len(DASHES)],
+            name=name, remark=_REMARKS.get(name, ""), number=order.index(name) % len(COLOURS)
         )
         for name in wanted
     }

@@ -139,7 +139,6 @@ def advised(problems: Iterable[str]) -> list[tuple[object, list[str]]]:
 
 def _limits_table(result: Result) -> Table:
     summary, names = result.summary, result.joint_names
-    label = {name: look.label for name, look in looks(summary.estimators).items()}
     first = next(iter(summary.estimators.values()))
     rows: list[list[object]] = []
 
@@ -170,7 +169,7 @@ def _limits_table(result: Result) -> Table:
             one = summary.estimators[name]
             for i, row in enumerate(getattr(one, field) or []):
                 for k, value in enumerate(row):
-                    yield value, Markup("{}, {}").format(symbol("Z", i + 1, k + 1), label[name])
+                    yield value, Markup("{}, {}").format(symbol("Z", i + 1, k + 1), name)
 
     if summary.joints > 1:
         locks = [
@@ -226,7 +225,7 @@ def _parameters(summary: Summary) -> Content | None:
     for look in found.values():
         columns += ["estimate ± s.e.", "95 % interval"]
         columns.append("relative s.e." if truth is None else "error")
-        spans.append((look.label, 3))
+        spans.append((look.name, 3))
     groups = [
         (
             Markup("{} {} ({})").format(NAMES[letter], symbol(letter), UNITS[letter]),
@@ -265,8 +264,7 @@ def _scores(summary: Summary) -> Content | None:
     columns: list[object] = ["element"]
     spans: list[tuple[object, int]] = [("", 1)]
     scores = []
-    for name, look in looks(summary.estimators).items():
-        one = summary.estimators[name]
+    for name, one in summary.estimators.items():
         found = [
             ("VAF %", one.vaf, ".2f"),
             ("R²", one.r2, ".4f"),
@@ -275,7 +273,7 @@ def _scores(summary: Summary) -> Content | None:
         ]
         known = [(title, values, spec) for title, values, spec in found if values is not None]
         scores += known
-        spans.append((look.label, len(known)))
+        spans.append((name, len(known)))
     # No matter of the estimator, so once is enough.
     scores.append((torque, next(iter(summary.estimators.values())).coherence_torque, ".4f"))
     spans.append(("Signals", 1))
@@ -296,7 +294,7 @@ def _scores(summary: Summary) -> Content | None:
 
 def _switches(names: Iterable[str]) -> list[Content]:
     return [
-        box(estimator_tag(look.name), look.label, look.variable, look.dash)
+        box(estimator_tag(look.name), look.name, look.variable, look.dash)
         for look in looks(names).values()
     ]
 
@@ -312,7 +310,7 @@ def _impedance(result: Result) -> Content | None:
     reference = reference_of(curves, truth)
     return {
         "switches": switches,
-        "reference": looks([reference])[reference].label if reference else "the truth",
+        "reference": reference or "the truth",
         "joints": n,
         "plots": plot_matrix(n, lambda i, k: bode_plot(curves, truth, i, k)),
     }
