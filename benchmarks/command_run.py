@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from armimp_common.errors import DataError, GraphError
-from armimp_estimation.conclusion import SUMMARY_FILE
-from armimp_estimation.results import Summary, read_summary
+from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary
 from benchmarks.peak_memory import PeakMemory
 
 COMMAND = "armimp_bringup.cli"
@@ -75,5 +74,5 @@ def run_command(directory: Path, *options: str, watch_memory: bool = False) -> C
         reason = lines[-1] if lines else f"status {process.returncode}"
         raise GraphError(f"armimp run {' '.join(options)} ended without result: {reason}") from None
     if summary.wall is None or not summary.estimators or any(one.lost for one in summary.trials):
-        raise GraphError(f"armimp run {' '.join(options)}: {'; '.join(summary.problems)}")
+        raise GraphError(f"armimp run {' '.join(options)}: {'; '.join(map(str, summary.faults))}")
     return CommandRun(took=took, summary=summary, peaks=memory.peaks)

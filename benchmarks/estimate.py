@@ -12,8 +12,8 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_common.topics import TRIAL as TRIAL_TOPIC
 from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.conclusion import FinishedTrial, conclude
 from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.result import conclude
 from support.recordings import recorded_arm
 
 TARGET = 0.5
@@ -38,9 +38,7 @@ def time_estimate(tell: Callable[[str], None]) -> list[Measured]:
         reading = _shortest(lambda: read_bag(bags[0]))
         whole = _shortest(lambda: estimate_bags(bags, names)) / len(bags)
         contents = [read_bag(bag) for bag in bags]
-    trials = [
-        FinishedTrial(assembled=content.trials[0], bag=str(content.path)) for content in contents
-    ]
+    trials = [content.trials[0] for content in contents]
 
     def estimate(estimators: Sequence[str]) -> float:
         joints = contents[0].joint_names

@@ -232,7 +232,7 @@ def graph_tick(processes: Processes) -> Experiment:
     lost = sum(trial.lost for trial in summary.trials)
     # Whether any are lost is measured here, and no reason to measure nothing.
     if not (summary.valid or lost):
-        raise GraphError(f"the experiment is not valid: {summary.problems[0]}")
+        raise GraphError(f"the experiment is not valid: {summary.faults[0]}")
     period = PERIOD_NS / NS_PER_S
     return Experiment(
         ticks=[period / trial.rtf for trial in summary.trials],

@@ -8,7 +8,7 @@ from pathlib import Path
 from statistics import median
 
 from armimp_bringup.bench import Measured
-from armimp_estimation.results import WallSummary
+from armimp_estimation.summary import WallSummary
 from benchmarks.command_run import CommandRun, run_command
 
 LIMITS: Mapping[str, float | None] = {"composed": 3.0, "separate": None}

@@ -22,8 +22,8 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_control.trial_sequencer import TrialSequencer
-from armimp_estimation.alignment.synchronizer import TOGETHER, HandedInbox
-from armimp_estimation.recording import Recording
+from armimp_estimation.alignment.synchronizer import TOGETHER, StreamSynchronizer
+from armimp_estimation.recorder import TrialRecorder
 from armimp_sim.simulator import SimulatedRig
 
 
@@ -54,9 +54,9 @@ class _Loop:
         self.rig = SimulatedRig(parameters.simulator)
         self.statuses: list[TrialStatus] = []
         self.experiment = TrialSequencer(parameters.controller, self.statuses.append)
-        self.inbox = HandedInbox()
+        self.inbox = StreamSynchronizer()
         self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
-        self.recording = Recording(
+        self.recording = TrialRecorder(
             names, directory, parameters.estimator.bag_metadata(), lambda *_: None
         )
         self.encoders = {

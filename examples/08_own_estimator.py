@@ -37,16 +37,19 @@ class WelchShifted:
 
 estimators: list[str | Estimator] = ["welch_siso", WelchShifted()]
 if bags := [Path(argument) for argument in sys.argv[1:]]:
-    conclusion, notes = estimate_bags(bags, estimators)
+    result, notes = estimate_bags(bags, estimators)
     print(*notes, sep="\n", end="\n" if notes else "")
-    assert conclusion.identification is not None, conclusion.summary.problems
-    result = conclusion.identification
+    assert result.curves, result.summary.problems
+    viscosities = {name: np.array(one.B) for name, one in result.summary.estimators.items()}
+    truth = None if result.summary.truth is None else result.summary.truth.mbk()
 else:
     (experiment,) = simulate([ExperimentConfig(duration=50.0)])
-    result = experiment.identify(estimators)
+    found = experiment.identify(estimators)
+    viscosities = {name: one.fit.mbk.B for name, one in found.estimators.items()}
+    truth = found.truth
 
-for name, one in result.estimators.items():
-    values = ", ".join(f"{value:.4f}" for value in one.fit.mbk.B.ravel())
+for name, viscosity in viscosities.items():
+    values = ", ".join(f"{value:.4f}" for value in viscosity.ravel())
     print(f"{name:13s} B = {values} N·m·s/rad")
-if result.truth is not None:
-    print("truth         B =", ", ".join(f"{b:.4f}" for b in result.truth.B.ravel()), "N·m·s/rad")
+if truth is not None:
+    print("truth         B =", ", ".join(f"{b:.4f}" for b in truth.B.ravel()), "N·m·s/rad")

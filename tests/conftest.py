@@ -26,8 +26,7 @@ from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
-from armimp_estimation.conclusion import SUMMARY_FILE
-from armimp_estimation.results import read_summary
+from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.browser import Browser
 from support.fault_figures import figures, pytest_terminal_summary
 from support.graph import context, domain_id, interruptible, node

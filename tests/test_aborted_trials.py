@@ -11,9 +11,10 @@ from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.storage import BAGS
-from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
-from armimp_estimation.recording import Recording
-from armimp_estimation.results import read_summary
+from armimp_estimation.curves import FRF_FILE
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.recorder import TrialRecorder
+from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.recordings import recorded_arm
 
 pytestmark = pytest.mark.usefixtures("environment")
@@ -27,7 +28,7 @@ def aborted_bags(directory: Path) -> list[str]:
     arm = recorded_arm()
     names = arm.records[0].joint_names
     end_ns = arm.records[1].start_ns + BEFORE * PERIOD_NS
-    recording = Recording(names, directory, {"joint_names": json.dumps(names)}, lambda *_: None)
+    recording = TrialRecorder(names, directory, {"joint_names": json.dumps(names)}, lambda *_: None)
     last: TrialStatus | None = None
     for topic, stamp, raw in arm.messages:
         if stamp >= end_ns:
@@ -69,5 +70,6 @@ def test_with_the_option_it_is_estimated_up_to_there_but_not_valid(
     assert (offline / FRF_FILE).read_bytes() == (replayed / FRF_FILE).read_bytes()
     one, other = read_summary(offline / SUMMARY_FILE), read_summary(replayed / SUMMARY_FILE)
     assert one.estimators == other.estimators
-    assert one.problems[0] == f"trial 2: aborted: {REASON}"
+    assert one.problems[0].code is ProblemCode.TRIAL_ABORTED
+    assert (one.problems[0].trial, one.problems[0].values) == (2, {"reason": REASON})
     assert BEFORE - 2 <= one.trials[1].ticks <= BEFORE

@@ -16,7 +16,8 @@ import pytest
 
 from armimp_bringup.study.store import read_entry, read_study
 from armimp_common.errors import DataError
-from armimp_estimation.results import read_frf, read_summary
+from armimp_estimation.curves import read_frf
+from armimp_estimation.summary import read_summary
 from support.command import Told, call
 
 STUDY = (

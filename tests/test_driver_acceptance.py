@@ -19,7 +19,7 @@ from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_estimation.bags import read_bag
-from armimp_estimation.conclusion import Conclusion
+from armimp_estimation.result import Result
 from armimp_sim.presets import human_arm
 
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
@@ -73,11 +73,10 @@ def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
             process.wait()
 
 
-def figures(conclusion: Conclusion) -> dict[str, float]:
+def figures(told: Result) -> dict[str, float]:
     """The worst of each figure of merit of `lpm_full` over all elements; the test knows the arm."""
-    assert conclusion.identification is not None
-    result = conclusion.identification.estimators["lpm_full"]
-    arm, estimate = human_arm(2), result.estimate
+    result, estimate = told.summary.estimators["lpm_full"], told.curves["lpm_full"]
+    arm = human_arm(2)
     s = 2j * np.pi * estimate.f
     true = sum(
         matrix[:, :, None] * s**power
@@ -86,12 +85,12 @@ def figures(conclusion: Conclusion) -> dict[str, float]:
     missed = np.sum(np.abs(true - estimate.Z) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
     found = {
         "VAF": float(np.min(100.0 * (1.0 - missed))),
-        "R2": float(np.min(result.fit.r2)),
+        "R2": float(np.min(np.array(result.r2))),
         "coherence": float(np.min(result.coherence_derived)),
     }
     pairs = {"M": arm.inertia, "B": arm.damping, "K": arm.stiffness}
     for name, matrix in pairs.items():
-        error = np.abs(getattr(result.fit.mbk, name) / matrix - 1.0)
+        error = np.abs(np.array(getattr(result, name)) / matrix - 1.0)
         found[name] = 100.0 * float(np.max(error))
     print({name: round(value, 4) for name, value in found.items()})
     return found

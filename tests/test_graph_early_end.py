@@ -15,7 +15,7 @@ from armimp_bringup.presentation import print_result
 from armimp_bringup.supervisor import Progress
 from armimp_common.status import Phase
 from armimp_estimation.bags import read_bag
-from armimp_estimation.results import Summary
+from armimp_estimation.summary import Summary
 from support.runs import FinishedRun, Run
 
 pytestmark = pytest.mark.slow

@@ -1,5 +1,6 @@
 """One experiment, whichever way it runs: the same samples and results to the last bit."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ from armimp_common.topics import (
     TORQUE_SENSORS,
 )
 from armimp_estimation.bags import read_bag
-from armimp_estimation.conclusion import FinishedTrial, conclude
-from armimp_estimation.results import read_frf
+from armimp_estimation.curves import read_frf
+from armimp_estimation.result import conclude
 from support.runs import FinishedRun, Run
 
 TICKS = 3_000
@@ -61,7 +62,7 @@ def test_graph_and_loop_without_ros_give_the_same_bits(composed: FinishedRun) ->
 def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None:
     contents = [read_bag(bag) for bag in composed.bags]
     trials = [
-        FinishedTrial(assembled=content.trials[0], bag=trial.bag, rtf=trial.rtf)
+        replace(content.trials[0], bag=trial.bag, rtf=trial.rtf)
         for content, trial in zip(contents, composed.summary.trials, strict=True)
     ]
 

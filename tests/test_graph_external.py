@@ -111,7 +111,7 @@ def test_when_a_node_of_others_is_killed_expect_it_named_and_the_others_left_alo
     summary = run_experiment(config(), tmp_path / "out", on_progress=kill)
 
     assert not summary.valid
-    assert summary.problems[0] == f"node {CONTROLLER_NODE} is dead"
+    assert summary.problems[0].sentence == f"node {CONTROLLER_NODE} is dead"
     assert started[SIM_NODE].poll() is None
     assert started[ESTIMATOR_NODE].poll() is None
 
@@ -135,7 +135,9 @@ def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
         )
     again = run_experiment(config(), tmp_path / "again")
 
-    assert again.problems[0].startswith(f"node {ESTIMATOR_NODE} is finalized, not unconfigured")
+    assert again.problems[0].sentence.startswith(
+        f"node {ESTIMATOR_NODE} is finalized, not unconfigured"
+    )
     assert not (tmp_path / "again" / "bags").exists()
 
 
@@ -152,8 +154,10 @@ def test_when_a_parameter_is_refused_expect_node_and_reason(
 
     summary = run_experiment(config(), tmp_path / "out")
 
-    assert summary.problems[0].startswith(f"node {CONTROLLER_NODE} refused its parameters: ")
-    assert "seed" in summary.problems[0]
+    assert summary.problems[0].sentence.startswith(
+        f"node {CONTROLLER_NODE} refused its parameters: "
+    )
+    assert "seed" in summary.problems[0].sentence
 
 
 def test_the_domain_of_external_nodes_is_the_given_one_or_that_of_the_environment(

@@ -16,7 +16,8 @@ from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase
 from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 from armimp_estimation.bags import read_bag
-from armimp_estimation.results import Summary, read_summary
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.summary import Summary, read_summary
 from support.runs import FinishedRun
 
 SHORT: dict[str, Any] = {"duration": 3.0}
@@ -30,7 +31,7 @@ def config(**options: Any) -> ExperimentConfig:
 def assert_ended_in_order(directory: Path, summary: Summary, problem: str) -> None:
     """Invalid with this problem first, stored, and all bags but empty ones readable."""
     assert not summary.valid
-    assert summary.problems[0] == problem
+    assert summary.problems[0].sentence == problem
     assert read_summary(directory / "summary.json") == summary
 
 
@@ -126,8 +127,8 @@ def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
     summary = run_experiment(config(), tmp_path / "out")
 
     assert not summary.valid
-    assert CONTROLLER_NODE in summary.problems[0]
-    assert "configure" in summary.problems[0]
+    assert summary.problems[0].code is ProblemCode.NODE_FAILED
+    assert CONTROLLER_NODE in summary.problems[0].sentence
     assert summary.trials == []
     assert not (tmp_path / "out" / "bags").exists()
 
@@ -139,7 +140,7 @@ def test_when_the_simulation_breaks_down_expect_the_reason(tmp_path: Path) -> No
     summary = run_experiment(config(arm_sim=stiff), tmp_path / "out")
 
     assert not summary.valid
-    assert any("h·σ0|v|/g(v)" in problem for problem in summary.problems)
+    assert any("h·σ0|v|/g(v)" in problem.sentence for problem in summary.problems)
     assert read_summary(tmp_path / "out" / "summary.json") == summary
 
 

@@ -20,7 +20,7 @@ from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_common.status import Level, Phase, values_of
 from armimp_common.topics import RESULT, TRIAL
-from armimp_estimation.messages import CONCLUSION_NAME
+from armimp_estimation.messages import RESULT_NAME
 from support.graph import PATIENCE
 from support.runs import FinishedRun
 
@@ -94,7 +94,7 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
     try:
         summary = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
         deadline = time.monotonic() + PATIENCE
-        while CONCLUSION_NAME not in [message.name for message in bystander.heard]:
+        while RESULT_NAME not in [message.name for message in bystander.heard]:
             assert time.monotonic() < deadline
             time.sleep(0.05)
     finally:
@@ -123,7 +123,7 @@ def test_columns_are_published_as_each_trial_ends_and_the_result_at_the_end(
 
 def test_published_result_is_the_stored_one(account: Account) -> None:
     summary = account.run.summary
-    conclusion = next(message for message in account.heard if message.name == CONCLUSION_NAME)
+    conclusion = next(message for message in account.heard if message.name == RESULT_NAME)
 
     assert conclusion.level == bytes([Level.OK])
     values = values_of(conclusion)

@@ -38,34 +38,32 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_control.parameters import ControllerParameters
-from armimp_estimation.alignment.assemble import AssembledTrial
-from armimp_estimation.alignment.stream_statistics import StreamStatistics
+from armimp_estimation.alignment.assemble import StreamStatistics, Trial
 from armimp_estimation.alignment.trial_windows import TrialWindow
-from armimp_estimation.conclusion import READING_KEYS, Conclusion
+from armimp_estimation.curves import ImpedanceCurve, write_frf
 from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.messages import (
-    CONCLUSION_NAME,
     PROGRESS_NAME,
+    RESULT_NAME,
     column_message,
-    conclusion_message,
     progress_message,
+    result_message,
 )
+from armimp_estimation.metadata import READING_KEYS
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.results import (
+from armimp_estimation.result import Result, summarise
+from armimp_estimation.summary import (
     EstimatorSummary,
     OriginSummary,
     Summary,
-    TimingSummary,
-    TrialLedger,
     TrialSummary,
     WallSummary,
-    summarise,
-    write_frf,
 )
-from armimp_estimation.torque_timing import ReadingSummary
+from armimp_estimation.timing import Timing
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.realtime_simulator import RAMP_TICKS
@@ -235,6 +233,10 @@ def identification(trials: list[TrialData]) -> Identification:
     return identify(trials, estimator_names(), TWO_JOINT_ARM)
 
 
+def curves_of(identification: Identification) -> dict[str, ImpedanceCurve]:
+    return {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
+
+
 def _general(key: str) -> str:
     """A key as the page writes it: for any estimator and any element."""
     for name in estimator_names():
@@ -247,24 +249,20 @@ def test_the_keys_of_a_column_are_those_of_the_code(trials: list[TrialData]) -> 
     window = TrialWindow(
         trial=1, joint=0, joint_name="", start_ns=0, ticks=1, seed=None, ended=True
     )
-    assembled = AssembledTrial(
-        window=window,
-        record=data.record,
-        segments=(data.record,),
-        ledger=StreamStatistics(streams={}),
-        problem="",
-    )
-    message = column_message(assembled, data.spectra, WelchSiso().column(data.spectra))
+    trial = Trial(window=window, segments=(data.record,), statistics=StreamStatistics())
+    message = column_message(trial, data.spectra, WelchSiso().column(data.spectra))
     assert _keys("Column") == {_general(key) for key in values_of(message)}
     assert message.name.replace("1", "K") in PAGE
 
 
 def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identification) -> None:
-    ledgers = {joint: TrialLedger(bag=None, ticks=1) for joint in (0, 1)}
-    summary = summarise(identification, ledgers, config={}, seed=1)
-    message = conclusion_message(Conclusion(summary=summary, identification=identification))
+    names = identification.joint_names
+    summary = summarise(
+        identification, [], config={}, joint_names=names, seed=1, truth=None, problems=[]
+    )
+    message = result_message(Result(summary=summary, curves=curves_of(identification)))
     assert _keys("Conclusion") == {_general(key) for key in values_of(message)}
-    assert f"`{CONCLUSION_NAME}`" in PAGE
+    assert f"`{RESULT_NAME}`" in PAGE
 
 
 def test_the_keys_of_the_timing_are_those_of_the_code() -> None:
@@ -295,9 +293,9 @@ def test_the_metadata_keys_of_the_page_are_those_that_a_run_stores() -> None:
         (0, Summary),
         (1, TrialSummary),
         (2, EstimatorSummary),
-        (3, TimingSummary),
+        (3, Timing),
         (4, WallSummary),
-        (5, ReadingSummary),
+        (5, TorqueReading),
         (6, OriginSummary),
     ],
 )
@@ -311,10 +309,9 @@ def test_the_keys_of_summary_json_are_those_of_its_model(
 def test_the_arrays_of_frf_npz_are_those_that_are_written(
     identification: Identification, tmp_path: Path
 ) -> None:
-    results = dict(identification.estimators)
-    last = list(results)[-1]
-    estimate = results[last].estimate
-    results[last] = replace(results[last], estimate=replace(estimate, f=estimate.f + 1.0))
-    write_frf(tmp_path / "frf.npz", results)
+    curves = curves_of(identification)
+    last = list(curves)[-1]
+    curves[last] = replace(curves[last], f=curves[last].f + 1.0)
+    write_frf(tmp_path / "frf.npz", curves)
     with np.load(tmp_path / "frf.npz") as file:
         assert set(_table("frf.npz", "array")) == {_general(name) for name in file.files}

@@ -15,7 +15,7 @@ import pytest
 from armimp_bringup.nodes import NODES
 from armimp_common.domain import DomainClaim
 from armimp_common.process import endpoints
-from armimp_estimation.results import read_summary
+from armimp_estimation.summary import read_summary
 from support.runs import FinishedRun
 
 pytestmark = pytest.mark.slow

@@ -17,7 +17,7 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, ProblemCode, spoiled
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.results import read_summary
+from armimp_estimation.summary import read_summary
 from armimp_estimation.trial import TrialData
 from support.runs import FinishedRun
 
@@ -156,10 +156,10 @@ def test_through_the_graph_the_paper_s_estimator_is_refused_and_says_why(
     status, finished, _ = graph
     summary = finished.summary
     assert status == (0 if summary.valid else 1)
-    assert not summary.estimators["welch_siso"].verdict.impedance
+    assert not summary.verdict_on("welch_siso").impedance
     moved = {
         one.values["name"]
-        for one in summary.findings
+        for one in summary.problems
         if (one.code, one.estimator) == ("lock_ratio", "welch_siso")
     }
     assert moved == {"elbow", "shoulder"}

@@ -19,12 +19,12 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
-from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import EstimatorResult, identify
 from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import reading_of
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData

@@ -21,7 +21,7 @@ from armimp_estimation.bags import BagWriter, iterate_messages
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.storage import BAGS
-from armimp_estimation.recording import Recording
+from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import Message, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
@@ -57,11 +57,11 @@ def fill(place: Path) -> None:
             file.write(bytes(1 << 12))
 
 
-def recording_in(directory: Path) -> Recording:
-    return Recording(NAMES, directory, {"seed": "1"}, lambda *_: None)
+def recording_in(directory: Path) -> TrialRecorder:
+    return TrialRecorder(NAMES, directory, {"seed": "1"}, lambda *_: None)
 
 
-def feed(recording: Recording, messages: Iterable[Message]) -> int:
+def feed(recording: TrialRecorder, messages: Iterable[Message]) -> int:
     count = 0
     for topic, _, raw in messages:
         if topic == TRIAL:

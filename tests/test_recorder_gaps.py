@@ -9,9 +9,9 @@ from armimp_bringup.cli import main
 from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.bags.storage import BAGS
-from armimp_estimation.conclusion import FRF_FILE, SUMMARY_FILE
-from armimp_estimation.recording import Recording
-from armimp_estimation.results import read_summary
+from armimp_estimation.curves import FRF_FILE
+from armimp_estimation.recorder import TrialRecorder
+from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.recordings import recorded_arm
 
 pytestmark = pytest.mark.usefixtures("environment")
@@ -28,7 +28,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     lost = {start_ns + tick * PERIOD_NS for tick in LOST}
     names = arm.records[0].joint_names
     metadata = {"joint_names": json.dumps(names)}
-    recording = Recording(names, directory, metadata, lambda *_: None)
+    recording = TrialRecorder(names, directory, metadata, lambda *_: None)
     for topic, stamp, raw in arm.messages:
         if topic == TRIAL:
             recording.add_status(decode_trial_status(raw))
@@ -45,7 +45,7 @@ def test_without_the_option_the_reason_is_one_line(
     assert main([command, *bags]) == 1
     told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("armimp: ")]
     assert told == [
-        f"armimp: {bags[1]}: trial 2: 37 samples of torque_sensors are missing between 2.500 s "
+        f"armimp: {bags[1]}: trial 2: samples of torque_sensors are missing: 37, between 2.500 s "
         "and 2.537 s; --allow-gaps uses the intact parts"
     ]
 

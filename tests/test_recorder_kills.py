@@ -23,6 +23,7 @@ from armimp_bringup.supervisor import Progress
 from armimp_estimation.bags import iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.storage import BAGS
+from armimp_estimation.problems import ProblemCode
 from support.fault_figures import Figures
 from support.recordings import recorded_arm
 
@@ -39,8 +40,8 @@ import os, struct, sys, time
 from pathlib import Path
 from armimp_common.topics import DATA_STREAMS, TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.alignment.synchronizer import TOGETHER, HandedInbox
-from armimp_estimation.recording import Recording
+from armimp_estimation.alignment.synchronizer import TOGETHER, StreamSynchronizer
+from armimp_estimation.recorder import TrialRecorder
 from support.recordings import recorded_arm
 
 directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
@@ -57,7 +58,7 @@ def on_samples(samples):
         record()
         recording.flush()
 
-inbox = HandedInbox(on_samples)
+inbox = StreamSynchronizer(on_samples)
 receivers = {topic: inbox.receiver(topic) for topic in DATA_STREAMS}
 messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]
 began = time.monotonic()
@@ -118,7 +119,7 @@ def kill_recorders(directory: Path, moments: list[float]) -> list[Killed]:
 def assert_little_is_lost(killed: Killed) -> int:
     """The samples that are left, each as it was sent; their number."""
     (trial,) = read_bag(killed.bag).trials
-    record = trial.require()
+    (record,) = trial.intact()
     sent = recorded_arm(SAMPLES).records[killed.trial - 1]
     np.testing.assert_array_equal(record.position, sent.position[:, : record.samples])
     np.testing.assert_array_equal(record.torque, sent.torque[:, : record.samples])
@@ -138,10 +139,10 @@ def test_when_killed_at_random_moments_expect_little_lost_and_an_estimate(tmp_pa
     killed = kill_recorders(tmp_path, [rng.uniform(1.7, 3.5) for _ in range(3)])
 
     left = [assert_little_is_lost(one) for one in killed]
-    conclusion, notes = estimate_bags([killed[0].bag, killed[1].bag], ())
+    result, notes = estimate_bags([killed[0].bag, killed[1].bag], ())
 
-    assert conclusion.identification is not None
-    assert [trial.ticks for trial in conclusion.summary.trials] == left[:2]
+    assert result.curves
+    assert [trial.ticks for trial in result.summary.trials] == left[:2]
     for one, samples in zip(killed[:2], left, strict=False):
         assert any(note.startswith(f"{one.bag}: its recorder did not finish it") for note in notes)
         assert f"{one.bag}: trial {one.trial} is cut short: {samples} of {SAMPLES} samples" in notes
@@ -196,7 +197,11 @@ def test_when_the_estimator_node_is_killed_expect_its_bag_finished_by_the_run(
     summary = run_experiment(config, tmp_path / "out", on_progress=on_progress)
 
     assert seen
-    assert any("impedance_estimator was killed by SIGKILL" in one for one in summary.problems)
+    assert any(
+        one.code is ProblemCode.NODE_FAILED
+        and "impedance_estimator was killed by SIGKILL" in str(one)
+        for one in summary.problems
+    )
     bags = sorted((tmp_path / "out" / BAGS).iterdir())
     for bag in bags:
         assert_other_readers_open(bag)

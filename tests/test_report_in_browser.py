@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_estimation.report import load_result, write_report
+from armimp_estimation.report import write_report
+from armimp_estimation.result import load_result
 from support.browser import Browser
 from support.results import METADATA, make_result
 from support.synthetic_bags import synthetic_recording

@@ -27,7 +27,8 @@ from armimp_common.domain import DomainClaim
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import CommandPublisher
 from armimp_common.status import Phase, StoppingDecision, TrialStatus, status_message
-from armimp_estimation.results import Summary
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.summary import Summary
 from support.graph import PATIENCE
 
 SHORT: dict[str, Any] = {"duration": 2.0}
@@ -117,7 +118,8 @@ def test_one_command_of_somebody_else_is_a_fault_with_who_and_when(
 ) -> None:
     summary = disturbed(tmp_path / "out", act, processes=processes)
     assert not summary.valid
-    (fault,) = [one for one in summary.problems if one.startswith("arm_sim: rig: ")]
+    faults = [one.values for one in summary.problems if one.code is ProblemCode.NODE_FAULT]
+    (fault,) = [str(one["reason"]) for one in faults if one["source"] == "arm_sim: rig"]
     assert topics.COMMANDS in fault
     when, _, publishers = fault.partition("; published by ")
     assert when.endswith(" s")
@@ -149,7 +151,10 @@ def test_a_status_that_ends_a_trial_early_is_refused_and_spoils_the_result(tmp_p
     summary = disturbed(tmp_path / "out", shortening)
     assert not summary.valid
     assert [trial.ticks for trial in summary.trials] == [2000, 2000]
-    assert any("ends after 1500 samples, which nobody asked for" in p for p in summary.problems)
+    assert any(
+        one.code is ProblemCode.MESSAGE_REFUSED and "ends after 1500 samples" in one.sentence
+        for one in summary.problems
+    )
 
 
 def judging(node: Node) -> None:
@@ -179,7 +184,9 @@ def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(
     monkeypatch.setattr(orchestrator, "LifecycleManager", Disturbed)
     out = tmp_path / "out"
     summary = run_experiment(ExperimentConfig.model_validate(SHORT), out)
-    assert summary.problems[0].startswith("arm_sim: sensors.torque_gain is [1.3, 1.3], not ")
+    different = summary.problems[0]
+    assert different.code is ProblemCode.PARAMETERS_DIFFER
+    assert different.sentence.startswith("arm_sim: sensors.torque_gain is [1.3, 1.3], not ")
     assert not summary.trials
     active = yaml.safe_load((out / PARAMETERS_FILE).read_text(encoding="utf-8"))
     assert active["arm_sim"]["ros__parameters"]["sensors.torque_gain"] == [1.3, 1.3]

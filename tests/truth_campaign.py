@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from armimp_common import topics
 from armimp_common.errors import ArmimpError
 from armimp_estimation.alignment.assemble import assemble_trials
-from armimp_estimation.alignment.trial_streams import Stream, TrialStreams
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude
+from armimp_estimation.alignment.streams import Stream, Streams
+from armimp_estimation.result import Result, conclude
 from independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
 
 FloatArray = NDArray[np.float64]
@@ -265,7 +265,7 @@ def _clip(share: float) -> Change:
     return clip
 
 
-def streams_of(recordings: list[Recording]) -> TrialStreams:
+def streams_of(recordings: list[Recording]) -> Streams:
     """Trials one after the other, as a bag has them once it is decoded."""
     gap = 2_000_000_000
     stamps, shift = [], 0
@@ -282,25 +282,24 @@ def streams_of(recordings: list[Recording]) -> TrialStreams:
     if all(one.command is not None for one in recordings):
         commands = np.concatenate([one.command for one in recordings], axis=1)
         commands = commands[:, recordings[0].command_shift :]
-    return TrialStreams(
+    return Streams(
         joint_names=NAMES,
         stamped={
             topic: Stream(
-                stamps=joined,
-                values=np.concatenate([getattr(one, name) for one in recordings], axis=1),
+                joined, np.concatenate([getattr(one, name) for one in recordings], axis=1)
             )
             for topic, name in fields.items()
         },
-        commands=0 if commands is None else commands.shape[1],
-        command_values=commands,
+        commands=None
+        if commands is None
+        else Stream(np.zeros(commands.shape[1], np.int64), commands),
     )
 
 
-def verdict_on(recordings: list[Recording]) -> Conclusion:
+def verdict_on(recordings: list[Recording]) -> Result:
     """What the estimator says of trials without trial status and metadata."""
-    trials = assemble_trials(NAMES, {}, (), streams=streams_of(recordings))
-    finished = [FinishedTrial(assembled=one, bag=None) for one in trials]
-    return conclude(finished, metadata={}, joint_names=NAMES, estimators=("lpm_full",))
+    trials = assemble_trials(streams_of(recordings), ())
+    return conclude(trials, metadata={}, joint_names=NAMES, estimators=("lpm_full",))
 
 
 def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str]]:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from armimp_estimation.bags import BagWriter, read_bag
-from armimp_estimation.conclusion import FinishedTrial, conclude
+from armimp_estimation.result import conclude
 from support.recordings import recorded_arm
 from support.synthetic_bags import Message
 from support.synthetic_trials import TWO_JOINT_ARM
@@ -69,7 +70,7 @@ def make_result(
             writer.write(topic, raw, time_ns)
     content = read_bag(bag)
     conclude(
-        [FinishedTrial(assembled=trial, bag="bags/session") for trial in content.trials],
+        [replace(trial, bag="bags/session") for trial in content.trials],
         metadata=content.metadata,
         joint_names=content.joint_names,
         estimators=estimators,

@@ -16,7 +16,7 @@ from armimp_common.status import TrialStatus
 from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, TRIAL, VALUE_FIELD
 from armimp_estimation.bags import iterate_messages, read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.results import Summary
+from armimp_estimation.summary import Summary
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -48,8 +48,8 @@ from armimp_common.status import (
     make_status,
     status_message,
 )
-from armimp_estimation.messages import CONCLUSION_NAME
-from armimp_estimation.results import Summary
+from armimp_estimation.messages import RESULT_NAME
+from armimp_estimation.summary import Summary
 
 Rng = random.Random
 PATIENCE = 20.0
@@ -305,7 +305,7 @@ ACTS: dict[str, Act] = {
         DiagnosticStatus,
         topics.RESULT,
         qos.LATCHED,
-        lambda _: make_status(CONCLUSION_NAME, Level.OK, "valid", {"valid": "true"}),
+        lambda _: make_status(RESULT_NAME, Level.OK, "valid", {"valid": "true"}),
     ),
     "error": message(
         DiagnosticArray,
@@ -362,12 +362,12 @@ def judged(case: Case, reference: Summary, directory: Path) -> Outcome:
         return Outcome(case, "traceback", seconds, (f"{type(error).__name__}: {error}",))
     seconds = time.monotonic() - begin
     if not summary.valid:
-        verdict = "refused" if summary.problems else "silent"
+        verdict = "refused" if summary.faults else "silent"
     elif summary.estimators == reference.estimators:
         verdict = "same" if delivered else "not delivered"
     else:
         verdict = "wrong"
-    return Outcome(case, verdict, seconds, tuple(summary.problems))
+    return Outcome(case, verdict, seconds, tuple(map(str, summary.faults)))
 
 
 def _run(case: Case, directory: Path) -> tuple[Summary, bool]:

@@ -117,7 +117,10 @@ class Recording:
             )
             for number, trial in enumerate(trials, start=1)
         ]
-        reading = TorqueReading(timing=TorqueTiming(timing), delay=torque_delay)
+        try:
+            reading = TorqueReading(timing=TorqueTiming(timing), delay=torque_delay)
+        except ValueError:
+            raise ConfigurationError(f"torque_delay: {torque_delay} s is impossible") from None
         return cls(trials=tuple(records), reading=reading)
 
 
@@ -232,8 +235,8 @@ def read_bag(*bags: str | Path) -> Recording:
         If the bags don't belong together, or a trial has lost samples.
     """
     from armimp_bringup.offline_estimate import read_bags
-    from armimp_estimation.conclusion import calibration_of, reading_of
-    from armimp_estimation.realtime_timing import latest_metadata
+    from armimp_estimation.metadata import calibration_of, reading_of
+    from armimp_estimation.timing import latest_metadata
 
     contents = read_bags([Path(bag) for bag in bags])
     records = []
@@ -270,8 +273,8 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str = "au
         If the trials cannot be estimated.
     """
     from armimp_estimation.estimators.lpm import LpmConfig
+    from armimp_estimation.estimators.registry import IdentifyConfig
     from armimp_estimation.identify import identify as identify_trials
-    from armimp_estimation.settings import IdentifyConfig
     from armimp_estimation.spectra import WelchConfig
     from armimp_estimation.trial import TrialData
 

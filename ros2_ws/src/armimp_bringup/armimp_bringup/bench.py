@@ -16,7 +16,7 @@ from typing import Any
 
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
 from armimp_common.versions import git_revision, versions
-from armimp_estimation.results import Summary
+from armimp_estimation.summary import Summary
 
 DURATION = 10.0
 """Length of each trial, s."""
@@ -67,10 +67,10 @@ def run_for_bench(tell: Tell = lambda _: None, **options: Any) -> Summary:
     config = load_config(None, {"duration": DURATION, **options})
     with tempfile.TemporaryDirectory() as folder:
         summary = run_experiment(config, Path(folder) / "run")
-    for problem in summary.problems:
-        tell(problem)
+    for problem in summary.faults:
+        tell(str(problem))
     if not summary.trials:
-        raise GraphError("; ".join(summary.problems))
+        raise GraphError("; ".join(map(str, summary.faults)))
     return summary
 
 

@@ -9,24 +9,21 @@ from pathlib import Path
 
 from armimp_bringup.config import Declared
 from armimp_common.errors import DataError
-from armimp_estimation.alignment.gaps import GapConfig
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.storage import require_distinct
-from armimp_estimation.conclusion import (
+from armimp_estimation.estimators.estimate import Estimator
+from armimp_estimation.metadata import (
     CALIBRATION_KEYS,
     MODEL_KEY,
     RATE_KEY,
     TIMING_KEY,
     UNCERTAINTY_KEY,
-    Conclusion,
-    FinishedTrial,
-    conclude,
-    understand,
+    Metadata,
 )
-from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.realtime_timing import latest_metadata
+from armimp_estimation.result import Result, conclude
+from armimp_estimation.timing import latest_metadata
 from armimp_estimation.torque_timing import TorqueTiming
 
 _TIMINGS = {
@@ -46,7 +43,7 @@ def estimate_bags(
     allow_gaps: bool = False,
     declared: Declared | None = None,
     trust: bool = False,
-) -> tuple[Conclusion, list[str]]:
+) -> tuple[Result, list[str]]:
     """Identify the impedance from bags that hold one trial for each joint between them.
 
     Parameters
@@ -66,7 +63,7 @@ def estimate_bags(
 
     Returns
     -------
-    conclusion : Conclusion
+    result : Result
     notes : list of str
         What a user should know of the bags.
 
@@ -80,21 +77,19 @@ def estimate_bags(
     contents = read_bags(bags, namespace=namespace, trust=trust)
     names = contents[0].joint_names
     notes = [note for content in contents for note in content.notes]
-    trials: list[FinishedTrial] = []
-    for content in contents:
-        for trial in content.trials:
-            trial.intact(allow_gaps=allow_gaps)
-            trials.append(FinishedTrial(assembled=trial, bag=str(content.path)))
+    trials = [replace(t, bag=str(one.path)) for one in contents for t in one.trials]
+    for trial in trials:
+        trial.intact(allow_gaps=allow_gaps)
     metadata = latest_metadata([content.metadata for content in contents])
     metadata |= _metadata_of(declared or Declared())
-    conclusion = conclude(
+    result = conclude(
         trials,
         metadata=metadata,
         joint_names=names,
         estimators=estimators or EstimatorParameters().estimators,
-        gaps=GapConfig(allow=allow_gaps),
+        allow_gaps=allow_gaps,
     )
-    return conclusion, notes
+    return result, notes
 
 
 def _metadata_of(declared: Declared) -> dict[str, str]:
@@ -137,7 +132,7 @@ def read_bags(
             )
     try:
         for content in contents:
-            understand(content.metadata, len(content.joint_names))
+            Metadata.of(content.metadata, len(content.joint_names))
     except DataError as error:
         raise DataError(f"{content.path}: {error}") from None
     return contents

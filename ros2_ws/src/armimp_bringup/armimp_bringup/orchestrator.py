@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import GraphContext, external_domain
@@ -28,17 +27,18 @@ from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
-from armimp_estimation.conclusion import SUMMARY_FILE, conclude
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
-from armimp_estimation.results import Summary, read_summary, write_summary
+from armimp_estimation.problems import Problem, ProblemCode, problem
+from armimp_estimation.result import conclude
+from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary, write_summary
+from armimp_estimation.timing import RECORD_KEY, Timing
 
 PARAMETERS_FILE = "parameters.yaml"
 LOGS = "logs"
 _STALL = 30.0
 _PERIOD = 0.05
 _LONG = 60.0
-_INTERRUPTED = "interrupted by the user"
+_INTERRUPTED = problem(ProblemCode.INTERRUPTED)
 _NICE = {False: 5, True: -10}
 """Niceness of the recorder in real time, by whether the others have precedence over everything.
 
@@ -117,12 +117,13 @@ def run_experiment(
                 spinner.remove_node(supervisor)
                 supervisor.destroy_node()
             if isinstance(nodes, SeparateNodes):
-                problems += [crash for crash in nodes.crashed() if crash not in problems]
-    problems += supervisor.problems
+                crashes = [problem(ProblemCode.NODE_FAILED, reason=how) for how in nodes.crashed()]
+                problems += [crash for crash in crashes if crash not in problems]
+    problems += supervisor.faults
     timing = None
     if supervisor.timing is not None:
         limits = parameters.estimator.realtime.limits()
-        timing = TimingRecord(figures=supervisor.timing, limits=limits)
+        timing = Timing.of(supervisor.timing, limits)
     return settle(directory, parameters.estimator, problems, timing)
 
 
@@ -170,9 +171,9 @@ class Course:
         self._configured: list[str] = []
         self._dead: set[str] = set()
         self._awaited: str | None = None  # the only node whose death matters, at the end
-        self._problems: list[str] = []
+        self._problems: list[Problem] = []
 
-    def run(self, drive: Callable[[], None] = lambda: None) -> list[str]:
+    def run(self, drive: Callable[[], None] = lambda: None) -> list[Problem]:
         """Go through all of it, with ``drive`` once all nodes are active; tell what went wrong."""
         try:
             if self.startup():
@@ -180,7 +181,8 @@ class Course:
                 self.watch()
         except ArmimpError as error:
             # From the graph itself or, where nodes live in this process, from a callback.
-            self._problems += self._deaths() or [str(error)]
+            interrupted = error.code == ProblemCode.INTERRUPTED.value
+            self._problems += self._deaths() or [_INTERRUPTED if interrupted else _failure(error)]
         self.shutdown()
         return self._problems
 
@@ -192,7 +194,7 @@ class Course:
             self._check()
             self._configured.append(name)
             self._manager.configure(name)
-        self._problems += self._confirm()
+        self._problems += self._differences()
         if self._problems:
             return False
         for name in self._nodes.names:
@@ -209,15 +211,15 @@ class Course:
             if self._interrupted():
                 self._problems.append(_INTERRUPTED)
             elif time.monotonic() - supervisor.last_news > _STALL:
-                self._problems.append(f"nothing happened for {_STALL:g} s")
+                self._problems.append(problem(ProblemCode.STALLED, seconds=_STALL))
             self._problems.extend(self._deaths())
-            failed = supervisor.realtime and supervisor.problems and not supervisor.finished
+            failed = supervisor.realtime and supervisor.faults and not supervisor.finished
             return bool(self._problems or failed) or supervisor.over
 
         with seldom_collecting():
             self._spinner.spin(over, period=_PERIOD)
         if not self._problems:
-            self._problems += self._confirm()
+            self._problems += self._differences()
 
     def shutdown(self) -> None:
         """Retire the nodes that live and were configured, whatever has happened to the others."""
@@ -229,29 +231,36 @@ class Course:
             try:
                 self._nodes.retire(self._manager, name)
             except ArmimpError as error:
-                self._problems += self._deaths() or [str(error)]
+                self._problems += self._deaths() or [_failure(error)]
         self._problems += self._deaths()
 
-    def _deaths(self) -> list[str]:
-        """Return sentences about the nodes that died since the last call."""
+    def _deaths(self) -> list[Problem]:
+        """Return problems about the nodes that died since the last call."""
         new = {name: how for name, how in self._nodes.dead().items() if name not in self._dead}
         self._dead |= set(new)
-        return list(new.values())
+        return [problem(ProblemCode.NODE_FAILED, reason=how) for how in new.values()]
+
+    def _differences(self) -> list[Problem]:
+        return [problem(ProblemCode.PARAMETERS_DIFFER, reason=one) for one in self._confirm()]
 
     def _check(self) -> None:
         """Raise a GraphError if it is vain to wait any longer, or nobody wants to."""
         if self._awaited is None and self._interrupted():
-            raise GraphError(_INTERRUPTED)
+            raise GraphError(_INTERRUPTED.sentence, _INTERRUPTED.code.value)
         dead = self._nodes.dead()
         if dead if self._awaited is None else self._awaited in dead:
             raise GraphError("a node died")
 
 
+def _failure(error: ArmimpError) -> Problem:
+    return Problem.of(error, ProblemCode.NODE_FAILED)
+
+
 def settle(
     directory: Path,
     estimator: EstimatorParameters,
-    problems: Sequence[str],
-    timing: TimingRecord | None = None,
+    problems: Sequence[Problem],
+    timing: Timing | None = None,
 ) -> Summary:
     """Bring together what the estimator stored and what the orchestrator saw.
 
@@ -261,37 +270,38 @@ def settle(
         Where the estimator stores its summary.
     estimator : EstimatorParameters
         Parameters of the estimator, for a run of which it left no summary.
-    problems : sequence of str
+    problems : sequence of Problem
         What the orchestrator saw go wrong.
-    timing : TimingRecord, optional
+    timing : Timing, optional
         Timing up to the end of the experiment, of which the estimator did not see the last samples.
     """
     finish_bags(directory)  # An estimator that was killed could not.
     path = directory / SUMMARY_FILE
     if not path.exists():
         metadata = estimator.bag_metadata()
-        conclusion = conclude(
+        result = conclude(
             [],
-            metadata=metadata if timing is None else {**metadata, RECORD_KEY: timing.to_json()},
+            metadata=metadata
+            if timing is None
+            else {**metadata, RECORD_KEY: timing.model_dump_json()},
             joint_names=estimator.joints,
             estimators=estimator.estimators,
             problems=problems,
         )
         try:
-            write_summary(path, conclusion.summary)
+            write_summary(path, result.summary)
         except DataError as error:
-            raise DataError("; ".join([*problems, str(error)])) from None
-        return conclusion.summary
+            raise DataError("; ".join([*map(str, problems), str(error)])) from None
+        return result.summary
     summary = read_summary(path)
-    update: dict[str, Any] = {}
-    known = summary.problems
+    complete = summary
     if timing is not None:
-        before = [] if summary.timing is None else TimingRecord.of(summary.timing).problems
-        known = [*timing.problems, *(problem for problem in known if problem not in before)]
-        update["timing"] = timing.summary
-    new = [problem for problem in problems if problem not in known]
-    if update or new:
-        known = [*new, *known]
-        summary = summary.model_copy(update=update).judged(known)
-        write_summary(path, summary, anew=True)
-    return summary
+        before = [] if summary.timing is None else summary.timing.problems
+        others = [one for one in summary.problems if one not in before]
+        complete = summary.model_copy(
+            update={"timing": timing, "problems": [*timing.problems, *others]}
+        )
+    complete = complete.with_problems(problems)
+    if complete != summary:
+        write_summary(path, complete, anew=True)
+    return complete

@@ -18,7 +18,7 @@ from armimp_common.schema import build, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.versions import git_revision, versions
 from armimp_control.parameters import ControllerParameters
-from armimp_estimation.conclusion import CALIBRATION_KEYS, TIMING_KEY
+from armimp_estimation.metadata import CALIBRATION_KEYS, TIMING_KEY
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import sys
 import time
 from collections.abc import Sequence
@@ -17,19 +16,17 @@ from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
 from armimp_common.process import age
 from armimp_common.status import Phase
-from armimp_estimation.conclusion import SUMMARY_FILE
-from armimp_estimation.problems import Severity
-from armimp_estimation.results import (
+from armimp_estimation.summary import (
+    SUMMARY_FILE,
     EstimatorSummary,
     OriginSummary,
     Summary,
-    TimingSummary,
     WallSummary,
     write_summary,
 )
+from armimp_estimation.timing import Timing
 
-_COUNTS = ("duplicated", "contradictory", "reordered", "late", "clipped", "excluded")
-_TOO_BUSY = re.compile(r"^real time: |no command for \d+ ticks|ticks behind")
+_COUNTS = ("duplicated", "contradictory", "reordered", "late")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 
 
@@ -105,12 +102,10 @@ def present(
         print_result(summary)
         if stopwatch is not None:
             stopwatch.shown()
-    for finding in summary.findings:
+    faults = summary.faults
+    for one in summary.problems:
         # What concerns an estimator that decides nothing makes its own numbers alone not valid.
-        if finding.severity == Severity.NOTE.value or finding.sentence not in summary.problems:
-            say(f"armimp: note: {finding.sentence}")
-    for line in complaints(summary.problems):
-        say(f"armimp: not valid: {line}")
+        say(f"armimp: {'not valid' if one in faults else 'note'}: {one}")
     if directory is not None:
         try:
             write_summary(directory / SUMMARY_FILE, summary, anew=True)
@@ -131,16 +126,6 @@ def present(
     return 0 if summary.valid and complete else 1
 
 
-def complaints(problems: Sequence[str]) -> list[str]:
-    """Problems, one line for each cause: whatever comes of a machine that is too busy is one."""
-    late = [one for one in problems if _TOO_BUSY.search(one)]
-    if len(late) < 2:
-        return list(problems)
-    told = "; ".join(dict.fromkeys(one.removeprefix("real time: ") for one in late))
-    others = [one for one in problems if one not in late]
-    return [f"the machine was too busy for real time: {told}", *others]
-
-
 def _write(directory: Path, bags: Sequence[Path] | None, namespace: str | None) -> None:
     """Write report and figures, each even if the other cannot be written.
 
@@ -149,7 +134,8 @@ def _write(directory: Path, bags: Sequence[Path] | None, namespace: str | None) 
     DataError
         The first of what went wrong.
     """
-    from armimp_estimation.report import load_result, write_report
+    from armimp_estimation.report import write_report
+    from armimp_estimation.result import load_result
 
     result = load_result(directory, bags, namespace=namespace)
     try:
@@ -243,7 +229,12 @@ def _trial_table(summary: Summary) -> Table:
     table.add_column("samples", justify="right")
     table.add_column("lost", justify="right")
     # What is zero in all trials, as it mostly is, takes no room.
-    counts = [kind for kind in _COUNTS if any(getattr(one, kind) for one in summary.trials)]
+    counts = {
+        **{kind: [str(one.total(kind)) for one in summary.trials] for kind in _COUNTS},
+        "clipped": [str(one.clipped) for one in summary.trials],
+        "excluded": [f"{100.0 * one.excluded_share:.3g} %" for one in summary.trials],
+    }
+    counts = {kind: cells for kind, cells in counts.items() if {*cells} - {"0", "0 %"}}
     for kind in counts:
         table.add_column(kind, justify="right")
     if saved := any(one.saved for one in summary.trials):
@@ -251,13 +242,13 @@ def _trial_table(summary: Summary) -> Table:
     table.add_column("lock ratio", justify="right")
     table.add_column("x real time", justify="right")
     table.add_column("bag", overflow="fold")
-    for trial in summary.trials:
+    for row, trial in enumerate(summary.trials):
         others = [ratio for i, ratio in enumerate(trial.lock_ratio) if i != trial.k - 1]
         table.add_row(
             str(trial.k),
             str(trial.ticks),
             str(trial.lost),
-            *(_count(kind, getattr(trial, kind)) for kind in counts),
+            *(cells[row] for cells in counts.values()),
             *([f"{trial.saved:.1f}"] if saved else []),
             _largest(others),
             "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
@@ -266,7 +257,7 @@ def _trial_table(summary: Summary) -> Table:
     return table
 
 
-def _timing_table(timing: TimingSummary) -> Table:
+def _timing_table(timing: Timing) -> Table:
     title = f"timing: {timing.ticks} samples, {timing.late} late, {timing.missed} commands missed"
     table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
     table.add_column("")
@@ -279,10 +270,6 @@ def _timing_table(timing: TimingSummary) -> Table:
         cells = ("–" if math.isnan(one) else f"{1e3 * one:.3f}" for one in durations)
         table.add_row(label, *cells)
     return table
-
-
-def _count(kind: str, value: float) -> str:
-    return f"{100.0 * value:.3g} %" if kind == "excluded" else str(value)
 
 
 def _largest(values: Sequence[float]) -> str:

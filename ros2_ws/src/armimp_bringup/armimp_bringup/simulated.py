@@ -9,13 +9,13 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_estimation.conclusion import reading_of
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import reading_of
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 

@@ -15,7 +15,8 @@ from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.heartbeat import Heartbeat
 from armimp_common.status import LIMITER_STATUS, Level, Phase, TimingFigures, values_of
-from armimp_estimation.messages import CONCLUSION_NAME
+from armimp_estimation.messages import RESULT_NAME
+from armimp_estimation.problems import Problem, ProblemCode, problem
 
 _MOST = 2**53
 """Numbers beyond which nobody is believed."""
@@ -94,7 +95,8 @@ class Supervisor(Node):
         super().__init__(topics.SUPERVISOR_NODE, context=graph.context, use_global_arguments=False)
         self._on_progress = on_progress
         self._on_phase = on_phase
-        self.problems: list[str] = []
+        self.faults: list[Problem] = []
+        """What nodes told of on ``/diagnostics``."""
         self.concluded = self.finished = False
         self.realtime = False
         """Whether a fault ends the experiment at once, and does not matter after its last trial."""
@@ -130,7 +132,7 @@ class Supervisor(Node):
 
     def _on_result(self, message: DiagnosticStatus) -> None:
         self.last_news = time.monotonic()
-        if message.name == CONCLUSION_NAME:
+        if message.name == RESULT_NAME:
             self.concluded = True
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
@@ -154,17 +156,19 @@ class Supervisor(Node):
                 with suppress(MalformedMessageError):  # the estimator complains
                     self.timing = TimingFigures.from_values(values_of(status))
             if status.level == bytes([Level.ERROR]):
-                self._note_problem(f"{status.name}: {status.message}")
+                self._note_fault(status.name, status.message)
 
-    def _note_problem(self, problem: str) -> None:
-        """Keep a problem that is new; one that goes on takes the place of its beginning."""
-        for index, known in enumerate(self.problems):
-            if known.startswith(problem):
-                return
-            if problem.startswith(known):
-                self.problems[index] = problem
-                return
-        self.problems.append(problem)
+    def _note_fault(self, source: str, reason: str) -> None:
+        """Keep a fault that is new; one that goes on takes the place of its beginning."""
+        new = problem(ProblemCode.NODE_FAULT, source=source, reason=reason)
+        for index, known in enumerate(self.faults):
+            if known.values["source"] == source:
+                before = str(known.values["reason"])
+                if reason.startswith(before):
+                    self.faults[index] = new
+                if reason.startswith(before) or before.startswith(reason):
+                    return
+        self.faults.append(new)
 
     def _note_answers(self, status: DiagnosticStatus) -> None:
         """Samples that are answered are news, also where a phase without recording is long."""

@@ -17,7 +17,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import TimingFigures
-from armimp_estimation.realtime_timing import TimingRecord
+from armimp_estimation.timing import Timing
 
 Benchmark = Callable[[object], list[Measured]]
 
@@ -80,13 +80,13 @@ def test_jitter_is_that_of_runs_in_real_time_without_what_is_not_permitted(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     figures = TimingFigures(ticks=200, late=1, missed=4, period_p50=1e-3, latency_max=3e-3)
-    timing = TimingRecord(figures=figures, limits=TimingLimits()).summary
+    timing = Timing.of(figures, TimingLimits())
 
     def run_experiment(config: ExperimentConfig, _: Path) -> SimpleNamespace:
         assert (config.mode, config.joints) == ("realtime", 1)
         if config.priority:
             raise ConfigurationError("priority = 50: not permitted")
-        return SimpleNamespace(problems=["no use"], trials=["one"], timing=timing)
+        return SimpleNamespace(faults=["no use"], trials=["one"], timing=timing)
 
     monkeypatch.setattr(orchestrator, "run_experiment", run_experiment)
     told: list[str] = []
@@ -101,7 +101,7 @@ def test_speed_is_the_median_of_trials_and_lost_samples_miss_the_target(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=6.0)]
-    summary = SimpleNamespace(problems=[], trials=trials)
+    summary = SimpleNamespace(faults=[], trials=trials)
     monkeypatch.setattr(orchestrator, "run_experiment", lambda *_: summary)
     found = {one.key: one for one in bench.speed(lambda _: None)}
     assert found["composed_speed"].value == found["separate_speed"].value == 8.0

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.presentation import Stopwatch, complaints, present
+from armimp_bringup.presentation import Stopwatch, present
 from armimp_common.status import Phase
-from armimp_estimation.results import read_summary
+from armimp_estimation.summary import read_summary
 from support.results import make_result
 
 
@@ -99,20 +99,3 @@ def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -
     whole = stopwatch.stop()
     assert whole.before == first.before
     assert whole.trials > inside.trials >= 0.0
-
-
-def test_what_a_busy_machine_spoils_is_told_in_one_line_and_the_rest_as_it_is() -> None:
-    late = [
-        "real time: 300 of 20000 samples were sent more than 0.25 ms late, 1.5 % (limit 1 %)",
-        "arm_sim: watchdog: no command for 5 ticks",
-        "real time: 400 of 20000 commands did not come in time, 2 % (limit 1 %)",
-    ]
-    first, *others = complaints([late[0], "no trial perturbs joint 2 (elbow)", *late[1:]])
-    assert others == ["no trial perturbs joint 2 (elbow)"]
-    assert first == (
-        "the machine was too busy for real time: "
-        "300 of 20000 samples were sent more than 0.25 ms late, 1.5 % (limit 1 %); "
-        "arm_sim: watchdog: no command for 5 ticks; "
-        "400 of 20000 commands did not come in time, 2 % (limit 1 %)"
-    )
-    assert complaints(late[:1]) == late[:1]

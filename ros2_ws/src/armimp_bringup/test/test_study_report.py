@@ -23,8 +23,8 @@ from armimp_bringup.study.store import StudyEntry, open_study, read_study
 from armimp_bringup.study.study import run_study
 from armimp_bringup.study.table import Table, results_table
 from armimp_bringup.study.verdict import judge
+from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
-from armimp_estimation.results import ImpedanceCurve
 
 BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")

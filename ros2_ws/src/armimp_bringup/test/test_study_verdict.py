@@ -17,7 +17,8 @@ from armimp_bringup.study.study import print_verdict
 from armimp_bringup.study.table import results_csv, results_table, torque_in_counts
 from armimp_bringup.study.verdict import QUANTITIES, StudyVerdict, WorstValue, targets
 from armimp_bringup.study.verdict import judge as judge_table
-from armimp_estimation.results import EstimatorSummary, TrialSummary, TruthSummary
+from armimp_estimation.problems import ProblemCode, problem
+from armimp_estimation.summary import EstimatorSummary, TrialSummary, TruthSummary
 
 TRUTH = TruthSummary(
     M=[[0.2, 0.1], [0.08, 0.06]], B=[[0.6, 0.2], [0.3, 0.4]], K=[[8.0, 3.0], [-2.0, 7.0]]
@@ -67,14 +68,12 @@ def _entry(
         "joints": joints,
         "joint_names": [f"joint {k + 1}" for k in range(joints)],
         "seed": 0,
-        "valid": True,
         "problems": [],
         "trials": [
             TrialSummary(
                 k=k + 1,
                 bag=None,
                 ticks=10,
-                lost=0,
                 lock_ratio=[0.001 * (i + 1) for i in range(joints)],
                 bias_bound=[0.01] * joints,
             )
@@ -253,11 +252,13 @@ def test_with_more_joints_elements_that_transducers_cannot_resolve_are_not_judge
 
 
 def test_condition_that_is_not_valid_fails_the_study_with_its_reason() -> None:
-    broken = _entry(friction=1, valid=False, problems=["elbow was not held still", "and more"])
+    faults = [problem(ProblemCode.NO_PERTURBATION), problem(ProblemCode.NOTHING_RECORDED)]
+    broken = _entry(friction=1, problems=faults)
     verdict = judge([_entry(), broken])
     assert not verdict.met
     assert verdict.failures() == [
-        "friction 1, resolution 0, perturbation 1, seed 0 is not valid: elbow was not held still"
+        "friction 1, resolution 0, perturbation 1, seed 0 is not valid: "
+        "the perturbation is zero throughout"
     ]
 
 

@@ -64,12 +64,16 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
             until(lambda: diagnostics.get_subscription_count() == 1)
             if told_before:
                 report(1000)
-                until(lambda: len(supervisor.problems) == 1)
+                until(lambda: len(supervisor.faults) == 1)
             trial.publish(status_message(STATUS))
             until(lambda: supervisor.finished)
             for ticks in (1600, 1700):
                 report(ticks)
-            until(lambda: supervisor.problems[-1:] == ["arm_sim: rig: fault at 1700"])
+            until(
+                lambda: (
+                    [str(one) for one in supervisor.faults[-1:]] == ["arm_sim: rig: fault at 1700"]
+                )
+            )
         for node in (rig, supervisor):
             node.destroy_node()
 

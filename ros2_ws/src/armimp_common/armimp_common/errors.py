@@ -5,7 +5,19 @@
 
 
 class ArmimpError(Exception):
-    """Base of every error that armimp raises on purpose."""
+    """Base of every error that armimp raises on purpose.
+
+    Parameters
+    ----------
+    message
+        One line.
+    code
+        Kind of problem that it makes of a result, if another than its class tells.
+    """
+
+    def __init__(self, message: str, code: str = "") -> None:
+        super().__init__(message)
+        self.code = code
 
 
 class ConfigurationError(ArmimpError):

@@ -17,8 +17,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 
-from armimp_estimation.alignment.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_whole
+from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.report.curves import (
     distances,
     element_curve,
@@ -36,9 +37,9 @@ from armimp_estimation.report.look import (
     joint_colour,
     looks,
 )
-from armimp_estimation.report.result import Result
 from armimp_estimation.report.traces import PERIOD, rows_of
-from armimp_estimation.results import ImpedanceCurve, Summary
+from armimp_estimation.result import Result
+from armimp_estimation.summary import Summary
 
 # Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
@@ -190,13 +191,13 @@ def coherence_figure(curves: Mapping[str, ImpedanceCurve], *, width: float = TWO
 
 @rc_context(STYLE)
 def trace_figure(
-    trials: Sequence[AssembledTrial], *, seconds: float = 5.0, width: float = TWO_COLUMNS
+    trials: Sequence[Trial], *, seconds: float = 5.0, width: float = TWO_COLUMNS
 ) -> Figure:
     """Signals of the trials over time: one column for each trial.
 
     Parameters
     ----------
-    trials : sequence of AssembledTrial
+    trials : sequence of Trial
         At least one, each with a segment.
     seconds : float
         From the beginning of the perturbation.

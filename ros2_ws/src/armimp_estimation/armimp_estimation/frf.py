@@ -16,6 +16,8 @@ from armimp_estimation.trial import TrialData, TrialSpectra
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+_INCOMPLETE = "trials_incomplete"
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrfColumn:
@@ -89,7 +91,8 @@ def noise_gain(trial: TrialSpectra) -> FloatArray:
     if not averages > 1.0:
         raise DataError(
             f"{where}: {trial.spectra.segments} segment gives no measure of noise, "
-            "at least 2 are needed"
+            "at least 2 are needed",
+            "record_too_short",
         )
     power = trial.input_power
     # Written so that NaN is none either.
@@ -187,7 +190,7 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
         frequencies, or if a trial perturbs other joints too.
     """
     if not trials:
-        raise DataError("no trial to estimate from")
+        raise DataError("no trial to estimate from", _INCOMPLETE)
     first = trials[0]
     names = first.record.joint_names
     for trial in trials:
@@ -195,31 +198,36 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
         if record.joint_names != names:
             raise DataError(
                 f"trial {record.trial} has joints {', '.join(record.joint_names)}, "
-                f"trial {first.record.trial} has {', '.join(names)}"
+                f"trial {first.record.trial} has {', '.join(names)}",
+                _INCOMPLETE,
             )
         if record.rate != first.record.rate:
             raise DataError(
                 f"trial {record.trial} has {record.rate} samples per second, "
-                f"trial {first.record.trial} has {first.record.rate}"
+                f"trial {first.record.trial} has {first.record.rate}",
+                _INCOMPLETE,
             )
         if not np.array_equal(trial.spectra.f, first.spectra.f):
             raise DataError(
                 f"trials {first.record.trial} and {record.trial} have spectra at different "
-                "frequencies"
+                "frequencies",
+                _INCOMPLETE,
             )
         for joint, name in enumerate(names):
             if joint != trial.joint and record.perturbation[joint].any():
                 raise DataError(
                     f"trial {record.trial} perturbs {name} as well as {names[trial.joint]}: "
-                    "decomposition needs one joint at a time"
+                    "decomposition needs one joint at a time",
+                    _INCOMPLETE,
                 )
     for joint, name in enumerate(names):
         numbers = [trial.record.trial for trial in trials if trial.joint == joint]
         if not numbers:
-            raise DataError(f"no trial perturbs joint {joint + 1} ({name})")
+            raise DataError(f"no trial perturbs joint {joint + 1} ({name})", _INCOMPLETE)
         if len(numbers) > 1:
             raise DataError(
                 f"{len(numbers)} trials perturb joint {joint + 1} ({name}), expected one: "
-                f"trials {', '.join(map(str, numbers))}"
+                f"trials {', '.join(map(str, numbers))}",
+                _INCOMPLETE,
             )
     return tuple(sorted(trials, key=lambda trial: trial.joint))

@@ -11,7 +11,7 @@ from armimp_estimation import scores, verdict
 from armimp_estimation.arm_models import ModelFit, fit_models
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.estimators.lpm import LpmFull
-from armimp_estimation.estimators.registry import make_estimator
+from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
@@ -19,7 +19,6 @@ from armimp_estimation.nonlinearity import judge_stiffness
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, spoiled
 from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_order, judge_balance
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.signal_quality import judge_signals, lost_motion
 from armimp_estimation.trial import TrialData
 
@@ -227,16 +226,17 @@ def identify(
     best = next((r for r in results.values() if r.estimate.unbiased), None)
     reading = options.lpm.reading
     records = [trial.record for trial in ordered]
-    jump = LpmFull(config=options.lpm).jump(records)
+    known = results.get("lpm_full")
+    hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
     if best is not None:
         lost = lost_motion(records)
         for k, record in enumerate(records):
             resolved = not lost[:, k].any()
-            problems += judge_stiffness(record, best.fit.mbk, jump, reading, resolved=resolved)
+            problems += judge_stiffness(record, best.fit.mbk, hold, reading, resolved=resolved)
     balance = None
     if responses is not None:
         fit = (best if best is not None else first).fit
-        balance = responses.balance(order, jump, reading, fit.delay)
+        balance = responses.balance(order, hold, reading, fit.delay)
         problems += judge_balance(names, balance, fit)
     return Identification(
         joint_names=names,

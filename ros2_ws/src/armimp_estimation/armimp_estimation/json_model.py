@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
 
 def _nan_for_null(value: object) -> object:
@@ -19,9 +19,19 @@ Matrix = list[Vector]
 
 
 class JsonModel(BaseModel):
-    """Unknown keys are an error: they would be lost when the file is written again."""
+    """Unknown keys are an error: they would be lost when the file is written again.
+
+    Values that are computed are written, for other readers, and not taken when they are read.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_computed(cls, given: Any) -> Any:
+        if not isinstance(given, dict):
+            return given
+        return {key: value for key, value in given.items() if key not in cls.model_computed_fields}
 
 
 def first_complaint(error: ValidationError) -> str:

@@ -2,40 +2,40 @@
 
 from __future__ import annotations
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
 from armimp_common.status import Level, TrialStatus, make_status
 from armimp_common.topics import ESTIMATOR_NODE
-from armimp_estimation.alignment.assemble import AssembledTrial
-from armimp_estimation.conclusion import Conclusion
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.estimators.estimate import ImpedanceColumn
 from armimp_estimation.estimators.lpm import FittedColumn
-from armimp_estimation.identify import Identification
+from armimp_estimation.result import Result
 from armimp_estimation.stopping import largest_error
 from armimp_estimation.trial import TrialSpectra
 
-CONCLUSION_NAME = f"{ESTIMATOR_NODE}: impedance"
+RESULT_NAME = f"{ESTIMATOR_NODE}: impedance"
 PROGRESS_NAME = f"{ESTIMATOR_NODE}: progress"
 _SHOWN = 16
 """Number of frequencies at which curves are published; files hold all."""
 
 
 def column_message(
-    assembled: AssembledTrial, trial: TrialSpectra, column: ImpedanceColumn
+    trial: Trial, spectra: TrialSpectra, column: ImpedanceColumn
 ) -> DiagnosticStatus:
     """Column k of T, R and Z_h at selected frequencies, as soon as its trial is over."""
     chosen = _selection(column.f.size)
     values: dict[str, str | int | list[float]] = {
-        "trial": assembled.trial,
+        "trial": trial.trial,
         "joint": column.joint + 1,
-        "lost": assembled.ledger.lost,
+        "lost": trial.statistics.lost,
         "f": column.f[chosen].tolist(),
     }
-    power = trial.input_power
-    for i in range(trial.joints):
+    power, matrix = spectra.input_power, spectra.spectra.matrix
+    for i in range(spectra.joints):
         cross = {
-            "R": trial.spectra.matrix[0, trial.position_channel(i)] / power,
-            "T": trial.spectra.matrix[0, trial.torque_channel(i)] / power,
+            "R": matrix[0, spectra.position_channel(i)] / power,
+            "T": matrix[0, spectra.torque_channel(i)] / power,
             "Z": column.Z[i],
         }
         for name, curve in cross.items():
@@ -45,40 +45,46 @@ def column_message(
     return make_status(
         f"{ESTIMATOR_NODE}: column {column.joint + 1}",
         Level.OK,
-        f"trial {assembled.trial}: column {column.joint + 1} of the impedance",
+        f"trial {trial.trial}: column {column.joint + 1} of the impedance",
         values,
     )
 
 
-def failed_trial_message(assembled: AssembledTrial, reason: str) -> DiagnosticStatus:
+def failed_trial_message(trial: Trial, reason: str) -> DiagnosticStatus:
     """A trial which can't be estimated, and why."""
-    joint = assembled.window.joint + 1
+    joint = trial.joint + 1
     return make_status(
         f"{ESTIMATOR_NODE}: column {joint}",
         Level.ERROR,
         reason,
-        {"trial": assembled.trial, "joint": joint, "lost": assembled.ledger.lost},
+        {"trial": trial.trial, "joint": joint, "lost": trial.statistics.lost},
     )
 
 
-def conclusion_message(conclusion: Conclusion) -> DiagnosticStatus:
+def result_message(result: Result) -> DiagnosticStatus:
     """The whole matrix: M, B, K with standard errors, scores, and Z at selected frequencies."""
-    summary = conclusion.summary
+    summary = result.summary
+    codes = dict.fromkeys(one.code.value for one in summary.faults)
     values: dict[str, str | bool | list[float]] = {
         "valid": summary.valid,
-        "problems": "; ".join(summary.problems),
+        "problems": " ".join(codes),
     }
-    for name, result in summary.estimators.items():
+    for name, found in summary.estimators.items():
         for key in ("M", "B", "K", "M_se", "B_se", "K_se", "vaf", "r2", "coherence_derived"):
-            matrix = getattr(result, key)
+            matrix = getattr(found, key)
             if matrix is not None:
                 values[f"{name}.{key}"] = [value for row in matrix for value in row]
-    if conclusion.identification is not None:
-        values |= _curves(conclusion.identification)
+    for name, curve in result.curves.items():
+        chosen = _selection(curve.f.size)
+        values[f"{name}.f"] = curve.f[chosen].tolist()
+        for i, k in np.ndindex(curve.Z.shape[:2]):
+            element = curve.Z[i, k, chosen]
+            values[f"{name}.Z_{i + 1}{k + 1}.re"] = element.real.tolist()
+            values[f"{name}.Z_{i + 1}{k + 1}.im"] = element.imag.tolist()
     return make_status(
-        CONCLUSION_NAME,
+        RESULT_NAME,
         Level.OK if summary.valid else Level.ERROR,
-        "valid" if summary.valid else f"not valid: {summary.problems[0]}",
+        "valid" if summary.valid else f"not valid: {summary.faults[0]}",
         values,
     )
 
@@ -110,20 +116,6 @@ def progress_message(
         values["preliminary"] = column.preliminary
     text = f"trial {status.trial} of {status.trials}: {samples} of {status.ticks}"
     return make_status(PROGRESS_NAME, Level.OK, text, values)
-
-
-def _curves(identification: Identification) -> dict[str, str | bool | list[float]]:
-    values: dict[str, str | bool | list[float]] = {}
-    for name, result in identification.estimators.items():
-        estimate = result.estimate
-        chosen = _selection(estimate.f.size)
-        values[f"{name}.f"] = estimate.f[chosen].tolist()
-        for i in range(estimate.joints):
-            for k in range(estimate.joints):
-                curve = estimate.Z[i, k, chosen]
-                values[f"{name}.Z_{i + 1}{k + 1}.re"] = curve.real.tolist()
-                values[f"{name}.Z_{i + 1}{k + 1}.im"] = curve.imag.tolist()
-    return values
 
 
 def _selection(count: int) -> list[int]:

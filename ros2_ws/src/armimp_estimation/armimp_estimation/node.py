@@ -39,23 +39,24 @@ from armimp_common.pubsub import (
     wait_for_partners,
 )
 from armimp_common.status import Phase, TimingFigures, TrialStatus, status_message, values_of
-from armimp_estimation.alignment.assemble import AssembledTrial
-from armimp_estimation.alignment.gaps import segments_for
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
-from armimp_estimation.alignment.trial_windows import AnnouncedTrials, only_missed_samples
-from armimp_estimation.conclusion import Conclusion, FinishedTrial, conclude, reading_of, truth_of
+from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.messages import (
     column_message,
-    conclusion_message,
     failed_trial_message,
     progress_message,
+    result_message,
 )
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
-from armimp_estimation.recording import Recording
-from armimp_estimation.trial import TrialData
+from armimp_estimation.problems import Problem, ProblemCode, problem
+from armimp_estimation.recorder import TrialRecorder
+from armimp_estimation.result import Result, conclude
+from armimp_estimation.timing import RECORD_KEY, Timing
+from armimp_estimation.trial import TrialData, segments_for
 
 _LATE_PERIOD = 0.005
 """How often to look for messages that are late (s); mostly there are none."""
@@ -91,8 +92,12 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         # Judgements are made from what is recorded.
         self._together = topics.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
         self._metadata = self._settings.bag_metadata()
+        try:
+            # Now, and not after the last trial.
+            self._known = Metadata.of(self._metadata, len(self._settings.joints))
+        except DataError as error:
+            raise ConfigurationError(f"parameter 'metadata': {error}") from None
         self._reset()
-        self._check_metadata()
         self._progress = self.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, topics.RESULT, qos.LATCHED)
         self._received = CountPublisher(self, topics.RECEIVED)
@@ -102,13 +107,15 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             for topic in FETCHED
         }
         self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
-        self._inbox = StreamSynchronizer(
+        self._synchronizer = StreamSynchronizer(
             {topic: stream.take for topic, stream in fetched.items()},
             self._on_samples,
             self._late.reset,
         )
-        self._inbox.close()
-        self._leading = RawSubscription(self, topics.PERTURBATION, JointState, self._inbox.receive)
+        self._synchronizer.close()
+        self._leading = RawSubscription(
+            self, topics.PERTURBATION, JointState, self._synchronizer.receive
+        )
         self._streams: list[HasSubscription] = [*fetched.values(), self._leading]
         self._beside = [
             RawSubscription(
@@ -135,9 +142,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             monitors=[self._rig, self._controller],
         )
         self._active = True
-        # What has come so far goes with what the inbox does not take either.
+        # What has come so far goes with what the synchronizer does not take either.
         take_all(self._leading.subscription)
-        self._inbox.open()
+        self._synchronizer.open()
         self._acknowledged = self._recorded = self._flushed = 0
         self._seen = -1
         self._received.publish(0)
@@ -180,39 +187,30 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _reset(self) -> None:
         directory = self._settings.directory
         self._directory = Path(directory) if directory else None
-        self._finished: list[FinishedTrial] = []
+        self._finished: list[Trial] = []
         # Whoever only listens to a recording cannot know which trials may end early.
         self._announced = AnnouncedTrials(strict=self._settings.record)
-        self._problems: list[str] = []
+        self._problems: list[Problem] = []
         self._ended = 0
         self._done_at = math.inf
         self._concluded = False
-        self._recording = Recording(
+        self._recording = TrialRecorder(
             self._settings.joints,
             self._directory if self._settings.record else None,
             self._metadata,
             self._on_finished,
-            lpm=LpmConfig(reading=reading_of(self._metadata)),
+            lpm=LpmConfig(reading=self._known.reading),
             goal=self._settings.goal(),
         )
 
-    def _check_metadata(self) -> None:
-        """Find out now, and not after the last trial, whether the metadata make sense."""
-        truth, joints = truth_of(self._metadata), len(self._settings.joints)
-        if truth is not None and truth.joints != joints:
-            raise ConfigurationError(
-                f"parameter 'metadata': truth is of {truth.joints} joints, not of {joints}"
-            )
-        self._conclusion()
-
     def _stop(self, reason: str) -> None:
         self._active = False
-        self._inbox.close()
+        self._synchronizer.close()
         self._received.publish(topics.RECORDER_GONE)
         self._timer.cancel()
         if not self._concluded:
             # Before the trial is finished, which may be the last one that was awaited.
-            self._note(reason)
+            self._note(problem(ProblemCode.RECORDING_STOPPED, reason=reason))
         self._finish()
 
     def _finish(self) -> None:
@@ -231,7 +229,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._flush()
         if self._active:
             # First, so that in lockstep the judgement is there before the samples go on.
-            if (judgement := self._recording.judge()) is not None:
+            if (judgement := self._recording.decide()) is not None:
                 self._announced.note(judgement)
                 self._judgement.publish(status_message(judgement))
             self._acknowledged = samples
@@ -240,19 +238,19 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _record(self, *, incomplete: bool = False) -> None:
         """Record what waits for it."""
         try:
-            self._add(self._inbox.take(incomplete=incomplete))
+            self._add(self._synchronizer.take(incomplete=incomplete))
         except ArmimpError as error:
-            self._give_up(str(error))
+            self._give_up(error)
 
     def _add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        self._recording.add_many(messages, lambda topic, error: self._note(f"{topic}: {error}"))
+        self._recording.add_many(messages, self._refuse)
 
     def _flush(self) -> None:
         """Hand on what was recorded, so that a kill of this process cannot reach it."""
         try:
             self._recording.flush()
         except ArmimpError as error:
-            self._give_up(str(error))
+            self._give_up(error)
 
     def _on_beside(self, topic: str, message: bytes) -> None:
         if not self._active:
@@ -260,9 +258,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if topic == topics.DIAGNOSTICS:
             self._note_timing(message)
         try:
-            self._recording.add_beside(topic, message, self._inbox.newest_ns)
+            self._recording.add_beside(topic, message, self._synchronizer.newest_ns)
         except ArmimpError as error:
-            self._give_up(str(error))
+            self._give_up(error)
 
     def _note_timing(self, message: bytes) -> None:
         """Keep what the rig tells of its timing in realtime."""
@@ -273,9 +271,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             for status in deserialize_message(message, DiagnosticArray).status:
                 if status.name == TimingFigures.STATUS_NAME:
                     figures = TimingFigures.from_values(values_of(status))
-                    self._recording.timing = TimingRecord(figures=figures, limits=limits)
+                    self._recording.timing = Timing.of(figures, limits)
         except (MalformedMessageError, RuntimeError, ValueError) as error:
-            self._note(f"{topics.DIAGNOSTICS}: {error}")
+            self._refuse(topics.DIAGNOSTICS, error)
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         if not self._active:
@@ -283,20 +281,20 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         try:
             status = TrialStatus.from_values(values_of(message))
             if reason := self._announced.contradiction(status):
-                self._note(f"{topics.TRIAL}: {reason}")
+                self._refuse(topics.TRIAL, reason)
                 return
-            healed = self._settings.allow_gaps and only_missed_samples(status)
-            if status.reason and not healed:
-                self._note(f"trial {status.trial}: {status.reason}")
+            fault = fault_of(status)
+            if fault is not None and fault.code is not ProblemCode.SAMPLES_LOST:
+                self._note(fault)
             self._record(incomplete=status.phase is Phase.ABORTED)
             if not self._active:
                 return
             self._recording.add_status(status)
         except MalformedMessageError as error:
-            self._note(f"{topics.TRIAL}: {error}")
+            self._refuse(topics.TRIAL, error)
             return
         except ArmimpError as error:
-            self._give_up(str(error))
+            self._give_up(error)
             return
         if status.phase is Phase.ABORTED:
             self._finish()
@@ -310,80 +308,82 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Close the bag when the controller is lost: nobody else would say that it is over."""
         if controller.presence.lost and self._active and not self._concluded:
             if self._done_at == math.inf:
-                self._note(controller.sentence)
+                self._note(problem(ProblemCode.NODE_FAILED, reason=controller.sentence))
             self._finish()
 
-    def _on_finished(self, trial: FinishedTrial | None, problem: str) -> None:
+    def _on_finished(self, trial: Trial | Problem) -> None:
         self._ended += 1
-        if trial is None:
-            self._note(problem)
+        if isinstance(trial, Problem):
+            self._note(trial)
         else:
             self._finished.append(trial)
-            self._publish_column(trial.assembled)
+            self._publish_column(trial)
         if self._ended == len(self._settings.joints):
             self._conclude()
 
-    def _publish_column(self, assembled: AssembledTrial) -> None:
+    def _publish_column(self, trial: Trial) -> None:
         try:
-            parts = assembled.intact(allow_gaps=self._settings.allow_gaps)
-            data = TrialData.from_stretches(
-                parts, segments_for([parts]), reading_of(self._metadata)
-            )
+            parts = trial.intact(allow_gaps=self._settings.allow_gaps)
+            data = TrialData.from_stretches(parts, segments_for([parts]), self._known.reading)
             column = WelchSiso().column(data.spectra)
         except DataError as error:
-            self._result.publish(failed_trial_message(assembled, str(error)))
+            self._result.publish(failed_trial_message(trial, str(error)))
         else:
-            self._result.publish(column_message(assembled, data.spectra, column))
+            self._result.publish(column_message(trial, data.spectra, column))
 
     def _conclude(self) -> None:
         """Publish and store the result, once; without any trial there is none."""
         if self._concluded:
             return
         self._concluded = True
-        conclusion = self._conclusion()
+        result = self._result_so_far()
         if self._directory is not None:
             try:
                 self._directory.mkdir(parents=True, exist_ok=True)
-                conclusion.write(self._directory)
+                result.write(self._directory)
             except (ArmimpError, OSError) as error:
                 self.get_logger().error(f"result not stored: {error}")
-        self._result.publish(conclusion_message(conclusion))
+        self._result.publish(result_message(result))
 
-    def _conclusion(self) -> Conclusion:
+    def _result_so_far(self) -> Result:
         timing = self._recording.timing
-        told = {} if timing is None else {RECORD_KEY: timing.to_json()}
+        told = {} if timing is None else {RECORD_KEY: timing.model_dump_json()}
         return conclude(
             self._finished,
             metadata={**self._metadata, **told},
             joint_names=self._settings.joints,
             estimators=self._settings.estimators,
-            gaps=self._settings.gaps(),
+            allow_gaps=self._settings.allow_gaps,
+            most_excluded=self._settings.most_excluded,
             problems=self._problems,
         )
 
-    def _note(self, problem: str) -> None:
-        if problem not in self._problems:
-            self._problems.append(problem)
-            self.get_logger().error(problem)
+    def _note(self, new: Problem) -> None:
+        if new not in self._problems:
+            self._problems.append(new)
+            self.get_logger().error(new.sentence)
 
-    def _give_up(self, problem: str) -> None:
+    def _refuse(self, topic: str, reason: object) -> None:
+        self._note(problem(ProblemCode.MESSAGE_REFUSED, stream=topic, reason=str(reason)))
+
+    def _give_up(self, error: ArmimpError) -> None:
         """Recording failed: keep what there is, and say so."""
-        self._note(problem)
+        self._note(Problem.of(error, ProblemCode.RECORDING_FAILED))
         self._active = False
-        self._inbox.close()
+        self._synchronizer.close()
         self._received.publish(topics.RECORDER_GONE)
         self._timer.cancel()
         with suppress(ArmimpError):
-            self._add(self._inbox.take())  # goes into the bag as that is closed
+            self._add(self._synchronizer.take())  # goes into the bag as that is closed
         try:
             self._recording.close()
-        except ArmimpError as error:
-            self._note(str(error))
+        except ArmimpError as again:
+            self._note(Problem.of(again, ProblemCode.RECORDING_FAILED))
         self._conclude()
 
     def _on_late(self) -> None:
         """Look for messages that the perturbation of their sample has overtaken."""
-        if not self._inbox.look():
+        if not self._synchronizer.poll():
             self._late.cancel()
 
     def _on_timer(self) -> None:
@@ -397,16 +397,16 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._finish()
             return
         try:
-            self._recording.flush_if_idle()
+            self._recording.flush(if_idle=True)
         except ArmimpError as error:
-            self._give_up(str(error))
+            self._give_up(error)
             return
         self._progress.publish(
             progress_message(
                 status,
                 samples=self._recording.samples,
                 rate=self._recording.rate,
-                coherence=self._recording.update(),
+                coherence=self._recording.coherence(),
                 column=self._recording.column(),
             )
         )

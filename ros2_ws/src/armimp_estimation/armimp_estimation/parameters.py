@@ -9,9 +9,9 @@ from pydantic import Field
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import TimingLimits
 from armimp_common.schema import Schema
-from armimp_estimation.alignment.gaps import GapConfig
-from armimp_estimation.conclusion import READING_KEYS
 from armimp_estimation.estimators.registry import estimator_names
+from armimp_estimation.metadata import READING_KEYS
+from armimp_estimation.result import MOST_EXCLUDED
 from armimp_estimation.stopping import PrecisionGoal
 from armimp_estimation.torque_timing import HIGHEST_ORDER
 
@@ -81,7 +81,7 @@ class EstimatorParameters(Schema):
         description="estimate from the intact parts of trials that lost samples",
     )
     most_excluded: float = Field(
-        default=0.05,
+        default=MOST_EXCLUDED,
         ge=0.0,
         le=1.0,
         description="largest share of a trial that may be left out of a valid result",
@@ -99,7 +99,7 @@ class EstimatorParameters(Schema):
     )
     least_duration: float = Field(
         default=20.0,
-        ge=5.0,
+        gt=0.0,
         le=9000.0,
         description="length of a trial that ends early, at least (s)",
     )
@@ -107,10 +107,6 @@ class EstimatorParameters(Schema):
     def goal(self) -> PrecisionGoal:
         """When trials may end before their time."""
         return PrecisionGoal(bound=self.target_error, least=self.least_duration)
-
-    def gaps(self) -> GapConfig:
-        """What to do with trials that have gaps."""
-        return GapConfig(allow=self.allow_gaps, most_excluded=self.most_excluded)
 
     def bag_metadata(self) -> dict[str, str]:
         """The metadata as a dictionary, with what is known of the torque readings.

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Final
+
+from pydantic import Field, computed_field
+
+from armimp_common.errors import ArmimpError
+from armimp_estimation.json_model import JsonModel, Number
 
 
 class Severity(str, Enum):
@@ -29,6 +33,43 @@ class Concern(str, Enum):
 class ProblemCode(str, Enum):
     """Kinds of problems."""
 
+    # of the samples of a trial
+    SAMPLES_MISSING = "samples_missing"
+    SAMPLES_MALFORMED = "samples_malformed"
+    SAMPLES_NOT_FINITE = "samples_not_finite"
+    SAMPLES_CONTRADICTORY = "samples_contradictory"
+    SAMPLES_REPEATED = "samples_repeated"
+    SAMPLES_REORDERED = "samples_reordered"
+    SAMPLES_LOST = "samples_lost"
+    STAMPS_DISAGREE = "stamps_disagree"
+    COMMANDS_MISSING = "commands_missing"
+    COMMANDS_FOREIGN = "commands_foreign"
+    PERTURBATIONS_FOREIGN = "perturbations_foreign"
+    NOTHING_RECORDED = "nothing_recorded"
+    JOINT_UNKNOWN = "joint_unknown"
+    NO_PERTURBATION = "no_perturbation"
+    MUCH_EXCLUDED = "much_excluded"
+    CLIPPED_UNKNOWN = "clipped_unknown"
+    # of the run
+    TRIAL_ABORTED = "trial_aborted"
+    TRIAL_SPOILED = "trial_spoiled"
+    MESSAGE_REFUSED = "message_refused"
+    RECORDING_FAILED = "recording_failed"
+    RECORDING_STOPPED = "recording_stopped"
+    INTERRUPTED = "interrupted"
+    STALLED = "stalled"
+    NODE_FAILED = "node_failed"
+    NODE_FAULT = "node_fault"
+    PARAMETERS_DIFFER = "parameters_differ"
+    SAMPLES_LATE = "samples_late"
+    COMMANDS_LATE = "commands_late"
+    LATENCY = "latency"
+    # of what there is to estimate from
+    NOT_ESTIMATED = "not_estimated"
+    RECORD_TOO_SHORT = "record_too_short"
+    TRIALS_INCOMPLETE = "trials_incomplete"
+    JOINT_DOES_NOT_MOVE = "joint_does_not_move"
+    # of signals and estimates
     RATE_UNCUSTOMARY = "rate_uncustomary"
     RATE_UNPLANNED = "rate_unplanned"
     RATE_DRIFTS = "rate_drifts"
@@ -57,7 +98,63 @@ class ProblemCode(str, Enum):
     NO_RESPONSE = "no_response"
 
 
+_WHERE = "{count:d}, between {first:.3f} s and {last:.3f} s"
+
 SENTENCES: Final[Mapping[ProblemCode, str]] = {
+    ProblemCode.SAMPLES_MISSING: f"samples of {{stream}} are missing: {_WHERE}",
+    ProblemCode.SAMPLES_MALFORMED: (
+        "messages of {stream} are malformed: {count:d}, the first: {reason}"
+    ),
+    ProblemCode.SAMPLES_NOT_FINITE: f"samples of {{stream}} are not finite: {_WHERE}",
+    ProblemCode.SAMPLES_CONTRADICTORY: f"samples of {{stream}} contradict themselves: {_WHERE}",
+    ProblemCode.SAMPLES_REPEATED: "samples of {stream} came more than once: {count:d}",
+    ProblemCode.SAMPLES_REORDERED: "samples of {stream} came out of order: {count:d}",
+    ProblemCode.SAMPLES_LOST: "{reason}",
+    ProblemCode.STAMPS_DISAGREE: (
+        "stamps of the streams do not agree: {count:d}, the first {apart_ns:d} ns from its "
+        "neighbour"
+    ),
+    ProblemCode.COMMANDS_MISSING: "there are {count:d} commands fewer than samples",
+    ProblemCode.COMMANDS_FOREIGN: (
+        "{count:d} commands are too many or out of turn: somebody else commanded"
+    ),
+    ProblemCode.PERTURBATIONS_FOREIGN: (
+        "{count:d} perturbations are out of turn outside the trial, so that commands cannot be "
+        "matched: somebody else published"
+    ),
+    ProblemCode.NOTHING_RECORDED: "no samples of it were recorded",
+    ProblemCode.JOINT_UNKNOWN: "the perturbed joint {name} is none of {known}",
+    ProblemCode.NO_PERTURBATION: "the perturbation is zero throughout",
+    ProblemCode.MUCH_EXCLUDED: (
+        "{percent:.3g} % of its samples are excluded (limit {limit:.3g} %)"
+    ),
+    ProblemCode.CLIPPED_UNKNOWN: "{count:d} commands were clipped, and it is not known when",
+    ProblemCode.TRIAL_ABORTED: "aborted: {reason}",
+    ProblemCode.TRIAL_SPOILED: "not valid: {reason}",
+    ProblemCode.MESSAGE_REFUSED: "{stream}: {reason}",
+    ProblemCode.RECORDING_FAILED: "{reason}",
+    ProblemCode.RECORDING_STOPPED: "{reason}",
+    ProblemCode.INTERRUPTED: "interrupted by the user",
+    ProblemCode.STALLED: "nothing happened for {seconds:g} s",
+    ProblemCode.NODE_FAILED: "{reason}",
+    ProblemCode.NODE_FAULT: "{source}: {reason}",
+    ProblemCode.PARAMETERS_DIFFER: "{reason}",
+    ProblemCode.SAMPLES_LATE: (
+        "real time: {count:d} of {ticks:d} samples were sent more than {late_ms:g} ms late, "
+        "{percent:.3g} % (limit {limit:.3g} %)"
+    ),
+    ProblemCode.COMMANDS_LATE: (
+        "real time: {count:d} of {ticks:d} commands did not come in time, {percent:.3g} % "
+        "(limit {limit:.3g} %)"
+    ),
+    ProblemCode.LATENCY: (
+        "real time: the 99 % quantile of the time from a sample to its command is {ms:.3g} ms "
+        "(limit {limit:.3g} ms)"
+    ),
+    ProblemCode.NOT_ESTIMATED: "{reason}",
+    ProblemCode.RECORD_TOO_SHORT: "{reason}",
+    ProblemCode.TRIALS_INCOMPLETE: "{reason}",
+    ProblemCode.JOINT_DOES_NOT_MOVE: "{reason}",
     ProblemCode.RATE_UNCUSTOMARY: (
         "stamps give a sampling rate of {rate:.7g} Hz, which is not a customary one: "
         "if it is right, declare it with --rate {rate:.7g}"
@@ -159,8 +256,7 @@ SENTENCES: Final[Mapping[ProblemCode, str]] = {
 """One sentence for each code, with places for its values."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Problem:
+class Problem(JsonModel):
     """One thing that is wrong, or was found and put right.
 
     Attributes
@@ -184,14 +280,15 @@ class Problem:
     severity: Severity = Severity.ERROR
     trial: int | None = None
     estimator: str = ""
-    values: Mapping[str, float | int | str] = field(default_factory=dict)
+    values: Mapping[str, int | Number | str] = Field(default_factory=dict)
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def sentence(self) -> str:
         """The problem in words, one line."""
         values = {"estimator": self.estimator, **self.values}
         where = "" if self.trial is None else f"trial {self.trial}: "
-        return where + SENTENCES[self.code].format(**values)
+        return where + " ".join(SENTENCES[self.code].format(**values).split())
 
     def __str__(self) -> str:
         return self.sentence
@@ -202,7 +299,17 @@ class Problem:
             return False
         return concern is Concern.PARAMETERS or self.concern is concern
 
+    @classmethod
+    def of(cls, error: ArmimpError, default: ProblemCode = ProblemCode.NOT_ESTIMATED) -> Problem:
+        """The problem that an error tells of, by the code that it carries."""
+        return problem(ProblemCode(error.code) if error.code else default, reason=str(error))
+
+
+def problem(code: ProblemCode, **values: float | str) -> Problem:
+    """Return a problem of a run, with the values of its sentence."""
+    return Problem(code=code, values=values)
+
 
 def spoiled(problems: Iterable[Problem], concern: Concern, estimator: str = "") -> bool:
     """Whether one of the problems makes a verdict say not valid."""
-    return any(problem.spoils(concern, estimator) for problem in problems)
+    return any(one.spoils(concern, estimator) for one in problems)

@@ -120,7 +120,8 @@ def require_motion(record: TrialRecord) -> None:
     k = record.perturbed_joint
     if np.ptp(record.position[k]) == 0.0:
         raise DataError(
-            f"trial {record.trial}: {record.joint_names[k]} is perturbed but does not move"
+            f"trial {record.trial}: {record.joint_names[k]} is perturbed but does not move",
+            "joint_does_not_move",
         )
     if np.ptp(record.torque[k]) == 0.0:
         raise DataError(

@@ -305,7 +305,8 @@ class SpectralAccumulator:
         if self._segments == 0:
             raise DataError(
                 f"record of {self._samples} samples is shorter than one segment of "
-                f"{self._config.segment}"
+                f"{self._config.segment}",
+                "record_too_short",
             )
         runs = (*self._earlier_runs, self._segments - sum(self._earlier_runs))
         density = 1.0 / (self._rate * float(np.sum(self._window**2)))

@@ -1,4 +1,4 @@
-"""When a trial has lasted long enough: standard errors below a bound, looked at now and then."""
+"""When a trial has lasted long enough: standard errors below a bound, considered now and then."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
 
 _GROWTH = 10
-"""A trial is looked at again after this part of its length at the earliest, as a look at a long
-record takes long."""
+"""A trial is considered again after this part of its length at the earliest, as an estimate from
+a long record takes long."""
 
 
 def largest_error(column: FittedColumn) -> tuple[float, str]:
@@ -40,7 +40,7 @@ class PrecisionGoal:
     least : float
         Length that every trial has at least, s.
     every : float
-        Time from one look to the next, s; longer where a tenth of the trial is.
+        Time from one decision to the next, s; longer where a tenth of the trial is.
     """
 
     bound: float = 0.0
@@ -52,12 +52,12 @@ class PrecisionGoal:
             raise ConfigurationError(f"bound of errors must lie in [0, 1), got {self.bound!r}")
         if not (0.0 < self.least < np.inf and 0.0 < self.every < np.inf):
             raise ConfigurationError(
-                f"times between judgements must be positive: {self.least!r} s, {self.every!r} s"
+                f"times between decisions must be positive: {self.least!r} s, {self.every!r} s"
             )
 
 
-class Judge:
-    """Judges one trial at numbers of samples that depend on nothing but the goal.
+class StoppingRule:
+    """Decides on one trial at numbers of samples that depend on nothing but the goal.
 
     Parameters
     ----------
@@ -76,13 +76,13 @@ class Judge:
         self._trial = trial
         self._planned = planned
         self._every = round(goal.every * rate)
-        self._told = False
+        self._announced = False
         self._due: int | None = self._within(max(round(goal.least * rate) - NOTICE_TICKS, 1))
 
-    def judge(
+    def decide(
         self, samples: int, column: Callable[[int], FittedColumn | None]
     ) -> StoppingDecision | None:
-        """Judge the trial, if it is time.
+        """Decide whether the trial has lasted long enough, if it is time.
 
         Parameters
         ----------
@@ -94,27 +94,27 @@ class Judge:
         Returns
         -------
         StoppingDecision or None
-            The first one of all announces when the trial is judged.
+            The first one of all announces when the next is made.
         """
-        if not self._told:
-            self._told = True
-            return self._judgement(0, enough=False)
+        if not self._announced:
+            self._announced = True
+            return self._decision(0, enough=False)
         if self._due is None or samples < self._due:
             return None
-        judged = self._due
-        found = column(judged)
+        considered = self._due
+        found = column(considered)
         largest, element = (np.nan, "") if found is None else largest_error(found)
         enough = bool(largest < self._goal.bound)
         self._due = None
         if not enough:
-            self._due = self._within(judged + max(self._every, judged // _GROWTH))
-        return self._judgement(judged, enough=enough, largest=largest, element=element)
+            self._due = self._within(considered + max(self._every, considered // _GROWTH))
+        return self._decision(considered, enough=enough, largest=largest, element=element)
 
     def _within(self, samples: int) -> int | None:
         """A number of samples at which it is not too late to end the trial before its time."""
         return samples if samples + NOTICE_TICKS < self._planned else None
 
-    def _judgement(
+    def _decision(
         self, samples: int, *, enough: bool, largest: float = np.nan, element: str = ""
     ) -> StoppingDecision:
         return StoppingDecision(

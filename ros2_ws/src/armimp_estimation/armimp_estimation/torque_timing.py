@@ -16,14 +16,16 @@ the Euler-Maclaurin formula. For a drive that lags, whose torque does not jump, 
 responses to its command, and the first terms of e and b have the response of the drive as a factor.
 """
 
-from dataclasses import asdict, dataclass, replace
+from __future__ import annotations
+
 from enum import Enum
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import model_validator
+from typing_extensions import Self
 
-from armimp_common.errors import ConfigurationError
 from armimp_estimation.json_model import JsonModel
 
 FloatArray = NDArray[np.float64]
@@ -65,33 +67,7 @@ _INSTANTS = {
 }
 
 
-class ReadingSummary(JsonModel):
-    """What ``summary.json`` tells of a :class:`TorqueReading`; SI units."""
-
-    timing: TorqueTiming
-    delay: float
-    cutoff: float
-    order: int
-    actuator_lag: float
-
-    @classmethod
-    def of(cls, reading: "TorqueReading") -> "ReadingSummary":
-        """Summary of what was corrected."""
-        return cls.model_validate(asdict(reading))
-
-    def reading(self) -> "TorqueReading":
-        """What was corrected.
-
-        Raises
-        ------
-        ConfigurationError
-            If a value is out of range.
-        """
-        return TorqueReading(**self.model_dump())
-
-
-@dataclass(frozen=True, kw_only=True)
-class TorqueReading:
+class TorqueReading(JsonModel):
     """What is known of the readings of torque, all joints alike.
 
     Parameters
@@ -110,7 +86,7 @@ class TorqueReading:
 
     Raises
     ------
-    ConfigurationError
+    ValueError
         If a value is out of range.
     """
 
@@ -120,21 +96,23 @@ class TorqueReading:
     order: int = 1
     actuator_lag: float = 0.0
 
-    def __post_init__(self) -> None:
+    @model_validator(mode="after")
+    def _check_ranges(self) -> Self:
         if not abs(self.delay) <= LATEST:
-            raise ConfigurationError(
+            raise ValueError(
                 f"torque reading: delay must be within ± {LATEST:g} s, got {self.delay!r} s"
             )
         for name, unit in (("cutoff", "Hz"), ("actuator_lag", "s")):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
-                raise ConfigurationError(
+                raise ValueError(
                     f"torque reading: {name} must be finite and not negative, got {value!r} {unit}"
                 )
         if not 1 <= self.order <= HIGHEST_ORDER:
-            raise ConfigurationError(
+            raise ValueError(
                 f"torque reading: order must be 1 to {HIGHEST_ORDER}, got {self.order!r}"
             )
+        return self
 
     @property
     def prompt(self) -> bool:
@@ -155,7 +133,7 @@ class TorqueReading:
             facts.append(f"drives lag by {1e3 * self.actuator_lag:g} ms")
         return ", ".join(facts)
 
-    def at_rate(self, rate: float) -> "TorqueReading":
+    def at_rate(self, rate: float) -> TorqueReading:
         """The same as readings just before the updates that are late by more, or less.
 
         Readings just after an update are early by nothing but the jump, those amid a period are
@@ -169,11 +147,8 @@ class TorqueReading:
         shift = {TorqueTiming.AFTER_UPDATE: -_AT_ONCE, TorqueTiming.MID_INTERVAL: 0.5}
         if self.timing not in shift:
             return self
-        return replace(
-            self,
-            timing=TorqueTiming.BEFORE_UPDATE,
-            delay=self.delay + shift[self.timing] / rate,
-        )
+        delay = self.delay + shift[self.timing] / rate
+        return self.model_copy(update={"timing": TorqueTiming.BEFORE_UPDATE, "delay": delay})
 
     def response(self, f: FloatArray) -> ComplexArray:
         """``G = H exp(-jωD)`` at frequencies in Hz."""

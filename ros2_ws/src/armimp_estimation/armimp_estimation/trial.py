@@ -127,6 +127,15 @@ class TrialAccumulator:
         return TrialSpectra(perturbed_joint=self._joint, spectra=self._accumulator.result())
 
 
+def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
+    """Welch segments that suit the intact parts of the trial that has the least of them."""
+    configs = [
+        WelchConfig.for_stretches([part.samples for part in parts], parts[0].rate)
+        for parts in trials
+    ]
+    return min(configs, key=lambda config: config.segment, default=WelchConfig.for_samples(0))
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialData:
     """A finished trial: its record and its spectra, which belong together.
@@ -200,7 +209,7 @@ class TrialData:
             return cls(record=record, spectra=spectra)
         except DataError as error:
             gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"
-            raise DataError(f"trial {record.trial}: {error}{gaps}") from error
+            raise DataError(f"trial {record.trial}: {error}{gaps}", error.code) from error
 
     @property
     def joint(self) -> int:

@@ -127,7 +127,7 @@ class TestForeignMessages:
         path = write(tmp_path / "bag", without(topics.COMMANDS))
         content = read_bag(path)
         assert_same(content.records()[1], RECORDING.records[1])
-        assert content.trials[0].ledger.streams[topics.COMMANDS].lost == 120
+        assert content.trials[0].statistics.streams[topics.COMMANDS].lost == 120
 
     def test_trials_are_inferred_without_statuses(self, tmp_path: Path) -> None:
         recording = synthetic_recording(perturbed=(1, 0, 0), ticks=80, settle=200, rest=100)
@@ -306,10 +306,10 @@ class TestSpoiledTrials:
         ]
         path = write(tmp_path / "bag", messages)
         content = read_bag(path)
-        assert_same(content.trials[1].require(), RECORDING.records[1])
-        assert error_of(path).startswith(f"{path}: trial 1: 1 sample of ")
-        with pytest.raises(DataError, match="trial 1: 1 sample of "):
-            content.trials[0].require()
+        assert_same(content.trials[1].intact()[0], RECORDING.records[1])
+        assert error_of(path).startswith(f"{path}: trial 1: samples of ")
+        with pytest.raises(DataError, match="trial 1: samples of "):
+            content.trials[0].intact()
 
     def test_nan_is_named(self, tmp_path: Path) -> None:
         recording = synthetic_recording(ticks=50)
@@ -319,7 +319,8 @@ class TestSpoiledTrials:
         messages[number] = (topics.TORQUE_SENSORS, messages[number][1], raw)
         path = write(tmp_path / "bag", messages)
         assert error_of(path) == (
-            f"{path}: trial 1: 1 sample of torque_sensors is not finite at 0.000 s"
+            f"{path}: trial 1: samples of torque_sensors are not finite: 1, between 0.000 s and "
+            "0.001 s; --allow-gaps uses the intact parts"
         )
 
     def test_cut_recording_is_estimated_with_a_note(self, tmp_path: Path) -> None:
@@ -331,7 +332,7 @@ class TestSpoiledTrials:
         assert record.samples == 39
         assert content.notes == (f"{path}: trial 1 is cut short: 39 of 50 samples",)
         assert content.trials[0].shortfall == 11
-        assert content.trials[0].ledger.lost == 0
+        assert content.trials[0].statistics.lost == 0
 
     def test_damaged_status_is_noted(self, tmp_path: Path) -> None:
         recording = synthetic_recording(ticks=50)

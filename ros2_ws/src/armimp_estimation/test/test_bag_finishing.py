@@ -10,8 +10,8 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 
 from armimp_common import topics
 from armimp_common.errors import BagError
-from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS
-from armimp_estimation.alignment.sample_batch import block_of
+from armimp_common.topics import CLOCK, PERIOD_NS
+from armimp_estimation.alignment.trial_segmenter import ORDER, stamps_in_step
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
@@ -62,15 +62,14 @@ def test_bag_written_by_the_block_is_finished_as_that_of_a_recorder_that_lived(
 ) -> None:
     """What was written beside the samples makes chunks longer than single messages would."""
     recording = synthetic_recording(ticks=160, start_ns=PERIOD_NS).by_topic()
-    block = block_of({topic: recording[topic] for topic in DATA_STREAMS})
-    assert block is not None
+    stamps = stamps_in_step(recording)
     writers = [BagWriter(tmp_path / run / "bag", metadata=METADATA) for run in ("a", "b")]
     for writer in writers:
         for start in range(0, 150, 50):
             writer.write(CLOCK, b"\0\1\0\0" + bytes(8), start * PERIOD_NS)
             part = slice(start, start + 50)
-            messages = {topic: raws[part] for topic, raws in block.messages.items()}
-            writer.write_block(block.stamps[part], messages)
+            messages = {topic: recording[topic][part] for topic in ORDER}
+            writer.write_block(stamps[part], messages)
     writers[0]._file.abandon()
     writers[1].close()
 
@@ -103,7 +102,7 @@ def test_metadata_and_trials_are_kept(tmp_path: Path) -> None:
     after = read_bag(path)
     assert after.metadata == before.metadata == METADATA
     assert list(after.messages()) == list(before.messages())
-    assert after.trials[0].ledger == before.trials[0].ledger
+    assert after.trials[0].statistics == before.trials[0].statistics
     assert any("cut within" in note or "without the end" in note for note in before.notes)
     assert [note for note in before.notes if "cut short" in note] == list(after.notes)
 

@@ -119,7 +119,7 @@ def assert_reads(path: Path, expected: SyntheticRecording = RECORDING) -> None:
         assert_same(record, wanted)
         assert record.seed == wanted.seed
     for trial in content.trials:
-        assert trial.ledger.lost == 0
+        assert trial.statistics.lost == 0
         assert trial.shortfall == 0
     assert content.notes == ()
     assert list(content.messages()) == list(expected.messages)

@@ -10,11 +10,10 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
-from armimp_estimation.estimators.registry import make_estimator
+from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData

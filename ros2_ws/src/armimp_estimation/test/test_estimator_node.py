@@ -29,11 +29,12 @@ from armimp_common.status import Level, Phase, values_of
 from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
-from armimp_estimation.conclusion import FinishedTrial, conclude
-from armimp_estimation.messages import CONCLUSION_NAME
+from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.results import Summary, read_summary
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.result import conclude
+from armimp_estimation.summary import Summary, read_summary
 from support.graph import PATIENCE, a_moment, eventually, overrides
 from support.recordings import recorded_arm
 from support.synthetic_bags import Message, synthetic_recording
@@ -111,11 +112,11 @@ class Script:
 
     @property
     def columns(self) -> list[DiagnosticStatus]:
-        return [result for result in self.results if result.name != CONCLUSION_NAME]
+        return [result for result in self.results if result.name != RESULT_NAME]
 
     @property
     def conclusions(self) -> list[DiagnosticStatus]:
-        return [result for result in self.results if result.name == CONCLUSION_NAME]
+        return [result for result in self.results if result.name == RESULT_NAME]
 
     def concluded(self) -> bool:
         return bool(self.conclusions)
@@ -203,7 +204,7 @@ class TestResults:
         assert [result.name for result in script.results] == [
             "impedance_estimator: column 1",
             "impedance_estimator: column 2",
-            CONCLUSION_NAME,
+            RESULT_NAME,
         ]
         assert [result.level for result in script.columns] == [bytes([Level.OK])] * 2
         column = values_of(script.columns[1])
@@ -217,7 +218,7 @@ class TestResults:
         # What is stored and published is what the bags give.
         contents = [read_bag(path) for path in bags_of(tmp_path)]
         offline = conclude(
-            [FinishedTrial(assembled=content.trials[0], bag=None) for content in contents],
+            [content.trials[0] for content in contents],
             metadata=contents[0].metadata,
             joint_names=("shoulder", "elbow"),
             estimators=EstimatorParameters().estimators,
@@ -293,15 +294,14 @@ class TestFaults:
         script.play(spinner, messages)
         eventually(spinner, script.concluded, "the conclusion")
 
-        problem = (
-            "trial 1: 1 sample of joint_states is missing at 0.040 s; "
-            "--allow-gaps uses the intact parts"
-        )
-        assert stored(tmp_path).problems == [problem]
+        (problem,) = stored(tmp_path).problems
+        assert (problem.code, problem.trial) == (ProblemCode.SAMPLES_MISSING, 1)
+        where = {"first": 0.04, "last": 0.041}
+        assert problem.values == {"stream": "joint_states", "count": 1, **where}
         assert stored(tmp_path).trials[0].lost == 1
         assert script.conclusions[0].level == bytes([Level.ERROR])
         assert script.conclusions[0].message == f"not valid: {problem}"
-        assert script.columns[0].message == problem
+        assert script.columns[0].message.startswith(problem.sentence)
         assert values_of(script.columns[0])["lost"] == "1"
 
     @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.PERTURBATION])
@@ -323,8 +323,9 @@ class TestFaults:
 
         summary = stored(tmp_path)
         assert not summary.valid
-        assert summary.problems[0].startswith(f"{topic}: ")
-        assert f"1 sample of {topic} is missing" in summary.problems[1]
+        refused, missing = summary.problems[:2]
+        assert (refused.code, refused.values["stream"]) == (ProblemCode.MESSAGE_REFUSED, topic)
+        assert (missing.code, missing.values["stream"]) == (ProblemCode.SAMPLES_MISSING, topic)
         assert len(bags_of(tmp_path)) == 2
 
     @pytest.mark.parametrize("order", [DATA_STREAMS, DATA_STREAMS[::-1]])
@@ -358,8 +359,9 @@ class TestFaults:
         script.play(spinner, [*MADE_UP[4 * (SETTLE + 40) :], DONE])
         eventually(spinner, script.concluded, "the conclusion")
 
-        told = "imbic_controller/trial: trial: phase is missing"
-        assert stored(tmp_path).problems[0] == told
+        refused = stored(tmp_path).problems[0]
+        assert refused.code is ProblemCode.MESSAGE_REFUSED
+        assert refused.values["stream"] == TRIAL
         assert [(trial.ticks, trial.lost) for trial in stored(tmp_path).trials] == [(TICKS, 0)] * 2
 
     def test_samples_may_come_after_the_end_was_announced(
@@ -413,9 +415,10 @@ class TestFaults:
         script.play(spinner, [(TRIAL, 0, encode_trial_status(aborted))])
         eventually(spinner, script.concluded, "the conclusion")
 
-        assert stored(tmp_path).problems[0] == "trial 1: a fault"
         (trial,) = read_bag(bags_of(tmp_path)[0]).trials
-        assert trial.problem == "aborted: a fault"
+        fault = stored(tmp_path).problems[0]
+        assert (fault.code, fault.trial) == (ProblemCode.TRIAL_ABORTED, 1)
+        assert trial.problems == (fault,)
 
     def test_when_the_bag_exists_expect_the_end_with_the_reason_and_nothing_overwritten(
         self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
@@ -427,7 +430,9 @@ class TestFaults:
         script.play(spinner, MADE_UP[:ONE_TRIAL])
         eventually(spinner, script.concluded, "the conclusion")
 
-        assert str(bag) in stored(tmp_path).problems[0]
+        problem = stored(tmp_path).problems[0]
+        assert problem.code is ProblemCode.RECORDING_FAILED
+        assert str(bag) in problem.sentence
         assert list(bag.iterdir()) == []
 
     def test_when_a_result_exists_expect_it_kept(
@@ -475,7 +480,7 @@ class TestParameters:
             ({"metadata": '{"truth": "[1]"}'}, "metadata: truth is not three matrices"),
             (
                 {"metadata": '{"truth": "{\\"M\\": [[1]], \\"B\\": [[1]], \\"K\\": [[1]]}"}'},
-                "parameter 'metadata': truth is of 1 joints, not of 2",
+                "parameter 'metadata': metadata: truth is of 1 joints, the data of 2",
             ),
             ({"metadata": '{"config": "{"}'}, "metadata: config is not JSON"),
         ],
@@ -531,12 +536,13 @@ class TestLife:
 
         done = {"trigger_deactivate": "stopped", "trigger_shutdown": "shut down"}.get(how, "ended")
         summary = stored(tmp_path)
-        assert summary.problems[0] == f"the estimator was {done} before all trials were over"
+        assert summary.problems[0].code is ProblemCode.RECORDING_STOPPED
+        assert done in summary.problems[0].sentence
         assert not summary.valid
         assert script.conclusions[0].level == bytes([Level.ERROR])
         assert len(bags_of(tmp_path)) == trial
         (cut,) = read_bag(bags_of(tmp_path)[-1]).trials
-        assert 35 <= cut.require().samples <= 40
+        assert 35 <= cut.segments[0].samples <= 40
 
     def test_life_can_be_gone_through_again_with_another_directory(
         self, make: MakeEstimator, node: Node, spinner: Spinner, tmp_path: Path

@@ -17,10 +17,10 @@ from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import wait_until_matched
 from armimp_common.status import Phase, TrialStatus, status_message
-from armimp_estimation.messages import CONCLUSION_NAME
+from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.results import read_summary
+from armimp_estimation.summary import read_summary
 from support.graph import PATIENCE, a_moment, eventually, overrides
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -49,7 +49,7 @@ class Surroundings:
         spinner.add_node(self.estimator)
 
     def on_result(self, message: DiagnosticStatus) -> None:
-        self.conclusions += message.name == CONCLUSION_NAME
+        self.conclusions += message.name == RESULT_NAME
 
     def bring_up(self) -> None:
         estimator = self.estimator
@@ -65,7 +65,7 @@ class Surroundings:
     @property
     def problems(self) -> list[str]:
         assert self.out is not None
-        return read_summary(self.out / "summary.json").problems
+        return list(map(str, read_summary(self.out / "summary.json").problems))
 
     def announce(self, phase: Phase) -> None:
         status = TrialStatus(

@@ -11,6 +11,7 @@ from scipy import signal
 from armimp_common.errors import DataError
 from armimp_common.topics import COMMANDS, TRIAL
 from armimp_estimation.alignment.assemble import assemble_trials
+from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
@@ -196,7 +197,8 @@ class TestCommandsOfRecords:
     ) -> list[TrialRecord]:
         statuses, problem = decode_trial_statuses(recording.by_topic()[TRIAL])
         assert not problem
-        return [t.require() for t in assemble_trials(self.NAMES, topics, statuses)]
+        streams = decode_streams(self.NAMES, topics)
+        return [trial.segments[0] for trial in assemble_trials(streams, statuses)]
 
     def test_each_sample_has_the_command_that_answered_it(self) -> None:
         records = self.assembled(self.RECORDING.by_topic())

@@ -5,12 +5,12 @@ import pytest
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation import scores
+from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.frf import frf_matrix
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialAccumulator, TrialData
 from armimp_estimation.verdict import Limits, judge_coherence, judge_locking

@@ -11,12 +11,11 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
-from armimp_estimation.estimators.registry import make_estimator
+from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchFull
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import (
     BodeCurve,
@@ -19,7 +20,6 @@ from armimp_estimation.report.curves import (
 )
 from armimp_estimation.report.look import COLOURS, looks
 from armimp_estimation.report.traces import rows_of
-from armimp_estimation.results import ImpedanceCurve
 from armimp_estimation.scores import Coherences
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 

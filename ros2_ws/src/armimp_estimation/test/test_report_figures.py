@@ -6,7 +6,7 @@ import pytest
 
 from armimp_common.errors import DataError
 from armimp_estimation.figures import ONE_COLUMN, TWO_COLUMNS, impedance_figure, write_figures
-from armimp_estimation.report import Result, load_result
+from armimp_estimation.result import Result, load_result
 from support.results import METADATA, make_result
 from support.synthetic_bags import synthetic_recording
 

@@ -17,9 +17,11 @@ from armimp_common import topics
 from armimp_common.errors import DataError
 from armimp_common.status import Phase
 from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
-from armimp_estimation.report import REPORT_FILE, Result, load_result, report_page, write_report
+from armimp_estimation.problems import ProblemCode, problem
+from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, uncertain
-from armimp_estimation.results import Summary, read_summary, write_summary
+from armimp_estimation.result import Result, load_result
+from armimp_estimation.summary import Summary, read_summary, write_summary
 from support.recordings import recorded_arm
 from support.results import METADATA, make_result
 from support.synthetic_bags import Message, synthetic_recording
@@ -234,12 +236,16 @@ def test_when_it_cannot_be_written_expect_the_path_in_the_error(
 
 
 def test_an_invalid_result_says_why_and_what_to_do(directory: Path, tmp_path: Path) -> None:
-    problem = "elbow was not held still while shoulder was perturbed: it moved by 9 % of it"
-    target = altered(directory, tmp_path / "bad", valid=False, problems=[problem])
+    found = problem(
+        ProblemCode.LOCK_RATIO, name="elbow", perturbed="shoulder", percent=9.0, limit=2.0
+    )
+    target = altered(directory, tmp_path / "bad", problems=[found])
     words = Page(report_page(load_result(target, []))).words
     assert "Not valid: 1 problem " in words
     assert "Joints that should have been held still moved" in words
-    assert problem in words
+    assert found.sentence.strip().replace("(limit 2 %)", "").strip() in words.replace(
+        "\N{NO-BREAK SPACE}", " "
+    )
     assert "What to do:" in words
     assert "do not use them as a result" in words
 
@@ -258,7 +264,7 @@ def test_a_result_without_an_estimate_still_has_a_report(tmp_path: Path) -> None
     assert "Nothing could be estimated" in page.words
     assert "Samples are missing or in disorder" in page.words
     assert re.search(r"torques on the arm torque_sensors \d+ \d+ 1000 0 0", page.words)
-    assert "Not usable: 1000 samples of torque_sensors are missing" in page.words
+    assert "Not usable: trial 2: samples of torque_sensors are missing: 1000" in page.words
     figures = [a["id"] for tag, a in page.elements if tag == "figure"]
     assert figures == ["trace-1", "trace-2"]
 
@@ -334,7 +340,7 @@ def hostile_summary(summary: Summary) -> Summary:
     return summary.model_copy(
         update={
             "valid": False,
-            "problems": [HOSTILE, f"node {HOSTILE} died"],
+            "problems": [problem(ProblemCode.NODE_FAILED, reason=f"node {HOSTILE} died")],
             "trials": trials,
             "estimators": {HOSTILE: first, **summary.estimators},
             "config": {

@@ -6,7 +6,7 @@ import pytest
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
-from armimp_estimation.stopping import Judge, PrecisionGoal, largest_error
+from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
 
 GOAL = PrecisionGoal(bound=0.02, least=20.0, every=2.0)
 LEAST = 20_000 - NOTICE_TICKS
@@ -21,20 +21,20 @@ def column(error: float) -> FittedColumn:
     )
 
 
-def judge(planned: int = 50_000, goal: PrecisionGoal = GOAL) -> Judge:
-    return Judge(goal, trial=2, planned=planned, rate=1000.0)
+def rule(planned: int = 50_000, goal: PrecisionGoal = GOAL) -> StoppingRule:
+    return StoppingRule(goal, trial=2, planned=planned, rate=1000.0)
 
 
-def judgements(
-    one: Judge, samples: int, errors: dict[int, float] | float
+def decisions(
+    one: StoppingRule, samples: int, errors: dict[int, float] | float
 ) -> list[StoppingDecision]:
-    """All judgements while the samples come in tens."""
+    """All decisions while the samples come in tens."""
 
     def found(count: int) -> FittedColumn:
         return column(errors if isinstance(errors, float) else errors.get(count, 1.0))
 
-    told = [one.judge(count, found) for count in range(0, samples + 1, 10)]
-    return [judgement for judgement in told if judgement is not None]
+    told = [one.decide(count, found) for count in range(0, samples + 1, 10)]
+    return [decision for decision in told if decision is not None]
 
 
 def test_largest_error_is_relative_and_names_its_element() -> None:
@@ -56,8 +56,8 @@ def test_a_parameter_without_a_relative_error_is_never_good_enough(values: float
     assert largest_error(spoiled) == (np.inf, "K22")
 
 
-def test_first_comes_an_announcement_then_judgements_in_their_time() -> None:
-    found = judgements(judge(), 49_000, 0.05)
+def test_first_comes_an_announcement_then_decisions_in_their_time() -> None:
+    found = decisions(rule(), 49_000, 0.05)
 
     assert (found[0].trial, found[0].samples, found[0].due) == (2, 0, LEAST)
     assert np.isnan(found[0].largest)
@@ -72,47 +72,47 @@ def test_first_comes_an_announcement_then_judgements_in_their_time() -> None:
 
 
 def test_a_trial_that_is_good_enough_ends_once_and_not_before_its_least_length() -> None:
-    found = judgements(judge(), 49_000, 0.001)
+    found = decisions(rule(), 49_000, 0.001)
 
     assert [(one.samples, one.enough, one.due) for one in found[1:]] == [(LEAST, True, None)]
     assert (found[1].largest, found[1].element) == (0.001, "M12")
 
 
-def test_samples_that_come_late_do_not_change_what_is_judged() -> None:
-    one = judge()
-    one.judge(0, lambda _: None)
+def test_samples_that_come_late_do_not_change_what_is_considered() -> None:
+    one = rule()
+    one.decide(0, lambda _: None)
     asked: list[int] = []
 
     def found(samples: int) -> FittedColumn:
         asked.append(samples)
         return column(0.001)
 
-    judgement = one.judge(LEAST + 1234, found)
+    decision = one.decide(LEAST + 1234, found)
 
     assert asked == [LEAST]
-    assert judgement is not None
-    assert judgement.samples == LEAST
+    assert decision is not None
+    assert decision.samples == LEAST
 
 
 def test_the_bound_itself_is_not_below_the_bound() -> None:
-    assert [one.enough for one in judgements(judge(), LEAST, 0.02)] == [False, False]
-    assert [one.enough for one in judgements(judge(), LEAST, 0.0199)] == [False, True]
+    assert [one.enough for one in decisions(rule(), LEAST, 0.02)] == [False, False]
+    assert [one.enough for one in decisions(rule(), LEAST, 0.0199)] == [False, True]
 
 
 def test_when_nothing_is_known_expect_not_enough() -> None:
-    one = judge()
-    one.judge(0, lambda _: None)
+    one = rule()
+    one.decide(0, lambda _: None)
 
-    judgement = one.judge(LEAST, lambda _: None)
+    decision = one.decide(LEAST, lambda _: None)
 
-    assert judgement is not None
-    assert not judgement.enough
-    assert np.isnan(judgement.largest)
+    assert decision is not None
+    assert not decision.enough
+    assert np.isnan(decision.largest)
 
 
 @pytest.mark.parametrize("planned", [1000, 20_000])
 def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: int) -> None:
-    (only,) = judgements(judge(planned), planned, 0.0)
+    (only,) = decisions(rule(planned), planned, 0.0)
     assert (only.samples, only.due) == (0, None)
 
 

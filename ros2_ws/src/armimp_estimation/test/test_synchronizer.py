@@ -1,20 +1,20 @@
-"""The inbox of the recorder: whole samples, in order, and nothing waits for ever."""
+"""The synchronizer of the recorder: complete samples, in order, and nothing waits for ever."""
 
 import pytest
 
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.topics import COMMANDS, DATA_STREAMS, JOINT_STATES, PERTURBATION
-from armimp_estimation.alignment.synchronizer import FETCHED, HandedInbox
+from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
 
 
 class Post:
-    """An inbox, how messages get there, and what it tells."""
+    """A synchronizer, how messages get there, and what it tells."""
 
     def __init__(self) -> None:
         self.told: list[int] = []
         self.times_behind = 0
-        self.inbox = HandedInbox(self.told.append, self._on_behind)
-        self.deliver = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
+        self.synchronizer = StreamSynchronizer(None, self.told.append, self._on_behind)
+        self.deliver = {topic: self.synchronizer.receiver(topic) for topic in DATA_STREAMS}
 
     def _on_behind(self) -> None:
         self.times_behind += 1
@@ -26,7 +26,7 @@ class Post:
 
 
 def filled(**counts: int) -> Post:
-    """An inbox with so many numbered messages of each stream, by the name of the constant."""
+    """A synchronizer with so many numbered messages of each stream, by the name of the constant."""
     post = Post()
     for topic in DATA_STREAMS:
         for number in range(counts.get(topic, counts["others"])):
@@ -41,24 +41,24 @@ def numbers(raws: list[bytes]) -> list[int]:
 def test_samples_are_taken_whole_and_the_rest_later() -> None:
     post = filled(others=3, joint_states=5)
 
-    first = post.inbox.take()
+    first = post.synchronizer.take()
     post.deliver_all(b"9")
-    second = post.inbox.take()
+    second = post.synchronizer.take()
 
     assert all(numbers(first[topic]) == [0, 1, 2] for topic in DATA_STREAMS)
     assert numbers(second[JOINT_STATES]) == [3]
     assert numbers(second[COMMANDS]) == [9]
-    assert post.inbox.samples == 4
+    assert post.synchronizer.samples == 4
 
 
 def test_what_is_incomplete_can_be_taken_and_is_made_up_for() -> None:
     post = filled(others=3, joint_states=5)
 
-    taken = post.inbox.take(incomplete=True)
+    taken = post.synchronizer.take(incomplete=True)
     for topic in DATA_STREAMS:
         for number in range(len(taken[topic]), 6):
             post.deliver[topic](str(number).encode())
-    rest = post.inbox.take()
+    rest = post.synchronizer.take()
 
     assert numbers(taken[JOINT_STATES]) == [0, 1, 2, 3, 4]
     assert numbers(taken[COMMANDS]) == [0, 1, 2]
@@ -69,40 +69,40 @@ def test_what_is_incomplete_can_be_taken_and_is_made_up_for() -> None:
 def test_nothing_waits_for_a_stream_that_fell_silent() -> None:
     post = filled(others=200, joint_states=30)
 
-    taken = post.inbox.take()
+    taken = post.synchronizer.take()
 
     assert len(taken[JOINT_STATES]) == 30
     assert 150 <= len(taken[COMMANDS]) < 200
-    assert post.inbox.samples == 30
+    assert post.synchronizer.samples == 30
 
 
 def test_samples_wait_as_a_whole_for_perturbations_that_are_late() -> None:
     post = filled(others=200, **{PERTURBATION: 30})
 
-    taken = post.inbox.take()
+    taken = post.synchronizer.take()
 
     assert all(numbers(taken[topic]) == list(range(30)) for topic in DATA_STREAMS)
     for number in range(30, 200):
         post.deliver[PERTURBATION](str(number).encode())
-    rest = post.inbox.take()
+    rest = post.synchronizer.take()
     assert all(numbers(rest[topic]) == list(range(30, 200)) for topic in DATA_STREAMS)
 
 
 def test_nothing_waits_for_perturbations_that_stay_away() -> None:
     post = filled(others=10_000, **{PERTURBATION: 0})
 
-    assert len(post.inbox.take()[JOINT_STATES]) == 8000
+    assert len(post.synchronizer.take()[JOINT_STATES]) == 8000
 
 
 def test_newest_stamp_is_that_of_the_last_perturbation_that_waits() -> None:
-    inbox = Post().inbox
+    synchronizer = Post().synchronizer
     encode = JointStateEncoder(("a",), "effort").encode
-    assert inbox.newest_ns is None
+    assert synchronizer.newest_ns is None
     for stamp_ns in (5, 7):
-        inbox.receive(encode(stamp_ns, [0.0]))
-    assert inbox.newest_ns == 7
-    inbox.receive(b"no message")
-    assert inbox.newest_ns is None
+        synchronizer.receive(encode(stamp_ns, [0.0]))
+    assert synchronizer.newest_ns == 7
+    synchronizer.receive(b"no message")
+    assert synchronizer.newest_ns is None
 
 
 def test_samples_are_told_by_tens() -> None:
@@ -134,12 +134,12 @@ def test_samples_whose_perturbation_was_the_last_one_are_told_at_a_look(late: st
             post.deliver[topic](b"one stream after the other")
     assert post.told == []
     assert post.times_behind == 1
-    assert post.inbox.look()
+    assert post.synchronizer.poll()
 
     for _ in range(25):
         post.deliver[late](b"at last")
 
-    assert not post.inbox.look()
+    assert not post.synchronizer.poll()
     assert post.told == [20]
 
 
@@ -148,35 +148,35 @@ def test_once_closed_nothing_more_is_taken_and_what_waits_is_kept() -> None:
     for _ in range(9):
         post.deliver_all(b"1")
 
-    post.inbox.close()
+    post.synchronizer.close()
     for _ in range(9):
         post.deliver_all(b"2")
 
-    assert not post.inbox.look()
-    post.inbox.close()
-    assert post.inbox.take() == {topic: [b"1"] * 9 for topic in DATA_STREAMS}
+    assert not post.synchronizer.poll()
+    post.synchronizer.close()
+    assert post.synchronizer.take() == {topic: [b"1"] * 9 for topic in DATA_STREAMS}
     assert post.told == []
 
 
 @pytest.mark.parametrize("topic", DATA_STREAMS)
 def test_once_opened_it_begins_anew(topic: str) -> None:
     post = filled(others=3)
-    post.inbox.take()
+    post.synchronizer.take()
     post.deliver[topic](b"1")
 
-    post.inbox.open()
+    post.synchronizer.open()
 
-    assert post.inbox.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
-    assert post.inbox.samples == 0
+    assert post.synchronizer.take(incomplete=True) == {topic: [] for topic in DATA_STREAMS}
+    assert post.synchronizer.samples == 0
 
 
 def test_what_came_while_it_was_closed_is_not_taken_once_it_is_open() -> None:
     post = Post()
-    post.inbox.close()
+    post.synchronizer.close()
     for _ in range(9):
         post.deliver_all(b"too early")
 
-    post.inbox.open()
+    post.synchronizer.open()
     post.deliver_all(b"1")
 
-    assert post.inbox.take() == {topic: [b"1"] for topic in DATA_STREAMS}
+    assert post.synchronizer.take() == {topic: [b"1"] for topic in DATA_STREAMS}

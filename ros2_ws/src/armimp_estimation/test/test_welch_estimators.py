@@ -7,12 +7,11 @@ import pytest
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate, confidence_radius
-from armimp_estimation.estimators.registry import estimator_names, make_estimator
+from armimp_estimation.estimators.registry import IdentifyConfig, estimator_names, make_estimator
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso, invert, multiply
 from armimp_estimation.frf import frf_column, order_trials
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.settings import IdentifyConfig
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial

@@ -17,7 +17,8 @@ from armimp_bringup.study.store import StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
 from armimp_estimation.identify import EstimatorResult
-from armimp_estimation.results import TrialLedger, summarise
+from armimp_estimation.result import summarise
+from armimp_estimation.summary import TrialSummary
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
@@ -149,10 +150,21 @@ def estimate_condition(
     described = json.loads(parameters.estimator.bag_metadata()["config"])
     summary = summarise(
         identification,
-        {r.perturbed_joint: TrialLedger(bag=None, ticks=r.samples) for r in experiment.records},
+        [
+            TrialSummary(
+                k=scores.joint + 1,
+                ticks=record.samples,
+                lock_ratio=scores.lock_ratio.tolist(),
+                bias_bound=scores.bias_bound.tolist(),
+            )
+            for record, scores in zip(experiment.records, identification.trials, strict=True)
+        ],
         # The software that the study as a whole is made with, wherever this runs.
         config=described | dict(batch.software),
+        joint_names=identification.joint_names,
         seed=condition.seed,
+        truth=identification.truth,
+        problems=identification.problems,
     )
     fields = {name: getattr(summary, name) for name in type(summary).model_fields}
     levels = {name: getattr(condition, name) for name in ("friction", "resolution", "perturbation")}

@@ -17,6 +17,7 @@ from armimp_bringup.study.conditions import LEVELS, Condition
 from armimp_bringup.study.levels import COHERENCE_SCORES, FIT_SCORES, LevelScore, statistics
 from armimp_bringup.study.table import Table
 from armimp_bringup.study.verdict import targets
+from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.figures import DASHES as MPL_DASHES
 from armimp_estimation.figures import (
     STYLE,
@@ -31,7 +32,6 @@ from armimp_estimation.figures import (
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.report.look import ELEMENT_COLOURS, LEVEL_COLOURS, LEVEL_DASHES
-from armimp_estimation.results import ImpedanceCurve
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 

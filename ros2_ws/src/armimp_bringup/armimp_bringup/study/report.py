@@ -24,12 +24,12 @@ from armimp_bringup.study.verdict import (
     WorstValue,
     targets,
 )
-from armimp_estimation.report.formats import NONE, code, mark, symbol, written
+from armimp_estimation.curves import ImpedanceCurve
+from armimp_estimation.report.formats import NONE, code, mark, setting, symbol, written
 from armimp_estimation.report.frequency_plots import TRUTH, estimator_tag, plot_matrix
 from armimp_estimation.report.look import LEVEL_DASHES
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import Plot, View
-from armimp_estimation.report.result import setting
 from armimp_estimation.report.run import advised
 from armimp_estimation.report.settings import (
     assumptions_content,
@@ -37,7 +37,7 @@ from armimp_estimation.report.settings import (
     identity,
     marked_origin,
 )
-from armimp_estimation.results import ImpedanceCurve, OriginSummary
+from armimp_estimation.summary import OriginSummary
 from armimp_estimation.verdict import Limits
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]

@@ -21,7 +21,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import NONE, UNITS, number, symbol
 from armimp_estimation.report.page import Content, Table
 from armimp_estimation.report.plots import Plot, View
-from armimp_estimation.results import NORMAL_95
+from armimp_estimation.summary import NORMAL_95
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -13,6 +13,7 @@ from armimp_bringup.study.conditions import LEVELS, Condition
 from armimp_bringup.study.levels import LevelScore, statistics
 from armimp_bringup.study.table import FloatArray, Table
 from armimp_bringup.study.verdict import Scale, targets
+from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.report.formats import NONE, number, symbol
@@ -33,7 +34,6 @@ from armimp_estimation.report.plots import (
     packed,
     stacked,
 )
-from armimp_estimation.results import ImpedanceCurve
 
 # From good to bad, within the limit and beyond it; dark is bad in print as well.
 _WITHIN: Final = ("#f2f7fb", "#6baed6")

@@ -19,8 +19,9 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study.conditions import Condition
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.atomic_write import is_part, open_lock, read_bytes, read_text, write_text
+from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.json_model import first_complaint
-from armimp_estimation.results import ImpedanceCurve, Summary, read_frf, write_frf, write_summary
+from armimp_estimation.summary import Summary, write_summary
 
 if TYPE_CHECKING:
     from armimp_bringup.study.engine import ConditionResult
@@ -128,7 +129,7 @@ class StudyStore:
         curves = self._path(result.entry.condition, "npz")
         # Curves without a result were left by an interruption between the two.
         curves.unlink(missing_ok=True)
-        write_frf(curves, result.results)
+        write_frf(curves, {n: ImpedanceCurve.of(one) for n, one in result.results.items()})
         write_summary(self._path(result.entry.condition, "json"), result.entry)
 
     def entries(self, conditions: Sequence[Condition]) -> list[StudyEntry]:

@@ -25,7 +25,7 @@ from armimp_bringup.terminal import leave_terminal, phase, progress, say
 from armimp_common.errors import ConfigurationError, InterruptionError
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.run import REPORT_FILE
-from armimp_estimation.results import OriginSummary
+from armimp_estimation.summary import OriginSummary
 
 DEFAULT_ESTIMATORS: Final = ("welch_siso", "lpm_full")
 STUDY_FILE: Final = "study.json"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.study.store import StudyEntry
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.result import setting
+from armimp_estimation.report.formats import setting
 
 FloatArray = NDArray[np.float64]
 Table: TypeAlias = NDArray[np.void]

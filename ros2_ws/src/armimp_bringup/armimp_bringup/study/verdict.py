@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from armimp_bringup.study.store import StudyEntry
 from armimp_bringup.study.table import Table
 from armimp_estimation.json_model import Number
+from armimp_estimation.problems import ProblemCode
 
 FloatArray = NDArray[np.float64]
 
@@ -163,11 +164,14 @@ class StudyVerdict(BaseModel):
     conditions: int
     unresolved: float
     worst: list[WorstValue]
-    problems: list[str]
+    problems: list[tuple[ProblemCode, str]]
 
     def failures(self) -> list[str]:
         """What is not as it should be, one line each."""
-        return [*(_missed(one) for one in self.worst if one.met is False), *self.problems]
+        return [
+            *(_missed(one) for one in self.worst if one.met is False),
+            *(sentence for _, sentence in self.problems),
+        ]
 
     def to_csv(self) -> str:
         """The worst values as a table."""
@@ -194,10 +198,9 @@ def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
         for quantity in QUANTITIES
     ]
     problems = [
-        f"{entry.condition} is not valid: {problem}"
+        (fault.code, f"{entry.condition} is not valid: {fault}")
         for entry in entries
-        if not entry.valid
-        for problem in entry.problems[:1]
+        for fault in entry.faults[:1]
     ]
     return StudyVerdict(
         met=all(one.met is not False for one in worst) and all(entry.valid for entry in entries),

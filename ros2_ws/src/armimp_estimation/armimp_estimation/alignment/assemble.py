@@ -1,7 +1,7 @@
-"""Joining the streams of a trial into a record, with an account of every sample.
+"""Joining the streams of a trial into records, with an account of every sample.
 
-The bag reader and the live estimator node both come here with raw messages in order of arrival,
-so that both get bit-identical arrays from the same messages.
+Live node, replay and offline estimate all come here with the decoded streams, so that they get
+bit-identical arrays from the same messages.
 
 A sample belongs to the control period that its stamp names. Positions, torque readings and
 perturbation of one period carry exactly the same stamp. The periods that should be there are
@@ -9,20 +9,28 @@ counted from the stamps of all streams together, so a sample that only one strea
 well as one that all of them lost.
 """
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
-from armimp_common import topics
 from armimp_common.errors import DataError
 from armimp_common.status import TrialStatus
-from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_estimation.alignment.aligned_stream import AlignedStream
-from armimp_estimation.alignment.stream_statistics import StreamCount, StreamStatistics
-from armimp_estimation.alignment.trial_problems import TrialProblems, find_problems
-from armimp_estimation.alignment.trial_streams import TrialStreams, decode_streams
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    NS_PER_S,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+)
+from armimp_estimation.alignment.streams import Stream, Streams
 from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     TrialWindow,
@@ -31,50 +39,129 @@ from armimp_estimation.alignment.trial_windows import (
     tick_numbers,
     windows_from_statuses,
 )
-from armimp_estimation.problems import Problem
+from armimp_estimation.json_model import JsonModel
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.sampling import judge_stamps, sampling_period
 
+_LATE = 0.25
+"""Periods by which a step between stamps may be too long."""
+
+_HEALED = frozenset(
+    {
+        ProblemCode.SAMPLES_MISSING,
+        ProblemCode.SAMPLES_MALFORMED,
+        ProblemCode.SAMPLES_NOT_FINITE,
+        ProblemCode.SAMPLES_CONTRADICTORY,
+        ProblemCode.SAMPLES_REPEATED,
+        ProblemCode.SAMPLES_REORDERED,
+        ProblemCode.SAMPLES_LOST,
+        ProblemCode.COMMANDS_MISSING,
+    }
+)
+"""Problems that have no part in the intact parts of a trial."""
+_REFUSED = frozenset(
+    {
+        ProblemCode.TRIAL_SPOILED,
+        ProblemCode.STAMPS_DISAGREE,
+        ProblemCode.COMMANDS_FOREIGN,
+        ProblemCode.PERTURBATIONS_FOREIGN,
+        ProblemCode.NOTHING_RECORDED,
+        ProblemCode.JOINT_UNKNOWN,
+        ProblemCode.NO_PERTURBATION,
+    }
+)
+"""Problems with which no part of a trial may be estimated."""
+
+
+class StreamCount(JsonModel):
+    """The messages of one stream within the span of a trial.
+
+    ``received == expected - lost + duplicated`` always holds.
+    """
+
+    expected: int
+    """Control periods in the span."""
+    received: int
+    """Messages that arrived, repetitions included."""
+    lost: int
+    """Periods without a message."""
+    duplicated: int = 0
+    """Messages whose stamp was already there."""
+    contradictory: int = 0
+    """Periods with several messages of one stamp and different numbers: none of them is used."""
+    reordered: int = 0
+    """Messages, without repetitions, that came after one with a later stamp."""
+    late: int = 0
+    """Samples stamped over a quarter of a period after the whole number of periods that separates
+    them from the sample before."""
+
+
+class StreamStatistics(JsonModel):
+    """The account of the samples of a trial: what should be there, and what is."""
+
+    streams: dict[str, StreamCount] = Field(default_factory=dict)
+    """By topic of the contract. Commands carry no stamp, so neither repetitions nor order show."""
+    clipped: int = 0
+    """Commands that the controller had to limit, by its own account."""
+    excluded: int = 0
+    """Control periods that no estimate may use: lost, contradictory or not finite on a stream with
+    stamps, or under a command that was clipped."""
+    stretches: int = 1
+    """Runs of at least two periods between those."""
+
+    def total(self, kind: str) -> int:
+        """Sum of one of the counts over all streams."""
+        return sum(int(getattr(count, kind)) for count in self.streams.values())
+
+    @property
+    def lost(self) -> int:
+        """Messages missing from all streams together."""
+        return self.total("lost")
+
+    @property
+    def span(self) -> int:
+        """Control periods that should be there."""
+        return max((count.expected for count in self.streams.values()), default=0)
+
+    @property
+    def excluded_share(self) -> float:
+        """Share of the span that is excluded, from 0 to 1."""
+        return self.excluded / self.span if self.span else 0.0
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class AssembledTrial:
+class Trial:
     """A trial, or what could be had of it.
 
     Parameters
     ----------
     window : TrialWindow
         What the trial was meant to be.
-    record : TrialRecord or None
-        The samples, if there is a usable one for every control period. Duplicates are dropped
-        (the first one stays, if all say the same) and the order is that of the stamps.
     segments : tuple of TrialRecord
-        The longest runs of usable periods, in their order; the record is the only one where
-        there is a record. Periods are not usable if a stream with stamps has no sample of them,
-        one that is not finite, or several that contradict each other, nor while the controller
-        clipped its command.
-    ledger : StreamStatistics
+        The longest runs of usable periods, in their order. Duplicates are dropped (the first one
+        stays, if all say the same) and the order is that of the stamps. Periods are not usable if a
+        stream with stamps has no sample of them, one that is not finite, or several that contradict
+        each other, nor while the controller clipped its command.
+    statistics : StreamStatistics
         The account of the samples.
-    problem : str
-        Why the trial should not be estimated; empty if nothing speaks against it.
-    fault : str
-        The part of the problem that remains when only the intact parts are used.
+    problems : tuple of Problem
+        What speaks against estimating the trial.
     source : str
         Where the trial comes from, for messages.
-    period : float
-        Sampling period, ns.
-    findings : tuple of Problem
-        What is wrong with the stamps.
+    bag : str or None
+        Where it is stored.
+    rtf : float
+        Times real time at which it ran; NaN if it was not run live.
     """
 
     window: TrialWindow
-    record: TrialRecord | None
     segments: tuple[TrialRecord, ...]
-    ledger: StreamStatistics
-    problem: str
-    fault: str = ""
+    statistics: StreamStatistics
+    problems: tuple[Problem, ...] = ()
     source: str = ""
-    period: float = PERIOD_NS
-    findings: tuple[Problem, ...] = ()
+    bag: str | None = None
+    rtf: float = math.nan
 
     @property
     def trial(self) -> int:
@@ -82,9 +169,19 @@ class AssembledTrial:
         return self.window.trial
 
     @property
+    def joint(self) -> int:
+        """The perturbed joint, 0-based, in the order of the records."""
+        return self.segments[0].perturbed_joint if self.segments else self.window.joint
+
+    @property
+    def record(self) -> TrialRecord | None:
+        """The samples, if there is a usable one for every control period."""
+        return self.segments[0] if self.segments and not self.statistics.excluded else None
+
+    @property
     def shortfall(self) -> int:
         """Planned samples that are not there because the recording, or the trial, ended early."""
-        return self.window.ticks - self.ledger.streams[topics.PERTURBATION].expected
+        return self.window.ticks - self.statistics.streams[PERTURBATION].expected
 
     @property
     def note(self) -> str:
@@ -94,75 +191,82 @@ class AssembledTrial:
         ticks = self.window.ticks
         return f"trial {self.trial} is cut short: {ticks - self.shortfall} of {ticks} samples"
 
-    def require(self) -> TrialRecord:
-        """Return the record of a trial without a problem or an interval that is excluded.
-
-        Raises
-        ------
-        DataError
-            If there is a problem; the message names the source and the trial.
-        """
-        if self.problem or self.record is None:
-            raise self._refusal(self.problem or "has intervals that are excluded")
-        return self.record
-
-    def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
-        """Return the parts of the trial that an estimate may use, in their order.
-
-        A trial without gaps has one part, its record; intervals of clipped commands divide it.
+    def refusals(self, *, allow_gaps: bool = False) -> list[Problem]:
+        """Return the problems with which the trial must not be estimated.
 
         Parameters
         ----------
         allow_gaps : bool
-            Also take the parts of a trial that was aborted or lost samples, or had some that were
-            repeated, out of order or not finite.
+            Estimate from the intact parts of a trial that was aborted or lost samples, or had some
+            that were repeated, out of order or not finite.
+        """
+        refused = _REFUSED if allow_gaps else _REFUSED | _HEALED | {ProblemCode.TRIAL_ABORTED}
+        found = [one for one in self.problems if one.code in refused]
+        if not found and not self.segments:
+            # What gaps may heal has left nothing.
+            found = [*self.problems] or [
+                Problem(code=ProblemCode.NOTHING_RECORDED, trial=self.trial)
+            ]
+        return found
+
+    def judged(self, *, allow_gaps: bool, most_excluded: float) -> list[Problem]:
+        """Return all problems of the trial, those that its intact parts do not have as notes.
+
+        Parameters
+        ----------
+        allow_gaps : bool
+            As of :meth:`refusals`.
+        most_excluded : float
+            Largest share of the samples that may be left out of a valid result, from 0 to 1.
+        """
+        healed = _HEALED if allow_gaps and self.segments else frozenset()
+        found = [
+            one.model_copy(update={"severity": Severity.NOTE}) if one.code in healed else one
+            for one in self.problems
+        ]
+        share = self.statistics.excluded_share
+        if self.segments and not share <= most_excluded:
+            values = {"percent": 100.0 * share, "limit": 100.0 * most_excluded}
+            code = ProblemCode.MUCH_EXCLUDED
+            found.append(Problem(code=code, trial=self.trial, values=values))
+        return found
+
+    def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
+        """Return the parts of the trial that an estimate may use, in their order.
+
+        A trial without gaps has one part; intervals of clipped commands divide it.
 
         Raises
         ------
         DataError
             If there are none; the message names the source and the trial.
         """
-        if self.problem and not allow_gaps:
-            healed = "; --allow-gaps uses the intact parts"
-            hint = healed if self.segments and not self.fault else ""
-            raise self._refusal(self.problem + hint)
-        if self.fault or not self.segments:
-            raise self._refusal(self.fault or self.problem or "no usable samples")
+        if refusals := self.refusals(allow_gaps=allow_gaps):
+            where = f"{self.source}: " if self.source else ""
+            healing = self.segments and not allow_gaps and not self.refusals(allow_gaps=True)
+            hint = "; --allow-gaps uses the intact parts" if healing else ""
+            raise DataError(where + "; ".join(map(str, refusals)) + hint)
         return self.segments
-
-    def _refusal(self, reason: str) -> DataError:
-        where = f"{self.source}: " if self.source else ""
-        return DataError(f"{where}trial {self.trial}: {reason}")
 
 
 def assemble_trials(
-    joint_names: Sequence[str],
-    messages: Mapping[str, Sequence[bytes]],
-    statuses: Sequence[TrialStatus],
-    *,
-    source: str = "",
-    streams: TrialStreams | None = None,
-) -> tuple[AssembledTrial, ...]:
+    streams: Streams, statuses: Sequence[TrialStatus], *, source: str = ""
+) -> tuple[Trial, ...]:
     """Assemble every trial in a recording, or in what a node has received.
 
     Parameters
     ----------
-    joint_names : sequence of str
-        Order of the joints in the records.
-    messages : mapping of str to sequence of bytes
-        By topic of the contract, the serialised messages in order of arrival. All streams must
-        begin with the same control period.
+    streams : Streams
+        Everything that was received.
     statuses : sequence of TrialStatus
         The trial statuses in order. Without any, the trials are inferred from the perturbation,
         as `infer_windows` says.
     source : str
         Where the messages come from, for the messages of errors.
-    streams : TrialStreams, optional
-        The same messages decoded already, if they are.
 
     Returns
     -------
-    tuple of AssembledTrial
+    tuple of Trial
         Empty if there are statuses, but none of a perturbation. Trials that were over before
         the first sample are left out.
 
@@ -171,22 +275,22 @@ def assemble_trials(
     DataError
         If a stream is missing or foreign, or the trials cannot be inferred.
     """
-    if streams is None:
-        streams = decode_streams(joint_names, messages)
+    streams.require()
     period = sampling_period({topic: one.stamps for topic, one in streams.stamped.items()})
-    if statuses:
-        windows = windows_from_statuses(statuses)
-    else:
-        perturbation = streams.stamped[topics.PERTURBATION]
-        windows = infer_windows(perturbation.stamps, perturbation.values, period)
+    perturbation = streams.stamped[PERTURBATION]
+    windows = (
+        windows_from_statuses(statuses)
+        if statuses
+        else infer_windows(perturbation.stamps, perturbation.values, period)
+    )
     require_few_trials(len(windows))
-    received = streams.stamped[topics.PERTURBATION].stamps.size
+    received = perturbation.count
     if (announced := sum(window.ticks for window in windows)) > MOST_TICKS + 2 * received:
         raise DataError(f"trials of {announced} samples are announced, and there are {received}")
     # The controller, which tells of its trials, works at the rate of the contract.
     planned = NS_PER_S / PERIOD_NS if statuses else None
     began_ns = min(int(stream.stamps.min()) for stream in streams.stamped.values())
-    trials: list[AssembledTrial] = []
+    trials: list[Trial] = []
     used = 0
     for window in windows:
         # A latched topic repeats the statuses of trials that were over before the recording.
@@ -202,19 +306,19 @@ def assemble_trials(
 
 def assemble_trial(
     window: TrialWindow,
-    streams: TrialStreams,
+    streams: Streams,
     *,
     source: str = "",
     period: float = PERIOD_NS,
     planned: float | None = None,
-) -> AssembledTrial:
+) -> Trial:
     """Join the streams of one trial.
 
     Parameters
     ----------
     window : TrialWindow
         When the trial took place.
-    streams : TrialStreams
+    streams : Streams
         Everything that was received; other trials may be in it, too.
     source : str
         Where it comes from, for messages.
@@ -223,69 +327,124 @@ def assemble_trial(
     planned : float or None
         Sampling rate of the recording, Hz, if it is known beforehand.
     """
-    kept = {
-        topic: AlignedStream(stream, window.start_ns, period)
-        for topic, stream in streams.stamped.items()
-    }
-    stamps = _union([one.stamps for one in kept.values()])
+    aligned = {t: _Aligned(one, window.start_ns, period) for t, one in streams.stamped.items()}
+    stamps = _union([one.stamps for one in aligned.values()])
     numbers = tick_numbers(stamps, period)
     if stamps.size:
         numbers += int(np.floor((stamps[0] - window.start_ns) / period + 0.5))
-    for one in kept.values():
+    for one in aligned.values():
         one.number(stamps, numbers)
-    span = _span(window, kept)
+    span = _span(window, aligned)
     inside = int(np.searchsorted(numbers, span))
-    last_ns = int(stamps[inside - 1]) if inside else window.start_ns
+    stamps, numbers = stamps[:inside], numbers[:inside]
+    for one in aligned.values():
+        one.cut(span)
 
     usable = np.ones(span, np.bool_)
-    for one in kept.values():
-        usable &= one.finite(span) & ~one.contradicted(span)
-    counts = {topic: one.count(span, last_ns) for topic, one in kept.items()}
-    problems = find_problems(window, kept, counts, stamps[:inside], numbers[:inside], usable)
+    for one in aligned.values():
+        usable &= np.isfinite(one.values).all(axis=0) & ~one.contradicted
+    last_ns = int(stamps[-1]) if inside else window.start_ns
+    counts = {topic: one.statistics(last_ns) for topic, one in aligned.items()}
+    leading = aligned[PERTURBATION]
+    counts[COMMANDS], foreign = _count_commands(streams, leading)
+    found = [*_of_window(window, aligned, stamps, numbers), *_of_streams(aligned, counts)]
+    found += _of_commands(window, leading, counts[COMMANDS], foreign)
     for first, last in window.clipped_intervals:
         # A command acts until the next sample, which is the first to show it.
         usable[first : last + 2] = False
     runs = _runs(usable)
-    counts[topics.COMMANDS], wrong = _count_commands(streams, kept[topics.PERTURBATION], span)
-    problems = problems.and_commands(
-        wrong, counts[topics.COMMANDS], cut=not window.ended or bool(window.fault)
-    )
-    if counts[topics.COMMANDS].received and (strays := _displaced(kept[topics.PERTURBATION])):
-        problems = problems.and_also(
-            f"{strays} of {topics.PERTURBATION} out of turn outside the trial, so that commands"
-            " cannot be matched: somebody else published"
-        )
-    ledger = StreamStatistics(
-        streams={topic: counts[topic] for topic in topics.DATA_STREAMS if topic in counts},
-        clipped=window.clipped,
-        excluded=int(span - usable.sum()),
-        stretches=len(runs),
-    )
     segments: tuple[TrialRecord, ...] = ()
-    inside_stamps = {topic: one.stamps[: one.inside(span)] for topic, one in kept.items()}
-    findings = judge_stamps(inside_stamps, period, trial=window.trial, planned=planned)
     joint = _joint_index(window, streams.joint_names)
     if joint is None:
-        known = ", ".join(streams.joint_names)
-        name = window.joint_name or f"joint {window.joint + 1}"
-        unknown = f"perturbed joint is not among the joints {known}: {name}"
-        problems = TrialProblems(all=unknown, lasting=unknown)
+        name, known = window.joint_name or window.joint + 1, ", ".join(streams.joint_names)
+        found = [problem(ProblemCode.JOINT_UNKNOWN, name=name, known=known)]
     else:
-        segments = tuple(_record(window, joint, streams, kept, start, stop) for start, stop in runs)
+        commands = _commands(streams)
+        segments = tuple(
+            _record(window, joint, streams.joint_names, aligned, commands, run) for run in runs
+        )
         if segments and not any(segment.perturbation[joint].any() for segment in segments):
-            problems = problems.and_also("the perturbation is zero throughout")
-    whole = bool(segments) and bool(usable.all())
-    return AssembledTrial(
+            found.append(problem(ProblemCode.NO_PERTURBATION))
+    if window.clipped and not window.clipped_intervals:
+        found.append(problem(ProblemCode.CLIPPED_UNKNOWN, count=window.clipped))
+    within = {topic: one.stamps for topic, one in aligned.items()}
+    found += judge_stamps(within, period, trial=window.trial, planned=planned)
+    return Trial(
         window=window,
-        record=segments[0] if whole else None,
         segments=segments,
-        ledger=ledger,
-        problem=problems.all,
-        fault=problems.lasting,
+        statistics=StreamStatistics(
+            streams={topic: counts[topic] for topic in DATA_STREAMS},
+            clipped=window.clipped,
+            excluded=int(span - usable.sum()),
+            stretches=len(runs),
+        ),
+        problems=tuple(one.model_copy(update={"trial": window.trial}) for one in found),
         source=source,
-        period=period,
-        findings=tuple(findings),
     )
+
+
+class _Aligned:
+    """One stream from the start of a trial on, by control period."""
+
+    def __init__(self, stream: Stream, start_ns: int, period: float) -> None:
+        self.stream, self._start_ns, self._period = stream, start_ns, period
+        stamps, order, contradicted = stream.ordered()
+        self._orderly = order.size == stream.count and not (np.diff(order) < 0).any()
+        first = int(np.searchsorted(stamps, start_ns))
+        # Of each message that is kept: stamp (ns), place in the stream, number of its period.
+        self.stamps, self.order = stamps[first:], order[first:]
+        self._contradicted = contradicted[first:]
+        self.numbers: NDArray[np.int64] = np.empty(0, np.int64)
+
+    def number(self, stamps: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+        """Take the period numbers from those of all stamps, and keep one message for each."""
+        self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
+        single = np.diff(self.numbers, prepend=-1) > 0
+        if not single.all():
+            self._keep(single)
+            self._orderly = False
+
+    def cut(self, span: int) -> None:
+        """Keep what is within so many periods, and lay it out by period."""
+        self._keep(slice(int(np.searchsorted(self.numbers, span))))
+        self.values = np.full((len(self.stream.values), span), np.nan)
+        self.values[:, self.numbers] = self.stream.values[:, self.order]
+        self.present, self.contradicted = np.zeros(span, np.bool_), np.zeros(span, np.bool_)
+        self.present[self.numbers] = True
+        self.contradicted[self.numbers] = self._contradicted
+
+    def _keep(self, chosen: slice | NDArray[np.bool_]) -> None:
+        self.stamps, self.order = self.stamps[chosen], self.order[chosen]
+        self._contradicted, self.numbers = self._contradicted[chosen], self.numbers[chosen]
+
+    def statistics(self, last_ns: int) -> StreamCount:
+        """The account of the periods, the last stamp of which is given (ns)."""
+        span, distinct = self.present.size, self.numbers.size
+        received, reordered = distinct, 0
+        if not self._orderly:
+            stamps = self.stream.stamps
+            received = int(((stamps >= self._start_ns) & (stamps <= last_ns)).sum())
+            arrived = stamps[np.sort(self.order)]
+            reordered = int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum())
+        steps = np.diff(self.stamps) - self._period * np.diff(self.numbers)
+        return StreamCount(
+            expected=span,
+            received=received,
+            lost=span - distinct,
+            duplicated=received - distinct,
+            contradictory=int(self._contradicted.sum()),
+            reordered=reordered,
+            late=int((steps > _LATE * self._period).sum()),
+        )
+
+    def when(self, ticks: NDArray[np.bool_]) -> dict[str, float | int]:
+        """How many periods, and when they were, s; the end is that of the last period."""
+        places = np.flatnonzero(ticks)
+        return {
+            "count": places.size,
+            "first": float(places[0] * self._period / NS_PER_S),
+            "last": float((places[-1] + 1) * self._period / NS_PER_S),
+        }
 
 
 def _union(stamps: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
@@ -294,28 +453,78 @@ def _union(stamps: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
     return np.unique(np.concatenate(stamps))
 
 
-def _span(window: TrialWindow, kept: Mapping[str, AlignedStream]) -> int:
+def _span(window: TrialWindow, aligned: Mapping[str, _Aligned]) -> int:
     """Number of control periods that should be there."""
-    if not all(one.numbers.size for one in kept.values()):
+    if not all(one.numbers.size for one in aligned.values()):
         # The recording broke off before every stream had a sample of the trial.
-        return window.ticks if window.ended and not window.fault else 0
+        return window.ticks if window.ended and window.fault is None else 0
     span = window.ticks
-    if not window.ended or window.fault:
+    if not window.ended or window.fault is not None:
         # Cut while the last period was being recorded: it does not count as lost.
-        span = min(span, *(int(one.numbers[-1]) + 1 for one in kept.values()))
-    if window.fault:
+        span = min(span, *(int(one.numbers[-1]) + 1 for one in aligned.values()))
+    if window.fault is not None:
         # From the moment of the fault on the perturbation is zero.
-        perturbation = kept[topics.PERTURBATION]
-        inside = perturbation.inside(span)
-        values = perturbation.stream.values[:, perturbation.order[:inside]]
-        active = np.flatnonzero(values.any(axis=0))
-        span = int(perturbation.numbers[active[-1]]) + 1 if active.size else 0
+        leading = aligned[PERTURBATION]
+        order = leading.order[: int(np.searchsorted(leading.numbers, span))]
+        active = np.flatnonzero(leading.stream.values[:, order].any(axis=0))
+        span = int(leading.numbers[active[-1]]) + 1 if active.size else 0
     return span
 
 
-def _count_commands(
-    streams: TrialStreams, perturbation: AlignedStream, span: int
-) -> tuple[StreamCount, int]:
+def _of_window(
+    window: TrialWindow,
+    aligned: Mapping[str, _Aligned],
+    stamps: NDArray[np.int64],
+    numbers: NDArray[np.int64],
+) -> Iterator[Problem]:
+    """What the controller says against the trial, and stamps that do not belong together."""
+    if window.fault is not None:
+        yield window.fault
+    elif not aligned[PERTURBATION].present.size:
+        yield problem(ProblemCode.NOTHING_RECORDED)
+    close = np.flatnonzero(np.diff(numbers) == 0)
+    if close.size:
+        apart = int(stamps[close[0] + 1] - stamps[close[0]])
+        yield problem(ProblemCode.STAMPS_DISAGREE, count=close.size, apart_ns=apart)
+
+
+def _of_streams(
+    aligned: Mapping[str, _Aligned], counts: Mapping[str, StreamCount]
+) -> Iterator[Problem]:
+    """What is missing, or not as it should be, in the streams with stamps."""
+    missing: dict[bytes, list[str]] = {}
+    for topic, one in aligned.items():
+        missing.setdefault(one.present.tobytes(), []).append(topic)
+    for topics in missing.values():
+        one = aligned[topics[0]]
+        if not one.present.all():
+            where = one.when(~one.present)
+            yield problem(ProblemCode.SAMPLES_MISSING, stream=", ".join(topics), **where)
+    for topic, one in aligned.items():
+        count, stream = counts[topic], one.stream
+        if stream.malformed and count.lost:
+            yield problem(
+                ProblemCode.SAMPLES_MALFORMED,
+                stream=topic,
+                count=stream.malformed,
+                reason=stream.defect,
+            )
+        spoiled = one.present & ~np.isfinite(one.values).all(axis=0)
+        for code, ticks in (
+            (ProblemCode.SAMPLES_NOT_FINITE, spoiled),
+            (ProblemCode.SAMPLES_CONTRADICTORY, one.contradicted),
+        ):
+            if ticks.any():
+                yield problem(code, stream=topic, **one.when(ticks))
+        for code, number in (
+            (ProblemCode.SAMPLES_REPEATED, count.duplicated),
+            (ProblemCode.SAMPLES_REORDERED, count.reordered),
+        ):
+            if number:
+                yield problem(code, stream=topic, count=number)
+
+
+def _count_commands(streams: Streams, leading: _Aligned) -> tuple[StreamCount, int]:
     """Count commands by their place, as every one goes with one perturbation.
 
     Returns
@@ -325,30 +534,41 @@ def _count_commands(
         Those that nobody asked for: whose number is none or not above that before or, where
         all have none, that are more than perturbations in the whole recording.
     """
-    stamps = streams.stamped[topics.PERTURBATION].stamps
-    before = int((stamps < perturbation.start_ns).sum())
-    received = min(max(streams.commands - before, 0), span)
-    numbers = streams.command_numbers[: before + span]
+    span, commands = leading.present.size, streams.commands
+    before = int((leading.stream.stamps < leading._start_ns).sum())
+    received = min(max(commands.count - before, 0), span)
+    numbers = commands.stamps[: before + span]
     if numbers.any():
         # Lost ones leave a step forward; whatever somebody else sends, there is one that is not.
         back = numbers[1:] <= numbers[:-1]
         # A controller that began anew before the trial counts from 1 again.
         anew = (numbers[1:-1] == 1) & (numbers[2:] == 2)
         back[:-1] &= ~anew | (np.arange(1, back.size) >= before)
-        wrong = max(int(back.sum()), int((numbers == 0).sum()))
+        foreign = max(int(back.sum()), int((numbers == 0).sum()))
     else:
         # A recording may end between the two messages of a tick.
-        wrong = max(streams.commands - stamps.size - 1, 0)
-    return StreamCount(expected=span, received=received, lost=span - received), wrong
+        foreign = max(commands.count - leading.stream.count - 1, 0)
+    return StreamCount(expected=span, received=received, lost=span - received), foreign
 
 
-def _displaced(perturbation: AlignedStream) -> int:
-    """How many messages of other times keep commands from being matched by counting."""
-    stamps = perturbation.stream.stamps
-    before = stamps[stamps < perturbation.start_ns]
+def _of_commands(
+    window: TrialWindow, leading: _Aligned, count: StreamCount, foreign: int
+) -> Iterator[Problem]:
+    """What speaks against the commands. A recording without any is not judged by them."""
+    if not count.received:
+        return
+    cut = not window.ended or window.fault is not None  # maybe between the messages of a tick
+    if foreign:
+        yield problem(ProblemCode.COMMANDS_FOREIGN, count=foreign)
+    elif count.lost > cut:
+        yield problem(ProblemCode.COMMANDS_MISSING, count=count.lost)
+    # Messages of other times keep commands from being matched by counting.
+    stamps = leading.stream.stamps
+    before = stamps[stamps < leading._start_ns]
     back = int((before[1:] <= np.maximum.accumulate(before)[:-1]).sum()) if before.size else 0
-    first = int(perturbation.order.min()) if perturbation.order.size else before.size
-    return max(back, abs(first - before.size))
+    first = int(leading.order.min()) if leading.order.size else before.size
+    if strays := max(back, abs(first - before.size)):
+        yield problem(ProblemCode.PERTURBATIONS_FOREIGN, count=strays)
 
 
 def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:
@@ -371,36 +591,43 @@ def _runs(usable: NDArray[np.bool_]) -> list[tuple[int, int]]:
 def _record(
     window: TrialWindow,
     joint: int,
-    streams: TrialStreams,
-    kept: Mapping[str, AlignedStream],
-    start: int,
-    stop: int,
+    joint_names: tuple[str, ...],
+    aligned: Mapping[str, _Aligned],
+    commands: NDArray[np.float64] | None,
+    run: tuple[int, int],
 ) -> TrialRecord:
+    start, stop = run
+    leading = aligned[PERTURBATION]
+    first = int(np.searchsorted(leading.numbers, start))
     return TrialRecord(
         trial=window.trial,
         perturbed_joint=joint,
-        rate=NS_PER_S / kept[topics.PERTURBATION].period,
-        joint_names=streams.joint_names,
-        perturbation=kept[topics.PERTURBATION].values(start, stop),
-        position=kept[topics.JOINT_STATES].values(start, stop),
-        torque=kept[topics.TORQUE_SENSORS].values(start, stop),
-        start_ns=kept[topics.PERTURBATION].stamp(start),
+        rate=NS_PER_S / leading._period,
+        joint_names=joint_names,
+        perturbation=leading.values[:, start:stop],
+        position=aligned[JOINT_STATES].values[:, start:stop],
+        torque=aligned[TORQUE_SENSORS].values[:, start:stop],
+        start_ns=int(leading.stamps[first]),
         seed=window.seed,
-        command=_commands(streams, kept[topics.PERTURBATION].chosen(start, stop)),
+        command=_chosen(commands, leading.order[first : first + stop - start]),
     )
 
 
-def _commands(streams: TrialStreams, ordinals: NDArray[np.intp]) -> NDArray[np.float64] | None:
-    """Commands that went with the perturbations of these ordinal numbers; None if in doubt."""
-    values = streams.command_values
-    perturbations = streams.stamped[topics.PERTURBATION].stamps.size
+def _commands(streams: Streams) -> NDArray[np.float64] | None:
+    """Commands by the ordinal number of their perturbation, as far as they can be matched."""
+    commands = streams.commands
     # A recording may be cut between the two messages of a tick.
-    if values is None or abs(perturbations - values.shape[1]) > 1:
+    if commands.defect or abs(streams.stamped[PERTURBATION].count - commands.count) > 1:
         return None
-    if ordinals.max() >= values.shape[1]:
+    numbers = commands.stamps
+    jumps = np.flatnonzero(np.diff(numbers) != 1) if numbers.any() else np.empty(0, np.intp)
+    return commands.values[:, : int(jumps[0]) + 1] if jumps.size else commands.values
+
+
+def _chosen(
+    commands: NDArray[np.float64] | None, ordinals: NDArray[np.intp]
+) -> NDArray[np.float64] | None:
+    if commands is None or ordinals.max() >= commands.shape[1]:
         return None
-    numbers = streams.command_numbers
-    if numbers.any() and np.any(np.diff(numbers[: ordinals.max() + 1]) != 1):
-        return None
-    command = np.ascontiguousarray(values[:, ordinals])
+    command = commands[:, ordinals]
     return command if np.isfinite(command).all() else None

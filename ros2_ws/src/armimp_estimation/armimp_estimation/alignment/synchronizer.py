@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
 from armimp_common.cdr import stamp_of
 from armimp_common.errors import MalformedMessageError
@@ -29,26 +28,43 @@ class StreamSynchronizer:
 
     Parameters
     ----------
-    sources : mapping of str to callable
-        For each of :data:`FETCHED`: gives the messages that have come since it was called last.
+    sources : mapping of str to callable, optional
+        For each of :data:`FETCHED`: gives the messages that have come since it was called last. By
+        default they are handed in, too, as no middleware keeps them.
     on_samples : callable, optional
         Called with the number of samples of which all messages have come, whenever it has passed
         another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`; with that multiple.
     on_behind : callable, optional
-        Called when others than the perturbation are still to come, for which one must :meth:`look`.
+        Called when others than the perturbation are still to come, for which one must :meth:`poll`.
     """
 
     def __init__(
         self,
-        sources: Mapping[str, Callable[[], Sequence[bytes]]],
+        sources: Mapping[str, Callable[[], Sequence[bytes]]] | None = None,
         on_samples: Callable[[int], None] = lambda _: None,
         on_behind: Callable[[], None] = lambda: None,
     ) -> None:
         self._on_samples, self._on_behind = on_samples, on_behind
         self._waiting: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
-        self._fetched = [(self._waiting[topic], sources[topic]) for topic in FETCHED]
-        self._led = self._waiting[PERTURBATION]
+        self._handed: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
+        self._sources = {
+            topic: self._emptied(topic) if sources is None else sources[topic] for topic in FETCHED
+        }
         self.open()
+
+    def receiver(self, topic: str) -> Callable[[bytes], None]:
+        """What takes the messages of a topic that are handed in."""
+        return self.receive if topic == PERTURBATION else self._handed[topic].append
+
+    def _emptied(self, topic: str) -> Callable[[], Sequence[bytes]]:
+        handed = self._handed[topic]
+
+        def take() -> Sequence[bytes]:
+            taken = handed.copy()
+            handed.clear()
+            return taken
+
+        return take
 
     def open(self) -> None:
         """Begin anew, as if nothing had come."""
@@ -56,7 +72,7 @@ class StreamSynchronizer:
         for waiting in self._waiting.values():
             waiting.clear()
         self._taken = dict.fromkeys(DATA_STREAMS, 0)
-        self._leading = self._told = 0
+        self._leading = self._announced = 0
         self._open, self._behind = True, False
 
     def close(self) -> None:
@@ -68,18 +84,18 @@ class StreamSynchronizer:
     def receive(self, message: bytes) -> None:
         """Take a message of the perturbation."""
         if self._open:
-            self._led.append(message)
+            self._waiting[PERTURBATION].append(message)
             self._leading += 1
             if self._behind or self._leading % RECEIVED_EVERY == 0:
-                self.look()
+                self.poll()
 
-    def look(self) -> bool:
-        """Fetch what has come, and tell how many samples are whole.
+    def poll(self) -> bool:
+        """Fetch what has come, and announce how many samples are complete.
 
         Returns
         -------
         bool
-            Whether there is more to come, so that one should look again.
+            Whether there is more to come, so that one should poll again.
         """
         if not self._open:
             return False
@@ -89,14 +105,14 @@ class StreamSynchronizer:
         self._behind = samples < self._leading // RECEIVED_EVERY * RECEIVED_EVERY
         if self._behind and not was_behind:
             self._on_behind()
-        if samples > self._told:
-            self._told = samples
+        if samples > self._announced:
+            self._announced = samples
             self._on_samples(samples)
         return self._behind
 
     def _fetch(self) -> None:
-        for waiting, fetch in self._fetched:
-            waiting.extend(fetch())
+        for topic, fetch in self._sources.items():
+            self._waiting[topic].extend(fetch())
 
     @property
     def samples(self) -> int:
@@ -106,8 +122,9 @@ class StreamSynchronizer:
     @property
     def newest_ns(self) -> int | None:
         """Stamp of the last perturbation that waits (ns); None without one, or if it has none."""
+        leading = self._waiting[PERTURBATION]
         try:
-            return stamp_of(self._led[-1]) if self._led else None
+            return stamp_of(leading[-1]) if leading else None
         except MalformedMessageError:
             return None
 
@@ -136,35 +153,3 @@ class StreamSynchronizer:
     def _counts(self) -> list[int]:
         """Number of messages so far, of each stream."""
         return [self._taken[topic] + len(waiting) for topic, waiting in self._waiting.items()]
-
-
-class HandedInbox(StreamSynchronizer):
-    """An inbox into which the messages of all streams are handed: no middleware keeps them.
-
-    Parameters
-    ----------
-    on_samples, on_behind : callable, optional
-        As of :class:`StreamSynchronizer`.
-    """
-
-    def __init__(
-        self,
-        on_samples: Callable[[int], None] = lambda _: None,
-        on_behind: Callable[[], None] = lambda: None,
-    ) -> None:
-        self._piles: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
-        super().__init__(
-            {topic: partial(_emptied, pile) for topic, pile in self._piles.items()},
-            on_samples,
-            on_behind,
-        )
-
-    def receiver(self, topic: str) -> Callable[[bytes], None]:
-        """What takes the messages of a topic of the contract."""
-        return self.receive if topic == PERTURBATION else self._piles[topic].append
-
-
-def _emptied(pile: list[bytes]) -> list[bytes]:
-    taken = pile.copy()
-    pile.clear()
-    return taken

@@ -1,4 +1,4 @@
-"""Picking the messages of one trial after another out of the live streams.
+"""Picking the samples of one trial after another out of the live streams.
 
 Streams and statuses arrive interleaved in any way, each in its own order. The perturbation leads:
 a trial is its first ``ticks`` messages from ``start_ns`` on, the sensor samples up to the same
@@ -8,9 +8,10 @@ stamps, and the commands of the same ordinal numbers, since every tick has one o
 from __future__ import annotations
 
 import heapq
+import struct
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from operator import itemgetter, lt
 
 from armimp_common.cdr import stamp_of
 from armimp_common.errors import MalformedMessageError
@@ -19,15 +20,19 @@ from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
     JOINT_STATES,
+    NS_PER_S,
     PERIOD_NS,
     PERTURBATION,
     TORQUE_SENSORS,
 )
-from armimp_estimation.alignment.sample_batch import ORDER, SampleBatch, block_of
+from armimp_estimation.alignment.streams import Streams
 
-Sink = Callable[[str, bytes, int], None]
-BlockSink = Callable[[SampleBatch], None]
+Sink = Callable[[Sequence[int], Mapping[str, Sequence[bytes]]], None]
+"""Takes stamps (ns) and a message for each of them, by topic of the contract."""
 Refuse = Callable[[str, MalformedMessageError], None]
+
+ORDER = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
+"""Messages of a tick in the order in which they are recorded."""
 
 _FOLLOWERS = (JOINT_STATES, TORQUE_SENSORS, COMMANDS)
 _KEPT_EARLY = 30_000
@@ -38,50 +43,37 @@ _ASTRAY_NS = 1_000_000_000
 """A stamp so far (ns) ahead of the next one of its stream is wrong: nothing waits for its time."""
 _OVERDUE_NS = 2_000_000_000
 """So long after the planned end (ns), whatever is missing is lost: queues hold no more."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class CollectedTrial:
-    """The raw messages of one trial, in order of arrival.
-
-    Attributes
-    ----------
-    statuses : tuple of TrialStatus
-        Those of this trial.
-    messages : mapping of str to list of bytes
-        By topic of the contract.
-    """
-
-    statuses: tuple[TrialStatus, ...]
-    messages: Mapping[str, list[bytes]]
+_HEAD = struct.Struct("<4siI")
+"""Beginning of a message with a ``std_msgs/Header``: encapsulation and stamp."""
+_LITTLE_ENDIAN = b"\0\1\0\0"
+_head_of = itemgetter(slice(_HEAD.size))
 
 
 class TrialSegmenter:
-    """Collects the messages of the present trial and passes each on as it is accepted.
+    """Collects the samples of the present trial and passes each message on as it is accepted.
 
     Parameters
     ----------
+    joint_names : sequence of str
+        Order of the joints.
     sink : callable
-        Called with topic, message and time (ns) of every accepted message.
+        Called with accepted messages: one, or those of many ticks at once.
     on_complete : callable
-        Called with each trial when it is complete, or as complete as it will get.
+        Called with statuses and streams of each trial when it is complete, or as complete as it
+        will get.
     on_begin : callable
         Called with the first status of each trial.
-    block_sink : callable, optional
-        Called instead of `sink` with ticks that were accepted together.
     """
 
     def __init__(
         self,
+        joint_names: Sequence[str],
         sink: Sink,
-        on_complete: Callable[[CollectedTrial], None],
+        on_complete: Callable[[Sequence[TrialStatus], Streams], None],
         on_begin: Callable[[TrialStatus], None] = lambda _: None,
-        block_sink: BlockSink | None = None,
     ) -> None:
-        self._sink = sink
-        self._block_sink = block_sink
-        self._on_complete = on_complete
-        self._on_begin = on_begin
+        self._names = joint_names
+        self._sink, self._on_complete, self._on_begin = sink, on_complete, on_begin
         self._waiting_statuses: deque[TrialStatus] = deque()
         self._commands: deque[bytes] = deque()
         self._stamps_without_command: deque[int] = deque()
@@ -93,22 +85,20 @@ class TrialSegmenter:
     @property
     def status(self) -> TrialStatus | None:
         """Last status of the present trial; None between trials."""
-        return self._statuses[-1] if self._statuses else None
+        return self.statuses[-1] if self.statuses else None
 
     @property
-    def statuses(self) -> Sequence[TrialStatus]:
-        """Statuses of the present trial so far."""
-        return self._statuses
-
-    @property
-    def messages(self) -> Mapping[str, list[bytes]]:
-        """What has been accepted so far in the present trial, by topic."""
-        return self._messages
+    def samples(self) -> int:
+        """Number of complete samples of the present trial so far."""
+        return min(map(self.streams.count, DATA_STREAMS))
 
     def _forget(self) -> None:
-        self._statuses: list[TrialStatus] = []
-        self._messages: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
+        self.statuses: list[TrialStatus] = []
+        """Statuses of the present trial so far."""
+        self.streams = Streams(self._names)
+        """What has been accepted so far in the present trial."""
         self._start_ns: int | None = None
+        self._ticks = self._end_ns = 0
         self._up_to_ns = -1
         self._latest = dict.fromkeys(DATA_STREAMS, -1)
         self._finished = self._left = False
@@ -123,11 +113,14 @@ class TrialSegmenter:
             if status.phase not in (Phase.SETTLE, Phase.PERTURB):
                 return
             self._on_begin(status)
-        self._statuses.append(status)
+        self.statuses.append(status)
         if status.phase is Phase.PERTURB and self._start_ns is None:
             self._begin(status)
         elif self._start_ns is not None and status.ticks < self._ticks:
-            self._shorten(status.ticks)
+            # Mostly told ahead of time; what has come beyond belongs to the rest after it.
+            self._end_ns -= (self._ticks - status.ticks) * PERIOD_NS
+            self._ticks = status.ticks
+            self._finished = self._finished or self._led >= status.ticks
         if status.phase is Phase.ABORTED:
             self.finish()
         elif status.phase in (Phase.REST, Phase.DONE):
@@ -149,15 +142,12 @@ class TrialSegmenter:
                 self._commands.append(message)
             return
         stamp_ns = stamp_of(message)
-        if topic == PERTURBATION:
-            self._accept(PERTURBATION, message, stamp_ns)
-            for answered_ns in self._answered(stamp_ns):
-                if self._commands:
-                    self._accept(COMMANDS, self._commands.popleft(), answered_ns)
-                else:
-                    self._stamps_without_command.append(answered_ns)
-        else:
-            self._accept(topic, message, stamp_ns)
+        self._accept(topic, message, stamp_ns)
+        for answered_ns in self._answered(stamp_ns) if topic == PERTURBATION else ():
+            if self._commands:
+                self._accept(COMMANDS, self._commands.popleft(), answered_ns)
+            else:
+                self._stamps_without_command.append(answered_ns)
 
     def _answered(self, stamp_ns: int) -> tuple[int, ...]:
         """Stamps (ns) of perturbations with which commands go, now that this one has come.
@@ -185,7 +175,7 @@ class TrialSegmenter:
         refuse : callable
             Called with topic and error for each message that is too short to have a stamp.
         """
-        used = self._take_block(messages)
+        used = self._take_together(messages)
         for tick in range(used, max(map(len, messages.values()))):
             for topic in ORDER:
                 if tick < len(messages[topic]):
@@ -196,46 +186,29 @@ class TrialSegmenter:
 
     def finish(self) -> None:
         """Complete the present trial with what there is, if its perturbation has begun."""
-        if self._start_ns is not None:
-            self._release_all()
-        statuses, messages = tuple(self._statuses), self._messages
         begun = self._start_ns is not None
+        if begun:
+            self._release_all()
+        statuses, streams = self.statuses, self.streams
         self._forget()
         if begun:
-            self._on_complete(CollectedTrial(statuses=statuses, messages=messages))
+            self._on_complete(statuses, streams)
         waiting, self._waiting_statuses = self._waiting_statuses, deque()
         for status in waiting:
             self.add_status(status)
 
     def _begin(self, status: TrialStatus) -> None:
         assert status.start_ns is not None
-        self._start_ns = status.start_ns
-        self._ticks = status.ticks
+        self._start_ns, self._ticks = status.start_ns, status.ticks
         planned = status.ticks * PERIOD_NS
         self._end_ns = status.start_ns + planned + int(planned * _DRIFT) - PERIOD_NS // 2
         early, self._early = self._early, _nothing_early()
         for stamp_ns, topic, message in heapq.merge(*early.values(), key=lambda entry: entry[0]):
             self._accept(topic, message, stamp_ns)
 
-    def _shorten(self, ticks: int) -> None:
-        """End the trial earlier than planned; mostly told ahead of time."""
-        self._end_ns -= (self._ticks - ticks) * PERIOD_NS
-        self._ticks = ticks
-        self._finished = self._finished or len(self._messages[PERTURBATION]) >= ticks
-        if len(self._messages[PERTURBATION]) > ticks:
-            self._give_back(ticks)
-
-    def _give_back(self, ticks: int) -> None:
-        """Let the next trial have what came before it was known that the present one was over."""
-        led = [stamp_of(message) for message in self._messages[PERTURBATION]]
-        self._up_to_ns = max(led[:ticks], default=-1)
-        for topic, messages in self._messages.items():
-            # Commands have no stamps, but those of the perturbations they came with.
-            stamps = led if topic == COMMANDS else [stamp_of(message) for message in messages]
-            timed = list(zip(stamps, messages, strict=False))
-            self._messages[topic] = [raw for ns, raw in timed if ns <= self._up_to_ns]
-            beyond = [(ns, topic, raw) for ns, raw in timed if ns > self._up_to_ns]
-            self._early[topic].extendleft(reversed(beyond))
+    @property
+    def _led(self) -> int:
+        return self.streams.count(PERTURBATION)
 
     def _accept(self, topic: str, message: bytes, stamp_ns: int) -> None:
         if self._start_ns is None:
@@ -257,7 +230,7 @@ class TrialSegmenter:
         if self._finished:
             self._complete_if_all_there()
 
-    def _take_block(self, messages: Mapping[str, Sequence[bytes]]) -> int:
+    def _take_together(self, messages: Mapping[str, Sequence[bytes]]) -> int:
         """Keep ticks of the present trial all at once where nothing is out of the ordinary.
 
         Returns how many.
@@ -265,29 +238,21 @@ class TrialSegmenter:
         in_step = not (self._commands or self._stamps_without_command or any(self._early.values()))
         if self._start_ns is None or self._finished or not in_step:
             return 0
-        whole = block_of(messages)
-        if whole is None or whole.stamps[0] < self._start_ns or whole.stamps[0] <= self._up_to_ns:
+        stamps = stamps_in_step(messages)[: self._ticks - self._led]
+        if not stamps or stamps[0] < self._start_ns or stamps[0] <= self._up_to_ns:
             return 0
-        block = whole.first(self._ticks - len(self._messages[PERTURBATION]))
-        if block.stamps[-1] >= self._end_ns:
+        if stamps[-1] >= self._end_ns:
             return 0
-        for topic in DATA_STREAMS:
-            self._messages[topic] += block.messages[topic]
-        self._up_to_ns = self._led_ns = block.stamps[-1]
+        kept = {topic: messages[topic][: len(stamps)] for topic in ORDER}
+        for topic, raws in kept.items():
+            self.streams.add(topic, raws)
+        self._up_to_ns = self._led_ns = stamps[-1]
         self._latest = dict.fromkeys(DATA_STREAMS, self._up_to_ns)
-        self._finished = len(self._messages[PERTURBATION]) >= self._ticks
-        self._sink_block(block)
+        self._finished = self._led >= self._ticks
+        self._sink(stamps, kept)
         if self._finished:
             self._complete_if_all_there()
-        return block.ticks
-
-    def _sink_block(self, block: SampleBatch) -> None:
-        if self._block_sink is not None:
-            self._block_sink(block)
-            return
-        for tick, stamp_ns in enumerate(block.stamps):
-            for topic in ORDER:
-                self._sink(topic, block.messages[topic][tick], stamp_ns)
+        return len(stamps)
 
     def _lead(self, message: bytes, stamp_ns: int) -> None:
         """A perturbation extends the trial up to its stamp."""
@@ -295,7 +260,7 @@ class TrialSegmenter:
         for topic in _FOLLOWERS:
             self._release(topic)
         self._keep(PERTURBATION, message, stamp_ns)
-        self._finished = len(self._messages[PERTURBATION]) >= self._ticks
+        self._finished = self._led >= self._ticks
 
     def _release(self, topic: str) -> None:
         """Keep what has waited for the perturbation to come up to its stamp, in its order."""
@@ -321,8 +286,8 @@ class TrialSegmenter:
                     self._early[topic].append((early_ns, topic, early))
 
     def _keep(self, topic: str, message: bytes, stamp_ns: int) -> None:
-        self._messages[topic].append(message)
-        self._sink(topic, message, stamp_ns)
+        self.streams.add(topic, (message,))
+        self._sink((stamp_ns,), {topic: (message,)})
 
     def _complete_if_all_there(self) -> None:
         if not (self._finished and self._left):
@@ -330,6 +295,39 @@ class TrialSegmenter:
         overdue = self._latest[PERTURBATION] >= self._end_ns + _OVERDUE_NS
         if overdue or all(self._latest[topic] >= self._up_to_ns for topic in DATA_STREAMS):
             self.finish()
+
+
+def stamps_in_step(messages: Mapping[str, Sequence[bytes]]) -> list[int]:
+    """Stamps (ns) of messages of the four streams that are those of ticks one after the other.
+
+    Plain Python on purpose. Once in fifty ticks nothing of numpy is in the processor's caches, and
+    a few of its operations take longer than a loop of the interpreter, which is.
+
+    Returns
+    -------
+    list of int
+        Rising and none of them negative; empty if the streams are not in step, or the messages of
+        one are not of equal length: then each has to be looked at for itself.
+    """
+    count = len(messages[PERTURBATION])
+    if not count:
+        return []
+    for topic in DATA_STREAMS:
+        raws = messages[topic]
+        if len(raws) != count or len(set(map(len, raws))) != 1:
+            return []
+    heads, states, sensors = (
+        list(map(_head_of, messages[topic]))
+        for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
+    )
+    if len(heads[0]) != _HEAD.size or not heads == states == sensors:
+        return []
+    stamps: list[int] = []
+    for head, seconds, nanoseconds in _HEAD.iter_unpack(b"".join(heads)):
+        if head != _LITTLE_ENDIAN:
+            return []
+        stamps.append(seconds * NS_PER_S + nanoseconds)
+    return stamps if stamps[0] >= 0 and all(map(lt, stamps, stamps[1:])) else []
 
 
 def _nothing_early() -> dict[str, deque[tuple[int, str, bytes]]]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD_NS
+from armimp_estimation.problems import Problem, ProblemCode
 
 PAUSE_NS: Final = 250_000_000
 """Zero perturbation for this long (ns) separates two trials where no status tells them apart."""
@@ -21,10 +22,6 @@ MOST_TICKS: Final = 10_000_000
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
 
 _MOST_TRIALS: Final = 1000
-
-_ABORTED: Final = "aborted: "
-_NOT_VALID: Final = "not valid: "
-# What the controller says of a trial in which it only missed samples, which the ledger shows too.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,12 +45,8 @@ class TrialWindow:
     ended : bool
         Whether the recording goes on after the trial, so that all of its samples should be
         there; else it may end within the trial.
-    fault : str
-        What spoiled the trial, according to the controller; empty if nothing did.
-    missed : bool
-        Whether the fault is no more than samples that did not reach the controller.
-    aborted : bool
-        Whether the controller aborted it: what was recorded before that is as good as ever.
+    fault : Problem or None
+        What spoiled the trial, according to the controller.
     clipped : int
         Joint commands that the controller had to limit.
     clipped_intervals : tuple of (int, int)
@@ -77,18 +70,11 @@ class TrialWindow:
     ticks: int
     seed: int | None
     ended: bool
-    fault: str = ""
-    missed: bool = False
-    aborted: bool = False
+    fault: Problem | None = None
     clipped: int = 0
     clipped_intervals: tuple[tuple[int, int], ...] = ()
     saved: int = 0
     tare: tuple[float, ...] = ()
-
-    @property
-    def told_again(self) -> str:
-        """The fault as the reason of a status of phase `REST`, from which the same window comes."""
-        return self.fault.removeprefix(_NOT_VALID)
 
     def __post_init__(self) -> None:
         if not 0 <= self.ticks <= MOST_TICKS:
@@ -170,14 +156,12 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
             )
         if current is None:
             continue
-        if status.phase is Phase.ABORTED:
-            fault = f"{_ABORTED}{status.reason or 'no reason given'}"
-            current = replace(current, fault=fault, missed=False, aborted=True)
-        elif not status.valid and status.reason.startswith(_ABORTED):
-            current = replace(current, fault=status.reason, aborted=True)
-        elif not status.valid and (current.missed or not current.fault):
-            fault = f"{_NOT_VALID}{status.reason or 'no reason given'}"
-            current = replace(current, fault=fault, missed=only_missed_samples(status))
+        fault = fault_of(status)
+        before = None if current.fault is None else current.fault.code
+        if fault is not None and (
+            fault.code is ProblemCode.TRIAL_ABORTED or before in (None, ProblemCode.SAMPLES_LOST)
+        ):
+            current = replace(current, fault=fault)
         if status.ticks < current.ticks:
             saved = current.saved + current.ticks - status.ticks
             current = replace(current, ticks=status.ticks, saved=saved)
@@ -191,13 +175,17 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
     return tuple(windows)
 
 
-def only_missed_samples(status: TrialStatus) -> bool:
-    """Tell whether a trial is not valid only because samples did not reach the controller."""
-    return (
-        status.phase is not Phase.ABORTED
-        and not status.valid
-        and status.cause is Cause.SAMPLES_LOST
-    )
+def fault_of(status: TrialStatus) -> Problem | None:
+    """What a status says against its trial."""
+    reason = status.reason or "no reason given"
+    if status.phase is Phase.ABORTED:
+        code = ProblemCode.TRIAL_ABORTED
+    elif not status.valid:
+        lost = status.cause is Cause.SAMPLES_LOST
+        code = ProblemCode.SAMPLES_LOST if lost else ProblemCode.TRIAL_SPOILED
+    else:
+        return None
+    return Problem(code=code, trial=status.trial, values={"reason": reason})
 
 
 def _with_clipping(window: TrialWindow, status: TrialStatus) -> TrialWindow:

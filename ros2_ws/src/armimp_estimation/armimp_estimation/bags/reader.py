@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from armimp_common import topics
 from armimp_common.cdr import joint_names_of
 from armimp_common.errors import BagError, ConfigurationError, DataError, MalformedMessageError
 from armimp_common.status import TrialStatus
-from armimp_common.topics import DATA_STREAMS, PERTURBATION, TRIAL
-from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
+from armimp_estimation.alignment.assemble import Trial, assemble_trials
+from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.bags.raw import RawMessages, one_line
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.bags.storage import read_storage
@@ -34,7 +35,7 @@ class BagContent:
         Metadata of the recording; empty for bags recorded elsewhere.
     joint_names : tuple of str
         Order of the joints in the records.
-    trials : tuple of AssembledTrial
+    trials : tuple of Trial
         At least one; each says whether it can be estimated.
     topics : mapping of str to str
         Name in the bag of each topic of the contract that is in it.
@@ -45,7 +46,7 @@ class BagContent:
     path: Path
     metadata: Mapping[str, str]
     joint_names: tuple[str, ...]
-    trials: tuple[AssembledTrial, ...]
+    trials: tuple[Trial, ...]
     topics: Mapping[str, str]
     notes: tuple[str, ...]
     _raw: RawMessages
@@ -59,7 +60,7 @@ class BagContent:
         DataError
             If one of the trials must not be estimated; the message names bag and trial.
         """
-        return tuple(trial.require() for trial in self.trials)
+        return tuple(record for trial in self.trials for record in trial.intact())
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Iterate over the messages of the contract in recorded order.
@@ -104,16 +105,17 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
     by_index = raw.by_topic()
     messages = {
         topic: by_index.get(found[topic], []) if topic in found else []
-        for topic in (*DATA_STREAMS, TRIAL)
+        for topic in (*topics.DATA_STREAMS, topics.TRIAL)
     }
-    if len(messages[TRIAL]) > _MOST_STATUSES and not trust:
-        raise raw.budget.refusal(f"has {len(messages[TRIAL])} messages of {TRIAL}")
-    statuses, defect = decode_trial_statuses(messages[TRIAL])
+    if len(messages[topics.TRIAL]) > _MOST_STATUSES and not trust:
+        raise raw.budget.refusal(f"has {len(messages[topics.TRIAL])} messages of {topics.TRIAL}")
+    statuses, defect = decode_trial_statuses(messages[topics.TRIAL])
     try:
-        joint_names = _joint_names(raw.metadata, messages[PERTURBATION])
+        joint_names = _joint_names(raw.metadata, messages[topics.PERTURBATION])
         if len(joint_names) > _MOST_JOINTS:
             raise DataError(f"{len(joint_names)} joints are more than {_MOST_JOINTS}")
-        trials = assemble_trials(joint_names, messages, statuses, source=str(path))
+        streams = decode_streams(joint_names, messages)
+        trials = assemble_trials(streams, statuses, source=str(path))
     except (DataError, ConfigurationError, MalformedMessageError) as error:
         cut = f" (the file {raw.cut})" if raw.cut else ""
         raise BagError(f"{path}: {one_line(error)}{cut}") from None
@@ -121,7 +123,7 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         raise BagError(f"{path}: no trial in it; {_last_words(statuses)}")
     notes = [f"{path}: {raw.cut}"] if raw.cut else []
     if defect:
-        notes.append(f"{path}: damaged messages of {TRIAL}: {one_line(defect)}")
+        notes.append(f"{path}: damaged messages of {topics.TRIAL}: {one_line(defect)}")
     notes += [f"{path}: {trial.note}" for trial in trials if trial.note]
     return BagContent(
         path=path,
@@ -191,7 +193,7 @@ def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> 
             return joint_names_of(message)
         except MalformedMessageError as error:
             defect = defect or error
-    raise defect or DataError(f"no messages of {PERTURBATION}")
+    raise defect or DataError(f"no messages of {topics.PERTURBATION}")
 
 
 def _last_words(statuses: Sequence[TrialStatus]) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
@@ -112,6 +113,8 @@ class ImpedanceEstimate:
     unbiased : bool
         Whether nothing but its variance separates the estimate from the truth: only then does lack
         of fit mean another arm, and only such an estimate decides whether a result is valid.
+    hold : HoldCorrection or None
+        What torques do at each update of the commands, if that was found and corrected.
     """
 
     name: str
@@ -130,6 +133,7 @@ class ImpedanceEstimate:
     delay_uncertainty: float | None = None
     delay_unknown: float = 0.0
     unbiased: bool = False
+    hold: HoldCorrection | None = None
 
     @property
     def joints(self) -> int:

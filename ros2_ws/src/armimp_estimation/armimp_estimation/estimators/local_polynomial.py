@@ -191,7 +191,8 @@ def local_response(
     if bins.size == 0 or highest < window:
         raise DataError(
             f"{samples} samples are too few for local polynomials over {window} bins "
-            f"between {band[0]:.4g} and {band[1]:.4g} Hz"
+            f"between {band[0]:.4g} and {band[1]:.4g} Hz",
+            "record_too_short",
         )
     if f is None:
         f = bins.astype(np.float64) * float(rate / samples)

@@ -180,6 +180,7 @@ class LpmFull:
             delay_uncertainty=self._delay_uncertainty(jump, records[0].rate),
             delay_unknown=0.5 / records[0].rate,
             unbiased=True,
+            hold=jump,
             covariance=_covariance(columns, _angles_and(skew, n)),
             disturbance=_covariance(columns, coefficients),
             inverse=inverse,
@@ -275,7 +276,7 @@ class LpmFull:
         """Jump of torques with the commands, if that is what is late and can be known."""
         reading = self.config.reading.at_rate(records[0].rate)
         if reading.timing is TorqueTiming.UNKNOWN:
-            reading = replace(reading, timing=TorqueTiming.BEFORE_UPDATE)
+            reading = reading.model_copy(update={"timing": TorqueTiming.BEFORE_UPDATE})
         late = reading.timing is TorqueTiming.BEFORE_UPDATE
         if late and all(record.command is not None for record in records):
             return update_jump(records, reading)

@@ -1,13 +1,55 @@
 """The estimators by name. A new one is a file with its class and a line here."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmFull
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
-from armimp_estimation.settings import IdentifyConfig
+from armimp_estimation.fit import Calibration, FitConfig
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.verdict import Limits
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifyConfig:
+    """Options of the spectra, of the parametric fit, and limits of the verdict.
+
+    Parameters
+    ----------
+    welch : WelchConfig
+        Segments and band.
+    lpm : LpmConfig
+        Options of the estimator ``lpm_full``, which takes the same band.
+    fit : FitConfig
+        Fit of M, B and K.
+    limits : Limits
+        What a valid result has to meet.
+    model : str
+        Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
+        default those that it takes where M, B and K don't fit.
+    calibration : Calibration
+        What is known of the torque transducers.
+
+    Raises
+    ------
+    ConfigurationError
+        If there is no such model.
+    """
+
+    welch: WelchConfig = field(default_factory=WelchConfig)
+    lpm: LpmConfig = field(default_factory=LpmConfig)
+    fit: FitConfig = field(default_factory=FitConfig)
+    limits: Limits = field(default_factory=Limits)
+    model: str = AUTO
+    calibration: Calibration = field(default_factory=Calibration)
+
+    def __post_init__(self) -> None:
+        require_model(self.model)
+
 
 _FACTORIES: dict[str, Callable[[IdentifyConfig], Estimator]] = {
     "welch_siso": lambda _: WelchSiso(),

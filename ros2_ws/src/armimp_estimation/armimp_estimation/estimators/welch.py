@@ -55,7 +55,10 @@ class WelchSiso:
         motion = np.abs(frf.R[k])
         if not (motion > 0.0).all():
             still = trial.f[~(motion > 0.0)][0]
-            raise DataError(f"joint {k + 1} does not follow its perturbation at {still:.4g} Hz")
+            raise DataError(
+                f"joint {k + 1} does not follow its perturbation at {still:.4g} Hz",
+                "joint_does_not_move",
+            )
         impedance = frf.T / frf.R[k]
         gain = noise_gain(trial) / motion**2
         variance = np.empty(impedance.shape)

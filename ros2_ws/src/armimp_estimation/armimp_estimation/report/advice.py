@@ -1,14 +1,11 @@
-"""What to do about a problem.
-
-Problems come as sentences, from `armimp_estimation.verdict`, the assembly of trials, the controller
-and the orchestrator. The tests hold the patterns against the sentences of the first two.
-"""
+"""What to do about a problem, by its code."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+
+from armimp_estimation.problems import ProblemCode
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,21 +16,21 @@ class Advice:
     ----------
     title : str
         The kind in plain words.
-    pattern : str
-        Regular expression that is found in the sentences of its kind.
+    codes : frozenset of ProblemCode
+        Problems of its kind.
     text : str
         What it means and what to do about it.
     """
 
     title: str
-    pattern: str
+    codes: frozenset[ProblemCode]
     text: str
 
 
 ADVICE = (
     Advice(
         title="Joints that should have been held still moved",
-        pattern=r"was not held still|motion of .* explains",
+        codes=frozenset({ProblemCode.LOCK_RATIO, ProblemCode.LOCK_BIAS}),
         text=(
             "The method needs all joints but one at rest: what they move leaks into the elements "
             "of their row. Make the robot hold them harder (target.lock_frequency), check that "
@@ -44,7 +41,7 @@ ADVICE = (
     ),
     Advice(
         title="A joint does not answer its perturbation",
-        pattern=r"does not follow|does not move|linearly dependent",
+        codes=frozenset({ProblemCode.NO_RESPONSE, ProblemCode.JOINT_DOES_NOT_MOVE}),
         text=(
             "What is measured is mostly something else than the answer to the perturbation. Is the "
             "joint free, are transducer and encoder connected in the right order? Otherwise "
@@ -54,9 +51,16 @@ ADVICE = (
     ),
     Advice(
         title="A channel is wrong",
-        pattern=(
-            r"not that of a passive arm|outside of what an arm|can't be radians|its command "
-            r"disagree|commands less torques move"
+        codes=frozenset(
+            {
+                ProblemCode.COMMANDS_PERMUTED,
+                ProblemCode.IMPLAUSIBLE_INERTIA,
+                ProblemCode.IMPLAUSIBLE_VALUE,
+                ProblemCode.IMPLAUSIBLE_ANGLE,
+                ProblemCode.TORQUE_UNBALANCED,
+                ProblemCode.CALIBRATION_ASSUMED,
+                ProblemCode.ROBOT_INERTIA_IMPOSSIBLE,
+            }
         ),
         text=(
             "Numbers like these come from a sign, a unit, a gain or an order of channels. Push "
@@ -67,7 +71,7 @@ ADVICE = (
     ),
     Advice(
         title="A signal is clipped, stuck or too coarse",
-        pattern=r"is clipped at|is stuck: |counts of its resolution",
+        codes=frozenset({ProblemCode.CLIPPED, ProblemCode.STUCK, ProblemCode.UNRESOLVED}),
         text=(
             "What a transducer can't follow biases the estimate. Perturb less where it is clipped, "
             "more where it isn't resolved; look for loose contacts and for a driver that repeats "
@@ -75,8 +79,18 @@ ADVICE = (
         ),
     ),
     Advice(
-        title="The sampling rate is in doubt",
-        pattern=r"stamps give|sampling rate drifts|stamps are irregular|stamps of .* give",
+        title="Times of samples are in doubt",
+        codes=frozenset(
+            {
+                ProblemCode.RATE_UNCUSTOMARY,
+                ProblemCode.RATE_UNPLANNED,
+                ProblemCode.RATE_DRIFTS,
+                ProblemCode.STAMPS_IRREGULAR,
+                ProblemCode.STREAM_RATES_DIFFER,
+                ProblemCode.DELAY_CORRECTED,
+                ProblemCode.TIMING_REFUTED,
+            }
+        ),
         text=(
             "All frequencies, and with them M and B, follow from the rate that the stamps give. "
             "Stamp samples when they are taken, by one clock. Declare an unusual rate (--rate)."
@@ -84,7 +98,16 @@ ADVICE = (
     ),
     Advice(
         title="The impedance is not that of inertia, viscosity and stiffness",
-        pattern=r"is not of the form M s²|the stiffness of |proportion to its speed",
+        codes=frozenset(
+            {
+                ProblemCode.LACK_OF_FIT,
+                ProblemCode.MODEL_OFFERED,
+                ProblemCode.NO_MODEL,
+                ProblemCode.DEPENDS_ON_AMPLITUDE,
+                ProblemCode.DEPENDS_ON_SPEED,
+                ProblemCode.CHANGES_OVER_TIME,
+            }
+        ),
         text=(
             "The impedance may be right, but M, B and K do not describe it over the whole band. "
             "Reflexes, a soft cuff or a loose strap, and stiffness that depends on amplitude do "
@@ -93,21 +116,31 @@ ADVICE = (
     ),
     Advice(
         title="Samples are missing or in disorder",
-        pattern=(
-            r"(is|are) missing (at|in|between) |came (more than once|out of order)|"
-            r"stamps do not agree|did not arrive|no sensor sample|must move forward|"
-            r"malformed"
+        codes=frozenset(
+            {
+                ProblemCode.SAMPLES_MISSING,
+                ProblemCode.SAMPLES_MALFORMED,
+                ProblemCode.SAMPLES_CONTRADICTORY,
+                ProblemCode.SAMPLES_REPEATED,
+                ProblemCode.SAMPLES_REORDERED,
+                ProblemCode.SAMPLES_LOST,
+                ProblemCode.STAMPS_DISAGREE,
+                ProblemCode.COMMANDS_MISSING,
+                ProblemCode.COMMANDS_FOREIGN,
+                ProblemCode.PERTURBATIONS_FOREIGN,
+                ProblemCode.MESSAGE_REFUSED,
+            }
         ),
         text=(
-            "Gaps are never filled, as that would bend the spectra. The ledger below shows which "
-            "stream is affected. Look for an overloaded computer or network, for a recorder that "
-            "could not write fast enough, and for a second publisher of the same topic; then "
-            "repeat the trial, or use its intact parts (--allow-gaps)."
+            "Gaps are never filled, as that would bend the spectra. The table of samples below "
+            "shows which stream is affected. Look for an overloaded computer or network, for a "
+            "recorder that could not write fast enough, and for a second publisher of the same "
+            "topic; then repeat the trial, or use its intact parts (--allow-gaps)."
         ),
     ),
     Advice(
         title="The computer was not quick or regular enough",
-        pattern=r"^real time: |no command for \d+ ticks|ticks behind",
+        codes=frozenset({ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY}),
         text=(
             "Samples or commands came too late for 1 kHz. End other programs, give rig and "
             "controller precedence (--priority), one processor core each (realtime.cpu), and see "
@@ -116,21 +149,24 @@ ADVICE = (
     ),
     Advice(
         title="Much of a trial is left out",
-        pattern=r"of its samples are excluded|commands were clipped",
+        codes=frozenset({ProblemCode.MUCH_EXCLUDED, ProblemCode.CLIPPED_UNKNOWN}),
         text=(
             "Samples that are missing, and those under commands that were clipped, are in no "
-            "estimate; the ledger below says how many. Raise the limits or perturb less if "
-            "commands were clipped; else repeat the trial."
+            "estimate; the table of samples below says how many. Raise the limits or perturb less "
+            "if commands were clipped; else repeat the trial."
         ),
     ),
     Advice(
-        title="There is no room on the disk",
-        pattern=r"disk full|of disk space needed",
-        text="The bag holds what fitted. Make room, or take another directory (--out).",
+        title="Recording failed",
+        codes=frozenset({ProblemCode.RECORDING_FAILED}),
+        text=(
+            "The bag holds what could be written. If the disk is full, make room, or take another "
+            "directory (--out)."
+        ),
     ),
     Advice(
         title="A signal held numbers that are not finite",
-        pattern=r"not finite",
+        codes=frozenset({ProblemCode.SAMPLES_NOT_FINITE}),
         text=(
             "A driver or a computation gave NaN or infinity. The time traces end, or have a gap, "
             "where it happened; repair the source and repeat the trial."
@@ -138,15 +174,13 @@ ADVICE = (
     ),
     Advice(
         title="There are too few samples",
-        pattern=r"shorter than one segment|no measure of noise|too few to fit|no samples of it",
+        codes=frozenset({ProblemCode.RECORD_TOO_SHORT, ProblemCode.NOTHING_RECORDED}),
         text="Record for longer: 50 s per trial are usual, 10 s the least that makes sense.",
     ),
     Advice(
         title="The trials do not make a whole",
-        pattern=(
-            r"no trial (perturbs|to estimate)|trials perturb joint|perturbs .* as well as|"
-            r"perturbed at once|perturbed joint is not among|has joints|samples per second|"
-            r"spectra at different|no joint is perturbed|perturbation is zero|no perturbation at"
+        codes=frozenset(
+            {ProblemCode.TRIALS_INCOMPLETE, ProblemCode.JOINT_UNKNOWN, ProblemCode.NO_PERTURBATION}
         ),
         text=(
             "The matrix needs exactly one trial for each joint, in which that joint alone is "
@@ -156,7 +190,16 @@ ADVICE = (
     ),
     Advice(
         title="The run was stopped",
-        pattern=r"aborted|interrupted|watchdog|nothing happened|nobody (publishes|at the other)",
+        codes=frozenset(
+            {
+                ProblemCode.TRIAL_ABORTED,
+                ProblemCode.TRIAL_SPOILED,
+                ProblemCode.RECORDING_STOPPED,
+                ProblemCode.INTERRUPTED,
+                ProblemCode.STALLED,
+                ProblemCode.NODE_FAULT,
+            }
+        ),
         text=(
             "The sentence gives the reason. What was recorded up to then is in the bags; look at "
             "the end of the time traces (“last 2 s”) and, for separate processes, into logs/."
@@ -164,26 +207,38 @@ ADVICE = (
     ),
     Advice(
         title="A node failed",
-        pattern=r"^node |did not appear|did not answer|failed to|not managed",
+        codes=frozenset({ProblemCode.NODE_FAILED, ProblemCode.PARAMETERS_DIFFER}),
         text=(
             "Its last words are in the sentence, and all of them in logs/ if it had a process of "
             "its own. Bags written up to then can be estimated: armimp estimate BAG…"
         ),
     ),
+    Advice(
+        title="Nothing could be estimated",
+        codes=frozenset({ProblemCode.NOT_ESTIMATED}),
+        text="The sentence gives the reason, and the time traces show the signals.",
+    ),
 )
-OTHER = Advice(title="Other problems", pattern="", text="")
+"""Each code belongs to one kind."""
+
+_KIND = {code: advice for advice in ADVICE for code in advice.codes}
 
 
-def advise(problems: Iterable[str]) -> list[tuple[Advice, list[str]]]:
+def advise(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Advice, list[str]]]:
     """Sort problems by what there is to do about them.
+
+    Parameters
+    ----------
+    problems : iterable of (ProblemCode, str)
+        Code and sentence of each.
 
     Returns
     -------
     list of (Advice, list of str)
-        In the order of the first problem of each kind.
+        Kinds in the order of the first problem of each, with the sentences of their problems.
     """
     kinds: dict[str, tuple[Advice, list[str]]] = {}
-    for problem in problems:
-        advice = next((one for one in ADVICE if re.search(one.pattern, problem)), OTHER)
-        kinds.setdefault(advice.title, (advice, []))[1].append(problem)
+    for code, sentence in problems:
+        advice = _KIND[code]
+        kinds.setdefault(advice.title, (advice, []))[1].append(sentence)
     return list(kinds.values())

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
-from armimp_estimation.results import ImpedanceCurve
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]

@@ -6,6 +6,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
+from typing import Any
 
 from markupsafe import Markup
 
@@ -104,3 +105,13 @@ def written(value: object) -> str:
     if value == {}:
         return "none"
     return value if isinstance(value, str) else json.dumps(value)
+
+
+def setting(config: Mapping[str, Any], *path: str) -> Any:
+    """Look up a value in a configuration of any form; None if it is not there."""
+    found: Any = config
+    for key in path:
+        if not isinstance(found, Mapping) or key not in found:
+            return None
+        found = found[key]
+    return found

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import (
     distances,
@@ -30,7 +31,6 @@ from armimp_estimation.report.plots import (
     log_axis,
     stacked,
 )
-from armimp_estimation.results import ImpedanceCurve
 
 FloatArray = NDArray[np.float64]
 BANDS = "bands"

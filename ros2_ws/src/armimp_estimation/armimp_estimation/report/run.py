@@ -10,6 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from armimp_estimation.atomic_write import write_text
+from armimp_estimation.problems import ProblemCode
 from armimp_estimation.report.advice import advise
 from armimp_estimation.report.curves import reference_of
 from armimp_estimation.report.formats import (
@@ -20,6 +21,7 @@ from armimp_estimation.report.formats import (
     mark,
     number,
     percent,
+    setting,
     symbol,
     uncertain,
 )
@@ -33,7 +35,6 @@ from armimp_estimation.report.frequency_plots import (
 )
 from armimp_estimation.report.look import looks
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
-from armimp_estimation.report.result import Result, setting
 from armimp_estimation.report.settings import assumptions_content, configuration, identity
 from armimp_estimation.report.trials import (
     locking_content,
@@ -41,7 +42,8 @@ from armimp_estimation.report.trials import (
     signals_content,
     timing_content,
 )
-from armimp_estimation.results import Summary
+from armimp_estimation.result import Result
+from armimp_estimation.summary import Summary
 from armimp_estimation.verdict import Limits
 
 REPORT_FILE = "report.html"
@@ -117,19 +119,19 @@ def _introduction(result: Result) -> str:
 
 def _verdict(result: Result) -> Content:
     summary = result.summary
-    count = len(summary.problems)
+    count = len(summary.faults)
     problems = f"Not valid: {count} problem{'' if count == 1 else 's'}"
     return {
         "valid": summary.valid,
         "joints": summary.joints,
         "title": "Valid" if summary.valid else problems,
-        "problems": advised(summary.problems),
+        "problems": advised((one.code, one.sentence) for one in summary.faults),
         "notes": result.notes,
         "limits": _limits_table(result) if summary.estimators else None,
     }
 
 
-def advised(problems: Iterable[str]) -> list[tuple[object, list[str]]]:
+def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[object, list[str]]]:
     """Problems by what there is to do about them; a number and its unit stay on one line."""
     return [
         (advice, [sentence.replace(" %", "\N{NO-BREAK SPACE}%") for sentence in sentences])
@@ -339,7 +341,7 @@ def _settings(summary: Summary) -> Content:
     known = summary.torque_reading
     return {
         "identity": identity(summary.config, summary.seed) if summary.config else None,
-        "reading": None if known is None else known.reading().sentence,
+        "reading": None if known is None else known.sentence,
         "conditions": False,
         "tables": configuration(summary.config),
     }

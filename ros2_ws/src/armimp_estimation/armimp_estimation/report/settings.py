@@ -8,9 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from armimp_estimation.report.formats import code, written
+from armimp_estimation.report.formats import code, setting, written
 from armimp_estimation.report.page import Content, Table
-from armimp_estimation.report.result import setting
 
 ASSUMPTION = "assumption"
 DESIGN = "study design"

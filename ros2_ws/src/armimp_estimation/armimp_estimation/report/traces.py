@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.topics import PERIOD_NS
-from armimp_estimation.alignment.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.report.curves import envelope
 from armimp_estimation.report.look import joint_variable
@@ -107,12 +107,12 @@ def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
     return seen[:, : values.shape[1]]
 
 
-def trace_views(trial: AssembledTrial, prefix: str = "", buckets: int = _BUCKETS) -> list[View]:
+def trace_views(trial: Trial, prefix: str = "", buckets: int = _BUCKETS) -> list[View]:
     """Views of a trial over time: the whole of it, its ends, and what was recorded.
 
     Parameters
     ----------
-    trial : AssembledTrial
+    trial : Trial
         With at least one segment.
     prefix : str
         Of the names of the views.

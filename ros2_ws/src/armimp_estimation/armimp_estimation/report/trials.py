@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from armimp_common import topics
 from armimp_common.realtime import LATE_NS
-from armimp_estimation.alignment.assemble import AssembledTrial
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.report.formats import (
     NONE,
     STREAMS,
@@ -24,9 +24,9 @@ from armimp_estimation.report.formats import (
 from armimp_estimation.report.frequency_plots import SIDE_BY_SIDE
 from armimp_estimation.report.look import joint_variable
 from armimp_estimation.report.page import Content, Table, box
-from armimp_estimation.report.result import Result
 from armimp_estimation.report.traces import BAND, PERIOD, trace_plot, trace_views
-from armimp_estimation.results import Summary, TrialSummary
+from armimp_estimation.result import Result
+from armimp_estimation.summary import Summary, TrialSummary
 from armimp_estimation.verdict import Limits
 
 _LIMITS = Limits()
@@ -40,7 +40,7 @@ def _joint(result: Result, joint: int) -> str:
     return names[joint - 1] if 0 < joint <= len(names) else f"joint {joint}"
 
 
-def _title(result: Result, one: AssembledTrial) -> str:
+def _title(result: Result, one: Trial) -> str:
     return f"Trial {one.trial}: {_joint(result, one.window.joint + 1)} perturbed"
 
 
@@ -98,8 +98,8 @@ def samples_content(result: Result) -> Content:
     return {"table": table, "bags": True, "excluded": _exclusions(result)}
 
 
-def _streams(one: AssembledTrial) -> Iterator[list[object]]:
-    for topic, count in one.ledger.streams.items():
+def _streams(one: Trial) -> Iterator[list[object]]:
+    for topic, count in one.statistics.streams.items():
         counts = (count.duplicated, count.contradictory, count.reordered, count.late)
         stamped = topic != topics.COMMANDS
         name = STREAMS.get(topic, topic)
@@ -117,15 +117,15 @@ def _exclusions(result: Result) -> Table | None:
     rows: list[list[object]] = [
         [
             _title(result, one),
-            one.ledger.clipped,
-            _noted(one.ledger.excluded),
-            percent(one.ledger.excluded_share),
-            one.ledger.stretches,
+            one.statistics.clipped,
+            _noted(one.statistics.excluded),
+            percent(one.statistics.excluded_share),
+            one.statistics.stretches,
             f"{max((part.samples for part in one.segments), default=0) * PERIOD:.3f} s",
-            one.problem or "clipped commands",
+            "; ".join(map(str, one.problems)) or "clipped commands",
         ]
         for one in result.trials
-        if one.ledger.excluded or one.ledger.clipped
+        if one.statistics.excluded or one.statistics.clipped
     ]
     if not rows:
         return None
@@ -204,7 +204,7 @@ def signals_content(result: Result) -> Content:
         {
             "title": _title(result, one),
             "facts": _facts(result, one),
-            "problem": one.problem,
+            "problem": "; ".join(map(str, one.refusals())),
             "plot": None
             if together
             else trace_plot(f"trace-{position}", f"{signals} trial {one.trial}.", trace_views(one)),
@@ -221,7 +221,7 @@ def signals_content(result: Result) -> Content:
     }
 
 
-def _facts(result: Result, one: AssembledTrial) -> str:
+def _facts(result: Result, one: Trial) -> str:
     window = one.window
     facts = [f"{(window.ticks + window.saved) * PERIOD:g} s planned"]
     if window.saved:

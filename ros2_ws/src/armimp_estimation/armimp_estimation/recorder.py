@@ -1,36 +1,35 @@
-"""From live messages to finished trials: collecting, recording, assembling. No ROS in here."""
+"""From live messages to trials: segmenting, recording, assembling. No ROS in here."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from armimp_common.errors import ArmimpError, DataError
 from armimp_common.status import Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS, TRIAL
-from armimp_estimation.alignment.assemble import AssembledTrial, assemble_trials
-from armimp_estimation.alignment.sample_batch import SampleBatch
-from armimp_estimation.alignment.trial_segmenter import CollectedTrial, TrialSegmenter
+from armimp_estimation.alignment.assemble import Trial, assemble_trials
+from armimp_estimation.alignment.streams import Streams
+from armimp_estimation.alignment.trial_segmenter import TrialSegmenter
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.bags.storage import BAGS
-from armimp_estimation.conclusion import FinishedTrial
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.progress import RunningTrial
-from armimp_estimation.realtime_timing import RECORD_KEY, TimingRecord
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.stopping import Judge, PrecisionGoal
+from armimp_estimation.stopping import PrecisionGoal, StoppingRule
+from armimp_estimation.timing import RECORD_KEY, Timing
 
-LEDGER = "ledger"
-"""Metadata of a bag: the account of its samples, as JSON."""
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
 _COLUMN_PERIOD = 1.0
 """Wall time between two estimates of the running column (s); each takes some 20 ms."""
 
 
-class Recording:
+class TrialRecorder:
     """Records each trial into its own bag and hands it over when it is complete.
 
     Parameters
@@ -42,7 +41,7 @@ class Recording:
     metadata : mapping of str to str
         Stored in every bag.
     on_finished : callable
-        Called with each trial, and with the reason if no trial could be made of it.
+        Called with each trial, or with the reason why none could be made.
     lpm : LpmConfig, optional
         Options of the running column.
     goal : PrecisionGoal, optional
@@ -54,24 +53,21 @@ class Recording:
         joint_names: tuple[str, ...],
         directory: Path | None,
         metadata: Mapping[str, str],
-        on_finished: Callable[[FinishedTrial | None, str], None],
+        on_finished: Callable[[Trial | Problem], None],
         *,
         lpm: LpmConfig | None = None,
         goal: PrecisionGoal | None = None,
     ) -> None:
         self._joint_names = joint_names
-        self._directory = directory
-        self._metadata = metadata
+        self._directory, self._metadata = directory, metadata
         self._on_finished = on_finished
-        self._collector = TrialSegmenter(
-            self._write, self._on_complete, self._open, self._write_block
-        )
+        self._segmenter = TrialSegmenter(joint_names, self._write, self._on_complete, self._open)
         self._writer: BagWriter | None = None
-        self._bag: Path | None = None
+        self._bag = ""
         self._lpm = LpmFull() if lpm is None else LpmFull(config=lpm)
         self._goal = goal if goal is not None else PrecisionGoal()
         self._running: RunningTrial | None = None
-        self._judge: Judge | None = None
+        self._rule: StoppingRule | None = None
         self._column: FittedColumn | None = None
         self._column_at = 0.0
         self._past: list[TrialRecord] = []
@@ -80,20 +76,19 @@ class Recording:
         self._statuses_written = 0
         self._seen = 0
         self._latest_ns: dict[str, int] = {}
-        self.timing: TimingRecord | None = None
+        self.timing: Timing | None = None
         """Latest known timing of the run, which goes into the bag of each trial as it ends."""
-        self.add = self._collector.add
-        self.add_many = self._collector.add_many
+        self.add, self.add_many = self._segmenter.add, self._segmenter.add_many
 
     @property
     def status(self) -> TrialStatus | None:
         """Last status of the present trial; None between trials."""
-        return self._collector.status
+        return self._segmenter.status
 
     @property
     def samples(self) -> int:
         """Number of complete samples of the present trial so far."""
-        return min(len(messages) for messages in self._collector.messages.values())
+        return self._segmenter.samples
 
     @property
     def rate(self) -> float:
@@ -110,7 +105,7 @@ class Recording:
         """
         if status.phase is Phase.PERTURB:
             self._told_at = time.monotonic()
-        self._collector.add_status(status)
+        self._segmenter.add_status(status)
 
     def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
@@ -130,47 +125,43 @@ class Recording:
         if self._writer is not None and self._statuses_written:
             self._writer.write(topic, message, max(self._last_ns, time_ns or 0))
 
-    def update(self) -> tuple[float, float] | None:
+    def coherence(self) -> tuple[float, float] | None:
         """Running coherence (motion, torque) of the present trial, see `RunningTrial`."""
         running = self._present()
-        return None if running is None else running.update(self._collector.messages)
+        return None if running is None else running.coherence()
 
     def column(self) -> FittedColumn | None:
         """Column k as the present trial gives it so far, made anew at most once a second."""
-        running = self._present()
-        if running is not None and time.monotonic() - self._column_at >= _COLUMN_PERIOD:
+        if time.monotonic() - self._column_at >= _COLUMN_PERIOD:
             # Round numbers: the Fourier transform of others may take several times as long.
-            samples = self.samples // _ROUND * _ROUND
-            self._keep_column(running.column(self._collector.messages, samples))
+            self._column_of(self.samples // _ROUND * _ROUND)
         return self._column
 
-    def judge(self) -> StoppingDecision | None:
-        """Judge the present trial if it is time, see `Judge`."""
-        status = self._collector.status
+    def decide(self) -> StoppingDecision | None:
+        """Decide whether the present trial has lasted long enough, if it is time."""
+        status = self.status
         if not self._goal.bound or status is None or status.phase is not Phase.PERTURB:
             return None
-        if self._judge is None:
-            self._judge = Judge(self._goal, trial=status.trial, planned=status.ticks, rate=_RATE)
-        return self._judge.judge(self.samples, self._column_of)
+        if self._rule is None:
+            self._rule = StoppingRule(
+                self._goal, trial=status.trial, planned=status.ticks, rate=_RATE
+            )
+        return self._rule.decide(self.samples, self._column_of)
 
     def _column_of(self, samples: int) -> FittedColumn | None:
         running = self._present()
-        if running is None:
-            return None
-        self._keep_column(running.column(self._collector.messages, samples))
+        if running is not None:
+            self._column = running.column(samples)
+            if self._column is not None:
+                # From its end on, so that a slow machine does not do nothing else.
+                self._column_at = time.monotonic()
         return self._column
 
-    def _keep_column(self, column: FittedColumn | None) -> None:
-        self._column = column
-        if column is not None:
-            # From its end on, so that a slow machine does not do nothing else.
-            self._column_at = time.monotonic()
-
     def _present(self) -> RunningTrial | None:
-        status = self._collector.status
+        status = self.status
         if status is not None and self._running is None:
             self._running = RunningTrial(
-                self._joint_names,
+                self._segmenter.streams,
                 status.joint,
                 rate=_RATE,
                 planned=status.ticks,
@@ -182,8 +173,8 @@ class Recording:
 
     def stop(self) -> None:
         """Finish all trials that have begun with what there is, and close the bag."""
-        while self._collector.status is not None:
-            self._collector.finish()
+        while self.status is not None:
+            self._segmenter.finish()
         self.close()
 
     def close(self) -> None:
@@ -198,65 +189,54 @@ class Recording:
             writer, self._writer = self._writer, None
             writer.close()
 
-    def flush_if_idle(self) -> None:
-        """Hand what was recorded to the operating system if nothing has come since the last call.
-
-        Raises
-        ------
-        BagError
-            If that fails.
-        """
-        if self.samples == self._seen:
-            self.flush()
-        self._seen = self.samples
-
-    def flush(self) -> None:
+    def flush(self, *, if_idle: bool = False) -> None:
         """Hand what was recorded to the operating system, where a kill cannot reach it.
 
+        Parameters
+        ----------
+        if_idle : bool
+            Only if nothing has come since the last such call.
+
         Raises
         ------
         BagError
             If that fails.
         """
-        if self._writer is not None:
+        if self._writer is not None and not (if_idle and self.samples != self._seen):
             self._writer.flush()
+        self._seen = self.samples
 
     def _open(self, status: TrialStatus) -> None:
         self.close()
-        self._running = self._judge = self._column = None
+        self._running = self._rule = self._column = None
         self._began = self._column_at = 0.0
         self._opened_at = time.monotonic()
         self._statuses_written = 0
         self._latest_ns.clear()
         if self._directory is not None:
-            self._bag = self._directory / BAGS / f"trial_{status.trial}_joint_{status.joint + 1}"
-            room = expected_bytes(status.ticks, len(self._joint_names))
-            require_free_space(self._bag, room)
-            self._writer = BagWriter(self._bag, metadata=self._metadata)
+            self._bag = f"{BAGS}/trial_{status.trial}_joint_{status.joint + 1}"
+            path = self._directory / self._bag
+            require_free_space(path, expected_bytes(status.ticks, len(self._joint_names)))
+            self._writer = BagWriter(path, metadata=self._metadata)
 
-    def _write(self, topic: str, message: bytes, time_ns: int) -> None:
-        self._begin_at(time_ns)
-        if self._writer is not None:
-            # Readers sort by this time, and shall find every stream in the order of its arrival.
-            log_time_ns = max(time_ns, self._latest_ns.get(topic, 0))
-            self._latest_ns[topic] = log_time_ns
-            self._writer.write(topic, message, log_time_ns)
-        self._last_ns = time_ns
-
-    def _begin_at(self, time_ns: int) -> None:
+    def _write(self, stamps: Sequence[int], messages: Mapping[str, Sequence[bytes]]) -> None:
         if self._statuses_written == 0:
             # The messages may have waited for others, with which they are written.
             self._began = max(self._told_at, self._opened_at)
-            self._write_statuses(self._collector.statuses, time_ns)
-
-    def _write_block(self, block: SampleBatch) -> None:
-        self._begin_at(block.stamps[0])
-        last_ns = block.stamps[-1]
-        if self._writer is not None:
-            # Each stream goes on after what was written of it: stamps of a block are later.
-            self._latest_ns.update(dict.fromkeys(block.messages, last_ns))
-            self._writer.write_block(block.stamps, block.messages)
-        self._last_ns = last_ns
+            self._write_statuses(self._segmenter.statuses, stamps[0])
+        self._last_ns = stamps[-1]
+        if self._writer is None:
+            return
+        if len(stamps) > 1:
+            # Each stream goes on after what was written of it: stamps of ticks in step are later.
+            self._latest_ns.update(dict.fromkeys(messages, stamps[-1]))
+            self._writer.write_block(stamps, messages)
+            return
+        for topic, (message,) in messages.items():
+            # Readers sort by this time, and shall find every stream in the order of its arrival.
+            log_time_ns = max(stamps[0], self._latest_ns.get(topic, 0))
+            self._latest_ns[topic] = log_time_ns
+            self._writer.write(topic, message, log_time_ns)
 
     def _write_statuses(self, statuses: Sequence[TrialStatus], time_ns: int) -> None:
         """Statuses have no stamp: they get that of the sample beside them."""
@@ -266,38 +246,27 @@ class Recording:
             for status in new:
                 self._writer.write(TRIAL, encode_trial_status(status), time_ns)
 
-    def _on_complete(self, collected: CollectedTrial) -> None:
+    def _on_complete(self, statuses: Sequence[TrialStatus], streams: Streams) -> None:
         elapsed = time.monotonic() - self._began
         try:
             try:
                 if self._statuses_written:
-                    self._write_statuses(collected.statuses, self._last_ns)
-                assembled = self._assemble(collected)
-                if self._writer is not None:
-                    timing = {} if self.timing is None else {RECORD_KEY: self.timing.to_json()}
-                    self._writer.add_metadata({LEDGER: assembled.ledger.to_json(), **timing})
+                    self._write_statuses(statuses, self._last_ns)
+                trial = self._assemble(statuses, streams)
+                if self._writer is not None and self.timing is not None:
+                    self._writer.add_metadata({RECORD_KEY: self.timing.model_dump_json()})
             finally:
                 self.close()
         except ArmimpError as error:
-            self._on_finished(None, str(error))
+            self._on_finished(Problem.of(error, ProblemCode.RECORDING_FAILED))
             return
-        duration = assembled.ledger.span * PERIOD_NS / NS_PER_S
-        bag = None
-        if self._bag is not None and self._directory is not None:
-            bag = str(self._bag.relative_to(self._directory))
-        self._on_finished(FinishedTrial(assembled=assembled, bag=bag, rtf=duration / elapsed), "")
+        duration = trial.statistics.span / _RATE
+        self._on_finished(replace(trial, bag=self._bag or None, rtf=duration / elapsed))
 
-    def _assemble(self, collected: CollectedTrial) -> AssembledTrial:
-        # Decoded while the trial was running, so that its end takes less time.
-        running = self._running
-        trials = assemble_trials(
-            self._joint_names,
-            collected.messages,
-            collected.statuses,
-            streams=None if running is None else running.streams(collected.messages),
-        )
+    def _assemble(self, statuses: Sequence[TrialStatus], streams: Streams) -> Trial:
+        trials = assemble_trials(streams, statuses)
         if len(trials) != 1:
-            number = collected.statuses[0].trial
+            number = statuses[0].trial
             raise DataError(f"trial {number}: its statuses speak of {len(trials)} trials")
         if trials[0].record is not None:
             self._past.append(trials[0].record)

@@ -1,0 +1,202 @@
+"""The samples of a recording: each message is decoded once, into arrays that grow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number
+from armimp_common.errors import DataError, MalformedMessageError
+from armimp_common.topics import COMMANDS, VALUE_FIELD
+
+_DECODED_TOGETHER = 1000
+"""Messages that wait until they are decoded at once, which is far cheaper than one by one."""
+
+
+class Stream:
+    """The numbers of one topic in order of arrival.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        Header stamps (ns); of commands, which have none, the numbers that they carry, 0 for none.
+    values : ndarray, shape (n, N)
+        Numbers of the joints, in SI units.
+
+    Attributes
+    ----------
+    count : int
+        Number N of messages so far.
+    malformed : int
+        Messages that were left out because they could not be decoded.
+    defect : str
+        What is wrong with the first of those.
+    """
+
+    def __init__(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        self._stamps, self._values = stamps, values
+        self.count = stamps.size
+        self.malformed = 0
+        self.defect = ""
+
+    @classmethod
+    def empty(cls, joints: int) -> Stream:
+        """A stream of n joints without any message."""
+        return cls(np.empty(0, np.int64), np.empty((joints, 0)))
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        """Stamps, shape (N,)."""
+        return self._stamps[: self.count]
+
+    @property
+    def values(self) -> NDArray[np.float64]:
+        """Numbers of the joints, shape (n, N)."""
+        return self._values[:, : self.count]
+
+    def append(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+        """Add messages, which have come after all others."""
+        end = self.count + stamps.size
+        if end > self._stamps.size:
+            room = max(end, 2 * self._stamps.size)
+            grown_stamps, grown = np.empty(room, np.int64), np.empty((len(self._values), room))
+            grown_stamps[: self.count], grown[:, : self.count] = self.stamps, self.values
+            self._stamps, self._values = grown_stamps, grown
+        self._stamps[self.count : end], self._values[:, self.count : end] = stamps, values
+        self.count = end
+
+    def ordered(self) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.bool_]]:
+        """The messages in the order of their stamps, without repetitions.
+
+        Returns
+        -------
+        stamps : ndarray, shape (M,)
+            Ascending, ns.
+        order : ndarray, shape (M,)
+            Index of the first message with each stamp.
+        contradicted : ndarray, shape (M,)
+            Whether another one with the same stamp has other numbers.
+        """
+        if (np.diff(self.stamps) > 0).all():
+            return self.stamps, np.arange(self.count), np.zeros(self.count, np.bool_)
+        stamps, order, place = np.unique(self.stamps, return_index=True, return_inverse=True)
+        first = self.values[:, order[place]]
+        same = (self.values == first) | (np.isnan(self.values) & np.isnan(first))
+        contradicted = np.zeros(stamps.size, np.bool_)
+        contradicted[place[~same.all(axis=0)]] = True
+        return stamps, order, contradicted
+
+
+class Streams:
+    """The four streams of a trial or of a recording.
+
+    All streams must begin with the same control period, as commands have no stamps.
+
+    Parameters
+    ----------
+    joint_names : sequence of str
+        Order of the rows of all values; messages may have any other.
+    stamped : mapping of str to Stream, optional
+        Positions (rad), torque readings and perturbation (N·m), by topic of the contract; by
+        default messages are added later.
+    commands : Stream or None
+        Commands (N·m), in the order of `joint_names`.
+    """
+
+    def __init__(
+        self,
+        joint_names: Sequence[str],
+        stamped: Mapping[str, Stream] | None = None,
+        commands: Stream | None = None,
+    ) -> None:
+        n = len(joint_names)
+        self.joint_names = tuple(joint_names)
+        self.stamped = dict(stamped or {topic: Stream.empty(n) for topic in VALUE_FIELD})
+        self.commands = Stream.empty(n) if commands is None else commands
+        self._pending: dict[str, list[bytes]] = {topic: [] for topic in (*VALUE_FIELD, COMMANDS)}
+        self._decoders = {
+            topic: JointStateDecoder(joint_names, field) for topic, field in VALUE_FIELD.items()
+        }
+        self._command_decoder = CommandDecoder(n)
+
+    def add(self, topic: str, messages: Sequence[bytes]) -> None:
+        """Take serialised messages of a topic of the contract, in order of arrival."""
+        pending = self._pending[topic]
+        pending += messages
+        if len(pending) >= _DECODED_TOGETHER:
+            self._decode(topic)
+
+    def count(self, topic: str) -> int:
+        """Number of messages so far, malformed ones included."""
+        stream = self.commands if topic == COMMANDS else self.stamped[topic]
+        return stream.count + stream.malformed + len(self._pending[topic])
+
+    def decode(self) -> Streams:
+        """Decode what has not been decoded yet."""
+        for topic in self._pending:
+            self._decode(topic)
+        return self
+
+    def require(self) -> None:
+        """Refuse streams of which nothing could be decoded.
+
+        Raises
+        ------
+        DataError
+            If there is one with stamps.
+        """
+        for topic, stream in self.decode().stamped.items():
+            if not stream.count and stream.malformed:
+                raise DataError(
+                    f"{topic}: none of {stream.malformed} messages can be decoded: {stream.defect}"
+                )
+            if not stream.count:
+                raise DataError(f"no messages of {topic}")
+
+    def _decode(self, topic: str) -> None:
+        messages, self._pending[topic] = self._pending[topic], []
+        if not messages:
+            return
+        if topic == COMMANDS:
+            self._decode_commands(messages)
+            return
+        stream, decoder = self.stamped[topic], self._decoders[topic]
+        try:
+            stream.append(*decoder.decode_many(messages))
+        except MalformedMessageError:
+            for message in messages:
+                try:
+                    stamp, values = decoder.decode(message)
+                except MalformedMessageError as error:
+                    stream.malformed += 1
+                    stream.defect = stream.defect or str(error)
+                else:
+                    stream.append(np.array([stamp]), np.array(values)[:, None])
+
+    def _decode_commands(self, messages: Sequence[bytes]) -> None:
+        """Decode all commands or none, as a missing one would shift those after it."""
+        commands = self.commands
+        numbers = np.fromiter(map(command_number, messages), np.int64, len(messages))
+        try:
+            values = self._command_decoder.decode_many(messages)
+        except MalformedMessageError as error:
+            commands.defect = commands.defect or str(error)
+            values = np.full((len(self.joint_names), len(messages)), np.nan)
+        commands.append(numbers, values)
+
+
+def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[bytes]]) -> Streams:
+    """Decode the serialised messages of a recording, by topic of the contract.
+
+    Raises
+    ------
+    DataError
+        If a stream has no message that can be decoded.
+    """
+    streams = Streams(joint_names)
+    for topic in (*VALUE_FIELD, COMMANDS):
+        streams.add(topic, messages.get(topic, ()))
+    streams.require()
+    return streams

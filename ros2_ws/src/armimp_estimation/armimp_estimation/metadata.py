@@ -1,0 +1,200 @@
+"""What the metadata of a recording tell of its experiment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from armimp_common.errors import ArmimpError, ConfigurationError, DataError
+from armimp_estimation.arm_models import AUTO, require_model
+from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.fit import Calibration
+from armimp_estimation.json_model import first_complaint
+from armimp_estimation.mbk import MBK
+from armimp_estimation.timing import Timing
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+
+TIMING_KEY = "torque_timing"
+"""Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
+UNCERTAINTY_KEY = "torque_uncertainty"
+"""Name there of the standard error of what is told of the instant of torque readings, s."""
+MODEL_KEY = "arm_model"
+"""Name there of the model of the arm that was asked for."""
+CALIBRATION_KEYS = {"gain_uncertainty": "gain", "cross_talk_uncertainty": "cross_talk"}
+"""Names there of what is declared of the transducers, by attribute of :class:`Calibration`."""
+RATE_KEY = "sampling_rate"
+"""Name there of the sampling rate, Hz, where it is an uncustomary one."""
+READING_KEYS = {
+    "torque_delay": "delay",
+    "torque_cutoff": "cutoff",
+    "torque_order": "order",
+    "actuator_lag": "actuator_lag",
+}
+"""Names there of what else is known of the readings, by attribute of :class:`TorqueReading`."""
+
+_LARGEST_TRUTH = 1e12
+"""Far beyond any arm, far from where squares and products would overflow; SI units."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Metadata:
+    """What is known of an experiment beside its samples.
+
+    Attributes
+    ----------
+    config : dict
+        Configuration; empty if it is not known.
+    truth : MBK or None
+        True matrices, as far as there are any.
+    seed : int or None
+        Of all random signals.
+    timing : Timing or None
+        Of a run in real time.
+    reading : TorqueReading
+        How torques were read; ``unknown`` if nobody says.
+    uncertainty : float
+        Standard error of what is told of the instant of torque readings, s.
+    rate : float or None
+        Sampling rate that was declared, Hz.
+    model : str
+        Model of the arm that was asked for.
+    calibration : Calibration
+        What is known of the torque transducers.
+    """
+
+    config: dict[str, Any]
+    truth: MBK | None
+    seed: int | None
+    timing: Timing | None
+    reading: TorqueReading
+    uncertainty: float
+    rate: float | None
+    model: str
+    calibration: Calibration
+
+    @classmethod
+    def of(cls, metadata: Mapping[str, str], joints: int) -> Metadata:
+        """Read the metadata of a bag, which may be empty.
+
+        Parameters
+        ----------
+        metadata : mapping of str to str
+        joints : int
+            Number of joints n of the data.
+
+        Raises
+        ------
+        DataError
+            If something is there, but makes no sense.
+        """
+        config = _parsed(metadata, "config", {})
+        if not isinstance(config, dict):
+            raise DataError(f"metadata: config is not a JSON object: {metadata['config'][:60]!r}")
+        truth = _truth(metadata)
+        if truth is not None and truth.joints != joints:
+            raise DataError(f"metadata: truth is of {truth.joints} joints, the data of {joints}")
+        seed = _parsed(metadata, "seed", None)
+        uncertainty = _number(metadata, UNCERTAINTY_KEY)
+        if uncertainty is not None and not 0.0 <= uncertainty <= 1.0:
+            raise DataError(f"metadata: {UNCERTAINTY_KEY} is not a time in s: {uncertainty!r}")
+        return cls(
+            config=config,
+            truth=truth,
+            seed=seed if type(seed) is int else None,
+            timing=Timing.from_metadata(metadata),
+            reading=reading_of(metadata),
+            uncertainty=LpmConfig.timing_uncertainty if uncertainty is None else uncertainty,
+            rate=_number(metadata, RATE_KEY),
+            model=_model(metadata),
+            calibration=calibration_of(metadata),
+        )
+
+
+def reading_of(metadata: Mapping[str, str]) -> TorqueReading:
+    """How torques were read, from the metadata of a bag; ``unknown`` if it does not know.
+
+    Raises
+    ------
+    DataError
+        If something is there, but makes no sense.
+    """
+    known = [timing.value for timing in TorqueTiming]
+    timing = _parsed(metadata, TIMING_KEY, TorqueTiming.UNKNOWN.value)
+    if timing not in known:
+        raise DataError(f"metadata: {TIMING_KEY} is {timing!r}, known are {', '.join(known)}")
+    told: dict[str, Any] = {
+        name: value
+        for key, name in READING_KEYS.items()
+        if (value := _number(metadata, key, integer=name == "order")) is not None
+    }
+    try:
+        return TorqueReading(timing=TorqueTiming(timing), **told)
+    except ValidationError as error:
+        raise DataError(f"metadata: {first_complaint(error)}") from None
+
+
+def calibration_of(metadata: Mapping[str, str]) -> Calibration:
+    """What the metadata of a bag declare of the transducers, else what is assumed of any.
+
+    Raises
+    ------
+    DataError
+        If something is there, but makes no sense.
+    """
+    told = {
+        name: _number(metadata, key) for key, name in CALIBRATION_KEYS.items() if key in metadata
+    }
+    if not told:
+        return Calibration.undeclared()
+    if None in told.values():
+        raise DataError(f"metadata: uncertainty of the calibration is not a number: {told!r}")
+    try:
+        return replace(Calibration.undeclared(), assumed=len(told) < len(CALIBRATION_KEYS), **told)
+    except ConfigurationError as error:
+        raise DataError(f"metadata: {error}") from None
+
+
+def _model(metadata: Mapping[str, str]) -> str:
+    try:
+        return require_model(_parsed(metadata, MODEL_KEY, AUTO))
+    except ConfigurationError as error:
+        raise DataError(f"metadata: {error}") from None
+
+
+def _truth(metadata: Mapping[str, str]) -> MBK | None:
+    truth = _parsed(metadata, "truth", None)
+    if truth is None:
+        return None
+    try:
+        found = MBK(**{name: np.array(truth[name], dtype=np.float64) for name in ("M", "B", "K")})
+    except (LookupError, TypeError, ValueError, OverflowError, ArmimpError) as error:
+        raise DataError(f"metadata: truth is not three matrices M, B, K: {error}") from None
+    largest = max(float(np.max(np.abs(matrix))) for matrix in (found.M, found.B, found.K))
+    if not largest < _LARGEST_TRUTH:
+        raise DataError(f"metadata: truth has an element of {largest:g}, which no arm has")
+    return found
+
+
+def _number(metadata: Mapping[str, str], key: str, *, integer: bool = False) -> Any:
+    value = _parsed(metadata, key, None)
+    if value is not None and type(value) not in ((int,) if integer else (int, float)):
+        kind = "an integer" if integer else "a number"
+        raise DataError(f"metadata: {key} is not {kind}: {value!r}")
+    return value
+
+
+def _parsed(metadata: Mapping[str, str], key: str, default: Any) -> Any:
+    if key not in metadata:
+        return default
+    try:
+        value = json.loads(metadata[key])
+        # Half a surrogate pair can be read, but not be written again.
+        json.dumps(value, ensure_ascii=False).encode()
+    except (ValueError, RecursionError):
+        raise DataError(f"metadata: {key} is not JSON: {metadata[key][:60]!r}") from None
+    return value

@@ -1,0 +1,325 @@
+"""From assembled trials to the result that is shown and stored: live, replayed and offline."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import JsonValue
+
+from armimp_common.errors import ArmimpError, DataError
+from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
+from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.bags import BagContent, read_bag
+from armimp_estimation.curves import FRF_FILE, ImpedanceCurve, read_frf, write_frf
+from armimp_estimation.estimators.estimate import Estimator
+from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.registry import IdentifyConfig
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import Metadata
+from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.sampling import TOLERANCE
+from armimp_estimation.scores import coherence_significance
+from armimp_estimation.summary import (
+    SUMMARY_FILE,
+    EstimatorSummary,
+    Summary,
+    TrialSummary,
+    TruthSummary,
+    read_summary,
+    write_summary,
+)
+from armimp_estimation.trial import TrialData, segments_for
+from armimp_estimation.verdict import Limits
+
+MOST_EXCLUDED = 0.05
+"""Largest share of the samples of a trial that may be left out of a valid result."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Result:
+    """A result and its evidence.
+
+    Attributes
+    ----------
+    name : str
+        Of the result, for titles.
+    summary : Summary
+        Numbers, problems and verdict.
+    curves : mapping of str to ImpedanceCurve
+        Impedance over frequency by name of the estimator; empty if nothing could be estimated.
+    trials : tuple of Trial
+        Samples and their account, in the order of the perturbed joints.
+    notes : tuple of str
+        What could not be found or is unusual.
+    """
+
+    summary: Summary
+    curves: Mapping[str, ImpedanceCurve]
+    trials: tuple[Trial, ...] = ()
+    name: str = ""
+    notes: tuple[str, ...] = ()
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Names of the n joints."""
+        return self.summary.joint_names
+
+    @property
+    def averages(self) -> float | None:
+        """Number of independent averages behind the coherences; None without curves."""
+        known = [one.averages for name, one in self.curves.items() if name.startswith("welch")]
+        return min(known or [one.averages for one in self.curves.values()], default=None)
+
+    @property
+    def significance(self) -> float | None:
+        """Coherence below which signals count as unrelated; None without curves."""
+        averages = self.averages
+        return None if averages is None else coherence_significance(averages, Limits.significance)
+
+    def write(self, directory: Path) -> None:
+        """Write ``summary.json`` and, if there are curves, ``frf.npz``.
+
+        Raises
+        ------
+        DataError
+            If a file exists already or cannot be written.
+        """
+        if self.curves:
+            write_frf(directory / FRF_FILE, self.curves)
+        write_summary(directory / SUMMARY_FILE, self.summary)
+
+
+def conclude(
+    trials: Sequence[Trial],
+    *,
+    metadata: Mapping[str, str],
+    joint_names: Sequence[str],
+    estimators: Sequence[str | Estimator],
+    config: IdentifyConfig | None = None,
+    allow_gaps: bool = False,
+    most_excluded: float = MOST_EXCLUDED,
+    problems: Sequence[Problem] = (),
+) -> Result:
+    """Identify the impedance from the trials; what stands against it becomes a problem.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        One for each joint.
+    metadata : mapping of str to str
+        That of the bags: configuration, seed, from a simulator the truth, and the timing of a run
+        in real time.
+    joint_names : sequence of str
+        Names of the n joints.
+    estimators : sequence of str or Estimator
+        As for :func:`armimp_estimation.identify.identify`.
+    config : IdentifyConfig, optional
+        Options; by default Welch segments that suit the shortest trial, and torques read when the
+        metadata say.
+    allow_gaps : bool
+        Estimate from the intact parts of trials that lost samples or were aborted; else such
+        trials are refused. The result of one that was aborted is not valid.
+        Intervals in which the controller clipped its command are left out in any case.
+    most_excluded : float
+        Largest share of the samples of a trial that may be left out, from 0 to 1. Beyond, there
+        is an estimate, but the result is not valid.
+    problems : sequence of Problem
+        What is known to have gone wrong beforehand.
+
+    Raises
+    ------
+    ConfigurationError
+        If an estimator does not exist.
+    DataError
+        If the metadata make no sense.
+    """
+    known = Metadata.of(metadata, len(joint_names))
+    found = [*problems, *([] if known.timing is None else known.timing.problems)]
+    for trial in trials:
+        found += (
+            one
+            for one in trial.judged(allow_gaps=allow_gaps, most_excluded=most_excluded)
+            if one not in found and not _rate_is_declared(one, known.rate)
+        )
+    identification = None
+    if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
+        try:
+            parts = [trial.segments for trial in trials]
+            if config is None:
+                lpm = LpmConfig(reading=known.reading, timing_uncertainty=known.uncertainty)
+                config = IdentifyConfig(
+                    welch=segments_for(parts),
+                    lpm=lpm,
+                    model=known.model,
+                    calibration=known.calibration,
+                )
+            reading = config.lpm.reading
+            data = [TrialData.from_stretches(one, config.welch, reading) for one in parts]
+            identification = identify(data, estimators, known.truth, config)
+            found += identification.problems
+        except DataError as error:
+            found.append(Problem.of(error))
+    seed = known.seed if known.seed is not None or not trials else trials[0].window.seed
+    trials = sorted(trials, key=lambda trial: (trial.joint, trial.trial))
+    summary = summarise(
+        identification,
+        [_trial_summary(trial, identification, len(joint_names)) for trial in trials],
+        config=known.config,
+        joint_names=joint_names,
+        seed=seed,
+        truth=known.truth,
+        problems=found,
+    )
+    facts = {
+        "timing": known.timing,
+        "torque_reading": None if identification is None or config is None else config.lpm.reading,
+    }
+    curves = {} if identification is None else identification.estimators
+    return Result(
+        summary=summary.model_copy(update=facts),
+        curves={name: ImpedanceCurve.of(one) for name, one in curves.items()},
+        trials=tuple(trials),
+    )
+
+
+def summarise(
+    identification: Identification | None,
+    trials: Sequence[TrialSummary],
+    *,
+    config: Mapping[str, JsonValue],
+    joint_names: Sequence[str],
+    seed: int | None,
+    truth: MBK | None,
+    problems: Sequence[Problem],
+) -> Summary:
+    """Put an identification, or none if nothing could be estimated, into a summary.
+
+    Parameters
+    ----------
+    identification : Identification or None
+        Estimates.
+    trials : sequence of TrialSummary
+        In the order of the perturbed joints.
+    config, joint_names, seed, truth, problems
+        As :class:`Summary` has them.
+    """
+    found = {} if identification is None else identification.estimators
+    deciding = () if identification is None else identification.deciding
+    return Summary(
+        config=dict(config),
+        joints=len(joint_names),
+        joint_names=list(joint_names),
+        seed=seed,
+        problems=list(problems),
+        trials=list(trials),
+        estimators={
+            name: EstimatorSummary.of(one, decides=name in deciding) for name, one in found.items()
+        },
+        truth=None if truth is None else TruthSummary.of(truth),
+    )
+
+
+def load_result(
+    directory: Path, bags: Sequence[Path] | None = None, *, namespace: str | None = None
+) -> Result:
+    """Read a result directory and the bags of its trials.
+
+    What is missing besides the summary leaves a note, not an error.
+
+    Parameters
+    ----------
+    directory : Path
+        With ``summary.json`` and mostly ``frf.npz``.
+    bags : sequence of Path, optional
+        Where the trials are; by default where the summary says.
+    namespace : str, optional
+        Of the topics in the bags.
+
+    Raises
+    ------
+    DataError
+        If there is no readable summary.
+    """
+    summary = read_summary(directory / SUMMARY_FILE)
+    notes: list[str] = []
+    curves: dict[str, ImpedanceCurve] = {}
+    if summary.estimators:
+        try:
+            curves = _fitting(read_frf(directory / FRF_FILE), summary)
+        except DataError as error:
+            notes.append(str(error))
+    contents = []
+    for path in _bags_of(directory, summary) if bags is None else dict.fromkeys(bags):
+        try:
+            # They have been read before, or were recorded here.
+            contents.append(read_bag(path, namespace=namespace, trust=True))
+        except (ArmimpError, OSError) as error:
+            notes.append(f"no time traces: {error}")
+    notes += (note for content in contents for note in content.notes)
+    return Result(
+        name=directory.absolute().name,
+        summary=summary,
+        curves=curves,
+        trials=_trials(contents, summary, notes),
+        notes=tuple(dict.fromkeys(notes)),
+    )
+
+
+def _trial_summary(
+    trial: Trial, identification: Identification | None, joints: int
+) -> TrialSummary:
+    """Summary of a trial; without scores if nothing could be estimated."""
+    lock, bias = [math.nan] * joints, [math.nan] * joints
+    for scores in () if identification is None else identification.trials:
+        if scores.joint == trial.joint:
+            lock, bias = scores.lock_ratio.tolist(), scores.bias_bound.tolist()
+    return TrialSummary(
+        k=trial.joint + 1,
+        bag=trial.bag,
+        ticks=trial.statistics.streams[PERTURBATION].received,
+        lock_ratio=lock,
+        bias_bound=bias,
+        rtf=trial.rtf,
+        saved=trial.window.saved * PERIOD_NS / NS_PER_S,
+        **dict(trial.statistics),
+    )
+
+
+def _rate_is_declared(one: Problem, declared: float | None) -> bool:
+    if one.code is not ProblemCode.RATE_UNCUSTOMARY or declared is None:
+        return False
+    rate = one.values["rate"]
+    return isinstance(rate, float) and abs(rate / declared - 1.0) <= TOLERANCE
+
+
+def _fitting(curves: Mapping[str, ImpedanceCurve], summary: Summary) -> dict[str, ImpedanceCurve]:
+    n = summary.joints
+    for name, curve in curves.items():
+        shape = (n, n, curve.f.size)
+        if curve.Z.shape != shape:
+            raise DataError(f"{FRF_FILE}: {name} has shape {curve.Z.shape}, expected {shape}")
+    return {name: curves[name] for name in summary.estimators if name in curves}
+
+
+def _bags_of(directory: Path, summary: Summary) -> list[Path]:
+    """Bags of a summary: paths are relative to its directory, or to where it was made."""
+    names = dict.fromkeys(trial.bag for trial in summary.trials if trial.bag)
+    inside = [(directory / name, Path(name)) for name in names]
+    return [here if here.exists() else there for here, there in inside]
+
+
+def _trials(
+    contents: Sequence[BagContent], summary: Summary, notes: list[str]
+) -> tuple[Trial, ...]:
+    trials: list[Trial] = []
+    for content in contents:
+        if len(content.joint_names) == summary.joints:
+            trials += content.trials
+        else:
+            count = len(content.joint_names)
+            notes.append(f"{content.path}: has {count} joints, not {summary.joints}")
+    return tuple(sorted(trials, key=lambda trial: (trial.joint, trial.trial)))

@@ -1,0 +1,333 @@
+"""The figures of a result, as ``summary.json`` holds them."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Sequence, Sized
+from datetime import datetime
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import Field, JsonValue, ValidationError, computed_field, model_validator
+from typing_extensions import Self
+
+from armimp_common.errors import DataError
+from armimp_estimation.alignment.assemble import StreamStatistics
+from armimp_estimation.arm_models import ModelFit, supported
+from armimp_estimation.atomic_write import read_bytes, write_whole
+from armimp_estimation.identify import EstimatorResult
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
+from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import Concern, Problem, Severity, spoiled
+from armimp_estimation.timing import Timing
+from armimp_estimation.torque_timing import TorqueReading
+
+SUMMARY_FILE = "summary.json"
+
+Intervals = list[Matrix]
+"""Lower and upper end of an interval for each element of a matrix."""
+NORMAL_95 = 1.959963984540054
+"""Standard errors on either side of an estimate that make a 95 % confidence interval."""
+
+
+class Verdict(JsonModel):
+    """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
+
+    impedance: bool
+    parameters: bool
+
+
+class DelaySummary(JsonModel):
+    """Delay of torques against angles that was fitted, s; see `armimp_estimation.fit`."""
+
+    delay: Number
+    error: Number
+    told: Number
+    told_error: Number
+    refuted: bool
+
+
+class ModelParameterSummary(JsonModel):
+    """One parameter: numbers row by row, as many as a matrix, the joints, or one; SI units."""
+
+    values: Vector
+    errors: Vector
+    """Standard errors; null for what was not fitted."""
+    unit: str
+
+
+class ModelSummary(JsonModel):
+    """A model of the arm beside M, B and K, see `armimp_estimation.arm_models`."""
+
+    equation: str
+    parameters: dict[str, ModelParameterSummary]
+    lack_of_fit: Matrix
+    held_out: Number
+    """Mean lack of fit of bins that had no part in the fit."""
+    criterion: Number
+    """Bayesian information criterion."""
+    fits: bool
+
+    @classmethod
+    def of(cls, fit: ModelFit) -> ModelSummary:
+        """Summary of a fitted model."""
+        parameters = {
+            one.name: {
+                "values": fit.values[one.name].ravel().tolist(),
+                "errors": fit.errors[one.name].ravel().tolist(),
+                "unit": one.unit,
+            }
+            for one in fit.model.parameters
+        }
+        return cls.model_validate(
+            {
+                "equation": fit.model.equation,
+                "parameters": parameters,
+                "lack_of_fit": fit.lack.tolist(),
+                "held_out": fit.held_out,
+                "criterion": fit.criterion,
+                "fits": fit.fits,
+            }
+        )
+
+
+class TrialSummary(StreamStatistics):
+    """One trial, with the account of its samples."""
+
+    k: int
+    """Perturbed joint, 1-based."""
+    bag: str | None = None
+    ticks: int
+    """Samples of the trial."""
+    lock_ratio: Vector
+    bias_bound: Vector
+    rtf: Number = math.nan
+    """Times real time at which the trial ran; null if it was not run live."""
+    saved: Number = 0.0
+    """Time (s) by which the trial was shorter than planned, as its errors were small enough."""
+
+
+class EstimatorSummary(JsonModel):
+    """Result of one estimator; matrices are lists of rows, SI units, VAF in %."""
+
+    M: Matrix
+    B: Matrix
+    K: Matrix
+    M_se: Matrix
+    B_se: Matrix
+    K_se: Matrix
+    M_ci: Intervals
+    B_ci: Intervals
+    K_ci: Intervals
+    covariance: Matrix
+    lack_of_fit: Matrix
+    vaf: Matrix | None
+    r2: Matrix
+    coherence_derived: Matrix
+    coherence_torque: Matrix
+    coherence_motion: Vector
+    lack_limit: Number = math.nan
+    """Lack of fit beyond which M, B and K are not valid."""
+    decides: bool = True
+    """Whether problems of its own make the result not valid."""
+    delay: DelaySummary | None = None
+    """Delay that was corrected, if one was left open."""
+    models: dict[str, ModelSummary] = Field(default_factory=dict)
+    """Models of the arm that were fitted beside M, B and K."""
+    model: str | None = None
+    """Of these the one that the data support."""
+
+    @classmethod
+    def of(cls, result: EstimatorResult, *, decides: bool) -> EstimatorSummary:
+        """Summary of the result of one estimator."""
+        fit = result.fit
+        matrices = {}
+        ends = np.array((-NORMAL_95, NORMAL_95))
+        best = supported(result.models)
+        for name in ("M", "B", "K"):
+            value, error = getattr(fit.mbk, name), getattr(fit, f"{name}_se")
+            matrices[name], matrices[f"{name}_se"] = value.tolist(), error.tolist()
+            matrices[f"{name}_ci"] = (value[..., None] + ends * error[..., None]).tolist()
+        return cls(
+            **matrices,
+            covariance=fit.covariance.tolist(),
+            lack_of_fit=fit.lack.tolist(),
+            lack_limit=fit.lack_limit,
+            decides=decides,
+            delay=None if fit.delay is None else DelaySummary(**vars(fit.delay)),
+            models={one.model.name: ModelSummary.of(one) for one in result.models},
+            model=None if best is None else best.model.name,
+            vaf=None if result.vaf is None else result.vaf.tolist(),
+            r2=fit.r2.tolist(),
+            coherence_derived=result.coherence_derived.tolist(),
+            coherence_torque=result.coherence_torque.tolist(),
+            coherence_motion=result.coherence_motion.tolist(),
+        )
+
+
+class TruthSummary(JsonModel):
+    """True matrices, SI units."""
+
+    M: Matrix
+    B: Matrix
+    K: Matrix
+
+    @classmethod
+    def of(cls, truth: MBK) -> TruthSummary:
+        """Summary of true matrices."""
+        return cls(M=truth.M.tolist(), B=truth.B.tolist(), K=truth.K.tolist())
+
+    def mbk(self) -> MBK:
+        """Matrices as arrays."""
+        return MBK(M=np.array(self.M), B=np.array(self.B), K=np.array(self.K))
+
+
+class WallSummary(JsonModel):
+    """Wall time of a run from the command line, s; see `armimp_bringup.presentation`."""
+
+    before: Number
+    trials: Number
+    after: Number
+    result: Number = math.nan
+    """From the last sample until M, B and K are on the screen, a part of what is after it."""
+
+
+class OriginSummary(JsonModel):
+    """How a result came about."""
+
+    command: str
+    """Command line."""
+    date: str
+    """When it was made: local time with its distance from UTC, ISO 8601."""
+
+    @classmethod
+    def of(cls, arguments: Sequence[str]) -> OriginSummary:
+        """That of a command which runs now, from its program and arguments."""
+        program, *others = arguments
+        date = datetime.now().astimezone().isoformat(" ", timespec="minutes")
+        return cls(command=shlex.join([Path(program).name, *others]), date=date)
+
+
+class Summary(JsonModel):
+    """Content of ``summary.json``."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    config: dict[str, JsonValue]
+    joints: int = Field(ge=1)
+    joint_names: list[str]
+    seed: int | None
+    problems: list[Problem]
+    """What is wrong, and what was found and put right."""
+    trials: list[TrialSummary]
+    estimators: dict[str, EstimatorSummary]
+    truth: TruthSummary | None
+    timing: Timing | None = None
+    """Of a run in real time."""
+    wall: WallSummary | None = None
+    """Of a run from the command line."""
+    torque_reading: TorqueReading | None = None
+    """What is known of the torque readings, and so was corrected."""
+    origin: OriginSummary | None = None
+    """Of a result from the command line."""
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def verdict(self) -> Verdict:
+        """The verdicts, on which problems of estimators that decide nothing have no bearing."""
+        deciding = [name for name, one in self.estimators.items() if one.decides]
+        return self.verdict_on(*deciding)
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def valid(self) -> bool:
+        """Whether both verdicts are good."""
+        return self.verdict.parameters
+
+    @property
+    def faults(self) -> list[Problem]:
+        """The problems for which the result is not valid."""
+        deciding = ["", *(name for name, one in self.estimators.items() if one.decides)]
+        errors = (one for one in self.problems if one.severity is Severity.ERROR)
+        return [one for one in errors if one.estimator in deciding]
+
+    def verdict_on(self, *estimators: str) -> Verdict:
+        """Whether the numbers of estimators can be trusted; of none at all never."""
+        impedance, parameters = (
+            bool(estimators) and not any(spoiled(self.problems, concern, e) for e in estimators)
+            for concern in (Concern.IMPEDANCE, Concern.PARAMETERS)
+        )
+        return Verdict(impedance=impedance, parameters=parameters)
+
+    def with_problems(self, problems: Sequence[Problem]) -> Self:
+        """Return the same with these problems before its own, unless it has them already."""
+        new = [one for one in problems if one not in self.problems]
+        return self.model_copy(update={"problems": [*new, *self.problems]})
+
+    @model_validator(mode="after")
+    def _check_shapes(self) -> Self:
+        self._check_length("joint_names", self.joint_names)
+        for name, estimator in self.estimators.items():
+            self._check_matrices(f"estimators.{name}", estimator)
+            self._check_length(f"estimators.{name}.coherence_motion", estimator.coherence_motion)
+            parameters = 3 * self.joints**2
+            sizes = {len(estimator.covariance), *map(len, estimator.covariance)}
+            if sizes != {parameters}:
+                raise ValueError(f"estimators.{name}.covariance is not of {parameters} parameters")
+        if self.truth is not None:
+            self._check_matrices("truth", self.truth)
+        for number, trial in enumerate(self.trials):
+            if not 1 <= trial.k <= self.joints:
+                raise ValueError(f"trials.{number}.k = {trial.k} is none of {self.joints} joints")
+            self._check_length(f"trials.{number}.lock_ratio", trial.lock_ratio)
+            self._check_length(f"trials.{number}.bias_bound", trial.bias_bound)
+        return self
+
+    def _check_matrices(self, name: str, part: JsonModel) -> None:
+        for field, value in part:
+            if isinstance(value, list) and field not in ("coherence_motion", "covariance"):
+                self._check_length(f"{name}.{field}", value)
+                for row in value:
+                    self._check_length(f"a row of {name}.{field}", row)
+
+    def _check_length(self, name: str, values: Sized) -> None:
+        if len(values) != self.joints:
+            raise ValueError(f"{name} has {len(values)} values for {self.joints} joints")
+
+
+def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
+    """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    summary : Summary
+        Its content.
+    anew : bool
+        Whether to put it in the place of a file that is there, which stays if that fails.
+
+    Raises
+    ------
+    DataError
+        If the file exists already or cannot be written.
+    """
+    text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
+
+
+def read_summary(path: Path) -> Summary:
+    """Read ``summary.json``.
+
+    Raises
+    ------
+    DataError
+        If it cannot be read or is not a summary of schema 1; the message names file and place.
+    """
+    try:
+        return Summary.model_validate_json(read_bytes(path))
+    except OSError as error:
+        raise DataError(f"{path}: {error.strerror}") from error
+    except ValidationError as error:
+        raise DataError(f"{path}: not a summary: {first_complaint(error)}") from error

@@ -1,0 +1,620 @@
+"""Trials out of streams: windows, records, the account of every sample, and what is refused."""
+
+import random
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armimp_common.cdr import CommandEncoder, JointStateEncoder
+from armimp_common.errors import DataError
+from armimp_common.status import Cause, Phase, TrialStatus
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+    VALUE_FIELD,
+)
+from armimp_estimation.alignment.assemble import StreamCount, Trial, assemble_trials
+from armimp_estimation.alignment.streams import Streams, decode_streams
+from armimp_estimation.alignment.trial_windows import (
+    MOST_TICKS,
+    TrialWindow,
+    infer_windows,
+    tick_numbers,
+    windows_from_statuses,
+)
+from armimp_estimation.bags.statuses import decode_trial_statuses
+from armimp_estimation.problems import Problem, ProblemCode, Severity
+from armimp_estimation.record import TrialRecord
+from support.synthetic_bags import SyntheticRecording, synthetic_recording
+
+NAMES = ("shoulder", "elbow")
+STAMPED = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION)
+TICKS = 40
+RECORDING = synthetic_recording(ticks=TICKS, settle=10, rest=10)
+FIRST = 10
+START = RECORDING.records[0].start_ns
+
+Topics = dict[str, list[bytes]]
+
+
+def statuses_of(recording: SyntheticRecording) -> list[TrialStatus]:
+    statuses, problem = decode_trial_statuses(recording.by_topic()[TRIAL])
+    assert not problem
+    return statuses
+
+
+def trials_of(
+    topics: Topics, statuses: Sequence[TrialStatus], names: Sequence[str] = NAMES
+) -> tuple[Trial, ...]:
+    return assemble_trials(decode_streams(names, topics), statuses)
+
+
+def assemble(topics: Topics, statuses: Sequence[TrialStatus] | None = None) -> Trial:
+    (trial,) = trials_of(topics, statuses_of(RECORDING) if statuses is None else statuses)
+    return trial
+
+
+def codes(trial: Trial) -> list[ProblemCode]:
+    return [one.code for one in trial.problems]
+
+
+def only(trial: Trial, code: ProblemCode) -> Problem:
+    """The only problem of a trial, which has this code."""
+    (problem,) = trial.problems
+    assert (problem.code, problem.trial) == (code, 1)
+    return problem
+
+
+def assert_part(record: TrialRecord, expected: TrialRecord, start: int, stop: int) -> None:
+    for name in ("position", "torque", "perturbation"):
+        values = getattr(record, name)
+        assert values.flags.c_contiguous
+        np.testing.assert_array_equal(values, getattr(expected, name)[:, start:stop])
+    assert record.start_ns == expected.start_ns + start * PERIOD_NS
+
+
+def assert_refused(trial: Trial, code: ProblemCode, *, healed: bool) -> None:
+    """Refused for one reason, which the intact parts have or don't have."""
+    with pytest.raises(DataError) as caught:
+        trial.intact()
+    assert ("--allow-gaps" in str(caught.value)) == healed
+    assert [one.code for one in trial.refusals()] == [code]
+    assert [one.code for one in trial.refusals(allow_gaps=True)] == [code] * (not healed)
+    (judged,) = trial.judged(allow_gaps=True, most_excluded=1.0)
+    assert (judged.severity is Severity.NOTE) == healed
+
+
+def effort(stamp_ns: int, values: Sequence[float]) -> bytes:
+    return JointStateEncoder(NAMES, "effort").encode(stamp_ns, values)
+
+
+def numbered(count: int) -> list[bytes]:
+    encode = CommandEncoder(len(NAMES)).encode
+    return [encode((0.0, 0.0), number) for number in range(1, count + 1)]
+
+
+# --- windows ----------------------------------------------------------------------------------
+
+
+def test_statuses_give_one_window_per_perturbation() -> None:
+    several = synthetic_recording(perturbed=(1, 0), ticks=9, settle=3, rest=2, seed=4)
+    statuses = statuses_of(several)
+    expected = tuple(
+        TrialWindow(
+            trial=number,
+            joint=record.perturbed_joint,
+            joint_name=NAMES[record.perturbed_joint],
+            start_ns=record.start_ns,
+            ticks=9,
+            seed=4,
+            ended=True,
+        )
+        for number, record in enumerate(several.records, 1)
+    )
+    assert windows_from_statuses(statuses) == expected
+    # A latched topic repeats statuses, and others tell of progress.
+    progress = replace(statuses[1], tick=statuses[1].tick + 20)
+    again = [statuses[5], *statuses[:2], progress, *statuses[2:], statuses[5], statuses[5]]
+    assert set(windows_from_statuses(again)) == set(expected)
+    # A window is open until something follows.
+    assert not windows_from_statuses(statuses[:1])
+    assert [one.ended for one in windows_from_statuses(statuses[:5])] == [True, False]
+
+
+def test_a_trial_that_ends_early_has_the_samples_that_were_announced_last() -> None:
+    settle, perturb, rest = statuses_of(RECORDING)[:3]
+    early = [settle, perturb, replace(perturb, ticks=30), replace(rest, ticks=25)]
+    (window,) = windows_from_statuses(early)
+    assert (window.ticks, window.saved) == (25, TICKS - 25)
+    trial = assemble(RECORDING.by_topic(), early)
+    assert not trial.problems
+    assert not trial.note
+    assert_part(trial.intact()[0], RECORDING.records[0], 0, 25)
+    assert {count.received for count in trial.statistics.streams.values()} == {25}
+
+
+def test_abort_before_the_perturbation_gives_no_window() -> None:
+    settle = statuses_of(RECORDING)[0]
+    aborted = replace(settle, phase=Phase.ABORTED, valid=False, reason="late")
+    assert windows_from_statuses([settle, aborted]) == ()
+
+
+@pytest.mark.parametrize(("ticks", "start"), [(MOST_TICKS + 1, START), (10, 10**30)])
+def test_impossible_announcements_are_refused(ticks: int, start: int) -> None:
+    statuses = [
+        replace(status, ticks=ticks, start_ns=status.start_ns and start)
+        for status in statuses_of(RECORDING)
+    ]
+    with pytest.raises(DataError, match="trial 1 cannot"):
+        windows_from_statuses(statuses)
+
+
+def test_without_statuses_trials_are_inferred_from_the_perturbation() -> None:
+    several = synthetic_recording(perturbed=(0, 1, 1), ticks=50, settle=200, rest=60)
+    topics = several.by_topic()
+    del topics[TRIAL]
+    trials = trials_of(topics, [])
+    assert [trial.trial for trial in trials] == [1, 2, 3]
+    for trial, expected in zip(trials, several.records, strict=True):
+        assert trial.joint == expected.perturbed_joint
+        assert_part(trial.intact()[0], expected, 0, 50)
+
+
+def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_inferred() -> None:
+    stamps = START + np.arange(1000, dtype=np.int64) * PERIOD_NS
+    perturbation = np.zeros((2, 1000))
+    perturbation[1, 10:400] = perturbation[1, 649:990] = 1.0
+    (window,) = infer_windows(stamps, perturbation)
+    assert (window.joint, window.ticks) == (1, 980)
+    perturbation[1, 649] = 0.0
+    perturbation[0, 990:] = 1.0
+    found = infer_windows(stamps, perturbation)
+    assert [(one.joint, one.ticks) for one in found] == [(1, 390), (1, 340), (0, 10)]
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [([0.0, 0.0, 0.0], "no joint is perturbed"), ([1.0, 0.0, 2.0], "joints 1, 3 are perturbed")],
+)
+def test_what_cannot_be_inferred_is_refused(values: list[float], reason: str) -> None:
+    with pytest.raises(DataError, match=reason):
+        infer_windows(np.array([START], np.int64), np.array(values)[:, None])
+
+
+def test_slow_clock_does_not_add_up_to_a_gap() -> None:
+    stamps = START + np.arange(5000, dtype=np.int64) * 1_000_300
+    assert tick_numbers(stamps).tolist() == list(range(5000))
+
+
+# --- trials without a fault -------------------------------------------------------------------
+
+
+def test_record_holds_exactly_the_samples_of_the_trial() -> None:
+    trial = assemble(RECORDING.by_topic())
+    record = trial.record
+    assert record is not None
+    assert_part(record, RECORDING.records[0], 0, TICKS)
+    assert (record.trial, record.perturbed_joint, record.seed) == (1, 0, 1)
+    assert (record.rate, record.joint_names) == (1000.0, NAMES)
+    assert (trial.segments, trial.problems, trial.note) == ((record,), (), "")
+    count = StreamCount(expected=TICKS, received=TICKS, lost=0)
+    assert trial.statistics.streams == dict.fromkeys(DATA_STREAMS, count)
+
+
+def test_messages_of_one_trial_alone_give_the_same_bits_as_a_whole_recording() -> None:
+    several = synthetic_recording(perturbed=(0, 1, 0), ticks=TICKS, settle=7, rest=5)
+    statuses = statuses_of(several)
+    for number, trial in enumerate(trials_of(several.by_topic(), statuses), 1):
+        first = (number - 1) * (TICKS + 12) + 7
+        alone = {t: several.by_topic()[t][first : first + TICKS] for t in DATA_STREAMS}
+        (single,) = trials_of(alone, [one for one in statuses if one.trial == number])
+        assert_part(single.intact()[0], trial.intact()[0], 0, TICKS)
+        assert_part(trial.intact()[0], several.records[number - 1], 0, TICKS)
+        assert single.statistics == trial.statistics
+
+
+@given(jitter=st.lists(st.integers(-200_000, 200_000), min_size=TICKS, max_size=TICKS))
+@settings(max_examples=30, deadline=None)
+def test_jitter_below_half_a_period_is_no_gap(jitter: list[int]) -> None:
+    stamps = [START + k * PERIOD_NS + shift for k, shift in enumerate(jitter)]
+    raws = [effort(stamp, (1.0, 0.0)) for stamp in stamps]
+    states = [JointStateEncoder(NAMES, "position").encode(stamp, (0, 0)) for stamp in stamps]
+    topics = {JOINT_STATES: states, TORQUE_SENSORS: raws, PERTURBATION: raws}
+    (trial,) = trials_of(topics, [])
+    assert [part.samples for part in trial.intact()] == [TICKS]
+
+
+def test_joints_go_by_their_names() -> None:
+    (trial,) = trials_of(RECORDING.by_topic(), statuses_of(RECORDING), NAMES[::-1])
+    record = trial.intact()[0]
+    assert record.perturbed_joint == 1
+    np.testing.assert_array_equal(record.torque, RECORDING.records[0].torque[::-1])
+
+
+def test_samples_taken_late_are_counted_but_no_gap() -> None:
+    topics = RECORDING.by_topic()
+    shifted = synthetic_recording(
+        ticks=TICKS, settle=10, rest=10, start_ns=START - FIRST * PERIOD_NS + 300_000
+    ).by_topic()
+    for topic in VALUE_FIELD:
+        topics[topic][20] = shifted[topic][20]
+    trial = assemble(topics)
+    assert trial.intact()[0].samples == TICKS
+    late = {topic: one.late for topic, one in trial.statistics.streams.items()}
+    assert late == {**dict.fromkeys(STAMPED, 1), COMMANDS: 0}
+
+
+# --- the account of the samples ---------------------------------------------------------------
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_every_injected_fault_is_counted_and_only_those(data: st.DataObject) -> None:
+    topics = RECORDING.by_topic()
+    missing: set[int] = set()
+    for topic in STAMPED:
+        ticks = st.integers(0, TICKS - 1)
+        lost = data.draw(st.sets(ticks, max_size=6), label=f"lost of {topic}")
+        twice = data.draw(st.sets(ticks, max_size=6), label=f"twice of {topic}") - lost
+        kept = [
+            raw
+            for tick, raw in enumerate(topics[topic], -FIRST)
+            for raw in [raw] * (0 if tick in lost else 2 if tick in twice else 1)
+        ]
+        topics[topic] = kept
+        missing |= lost
+    trial = assemble(topics)
+    found = [one for one in trial.problems if one.code is ProblemCode.SAMPLES_MISSING]
+    assert sum(int(one.values["count"]) for one in found) <= trial.statistics.lost
+    assert bool(found) == bool(missing)
+    assert trial.statistics.excluded == len(missing)
+    for topic in STAMPED:
+        count = trial.statistics.streams[topic]
+        assert count.received == count.expected - count.lost + count.duplicated
+    present = [tick for tick in range(TICKS) if tick not in missing]
+    runs = np.split(present, np.flatnonzero(np.diff(present) != 1) + 1)
+    long_runs = [run for run in runs if len(run) > 1]
+    assert len(trial.segments) == len(long_runs)
+    for segment, run in zip(trial.segments, long_runs, strict=True):
+        assert_part(segment, RECORDING.records[0], int(run[0]), int(run[-1]) + 1)
+
+
+@pytest.mark.parametrize("topic", STAMPED)
+def test_exchange_of_two_samples_is_one_reordered(topic: str) -> None:
+    topics = RECORDING.by_topic()
+    raws = topics[topic]
+    raws[FIRST + 5], raws[FIRST + 6] = raws[FIRST + 6], raws[FIRST + 5]
+    trial = assemble(topics)
+    problem = only(trial, ProblemCode.SAMPLES_REORDERED)
+    assert problem.values == {"stream": topic, "count": 1}
+    assert_refused(trial, ProblemCode.SAMPLES_REORDERED, healed=True)
+    assert_part(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, TICKS)
+
+
+def test_late_repetition_is_duplicated_and_not_reordered() -> None:
+    topics = RECORDING.by_topic()
+    topics[TORQUE_SENSORS].insert(FIRST + 20, topics[TORQUE_SENSORS][FIRST + 3])
+    trial = assemble(topics)
+    count = trial.statistics.streams[TORQUE_SENSORS]
+    assert (count.received, count.duplicated, count.reordered) == (TICKS + 1, 1, 0)
+    assert_refused(trial, ProblemCode.SAMPLES_REPEATED, healed=True)
+    assert_part(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, TICKS)
+
+
+@pytest.mark.parametrize("after", [0, 1, 9])
+@pytest.mark.parametrize("value", [99.0, np.nan])
+def test_of_two_messages_that_contradict_each_other_none_is_used(after: int, value: float) -> None:
+    topics = RECORDING.by_topic()
+    other = effort(START + 3 * PERIOD_NS, (99.0, value))
+    topics[TORQUE_SENSORS].insert(FIRST + 3 + after, other)
+    trial = assemble(topics)
+    assert [segment.samples for segment in trial.segments] == [3, TICKS - 4]
+    count = trial.statistics.streams[TORQUE_SENSORS]
+    assert (count.lost, count.duplicated, count.contradictory) == (0, 1, 1)
+    assert trial.statistics.excluded == 1
+    assert ProblemCode.SAMPLES_CONTRADICTORY in codes(trial)
+    assert not trial.refusals(allow_gaps=True)
+
+
+def test_period_lost_by_all_streams_is_counted() -> None:
+    topics = RECORDING.by_topic()
+    for topic in DATA_STREAMS:
+        del topics[topic][FIRST + 12 : FIRST + 15]
+    trial = assemble(topics)
+    assert [trial.statistics.streams[topic].lost for topic in STAMPED] == [3, 3, 3]
+    assert [segment.samples for segment in trial.segments] == [12, TICKS - 15]
+    missing = trial.problems[0]
+    assert missing.code is ProblemCode.SAMPLES_MISSING
+    where = {"count": 3, "first": 0.012, "last": 0.015}
+    assert missing.values == {"stream": ", ".join(STAMPED), **where}
+
+
+@pytest.mark.parametrize("lost", [0, TICKS - 1])
+def test_loss_at_the_edge_of_an_ended_trial_is_counted(lost: int) -> None:
+    topics = RECORDING.by_topic()
+    for topic in STAMPED:
+        del topics[topic][FIRST + lost]
+    trial = assemble(topics)
+    assert [trial.statistics.streams[topic].lost for topic in STAMPED] == [1, 1, 1]
+    (segment,) = trial.segments
+    assert (segment.samples, segment.start_ns) == (TICKS - 1, START + PERIOD_NS * (lost == 0))
+
+
+def test_malformed_messages_count_as_lost_and_are_named() -> None:
+    topics = RECORDING.by_topic()
+    topics[JOINT_STATES][FIRST + 2 : FIRST + 4] = [b"\0\1\0\0rubbish", b""]
+    trial = assemble(topics)
+    assert trial.statistics.streams[JOINT_STATES].lost == 2
+    (malformed,) = [one for one in trial.problems if one.code is ProblemCode.SAMPLES_MALFORMED]
+    assert malformed.values["count"] == 2
+    assert "JointState is truncated" in str(malformed.values["reason"])
+
+
+@pytest.mark.parametrize("raws", [[b"rubbish"] * 3, []])
+def test_stream_without_any_good_message_is_an_error(raws: list[bytes]) -> None:
+    with pytest.raises(DataError, match="joint_states"):
+        assemble({**RECORDING.by_topic(), JOINT_STATES: raws})
+
+
+def test_samples_that_are_not_finite_divide_the_record() -> None:
+    topics = RECORDING.by_topic()
+    for tick in (9, 20):
+        stamp = START + tick * PERIOD_NS
+        topics[TORQUE_SENSORS][FIRST + tick] = effort(stamp, (float("inf"), 0.0))
+    trial = assemble(topics)
+    assert [segment.samples for segment in trial.segments] == [9, 10, TICKS - 21]
+    where = {"count": 2, "first": 0.009, "last": 0.021}
+    problem = only(trial, ProblemCode.SAMPLES_NOT_FINITE)
+    assert problem.values == {"stream": TORQUE_SENSORS, **where}
+    assert_refused(trial, ProblemCode.SAMPLES_NOT_FINITE, healed=True)
+
+
+def test_streams_with_clocks_of_their_own_are_refused() -> None:
+    topics = RECORDING.by_topic()
+    topics[TORQUE_SENSORS] = [
+        effort(START + (k - FIRST) * PERIOD_NS + 70, (0.0, 0.0)) for k in range(TICKS + 20)
+    ]
+    trial = assemble(topics)
+    disagree = trial.problems[0]
+    assert disagree.code is ProblemCode.STAMPS_DISAGREE
+    assert disagree.values == {"count": TICKS, "apart_ns": 70}
+    assert trial.refusals(allow_gaps=True)
+
+
+def test_other_rate_is_named_and_does_not_refuse() -> None:
+    topics = RECORDING.by_topic()
+    for topic in STAMPED:
+        topics[topic] = topics[topic][::2]
+    (rate,) = [one for one in assemble(topics).problems if one.code is ProblemCode.RATE_UNPLANNED]
+    assert (rate.values["rate"], rate.values["planned"]) == (500.0, 1000.0)
+
+
+def test_perturbation_of_zero_is_refused() -> None:
+    topics = RECORDING.by_topic()
+    topics[PERTURBATION] = [
+        effort(START + (k - FIRST) * PERIOD_NS, (0.0, 0.0)) for k in range(TICKS + 20)
+    ]
+    assert_refused(assemble(topics), ProblemCode.NO_PERTURBATION, healed=False)
+
+
+def test_unknown_perturbed_joint_is_refused() -> None:
+    statuses = [replace(status, joint_name="wrist") for status in statuses_of(RECORDING)]
+    trial = assemble(RECORDING.by_topic(), statuses)
+    values = {"name": "wrist", "known": "shoulder, elbow"}
+    assert trial.problems[0].values == values
+    assert trial.segments == ()
+    with pytest.raises(DataError, match="wrist is none of"):
+        trial.intact(allow_gaps=True)
+
+
+def test_source_is_named() -> None:
+    topics = RECORDING.by_topic()
+    del topics[JOINT_STATES][FIRST]
+    streams = decode_streams(NAMES, topics)
+    (trial,) = assemble_trials(streams, statuses_of(RECORDING), source="some.bag")
+    with pytest.raises(DataError, match=r"^some\.bag: trial 1: samples of joint_states"):
+        trial.intact()
+
+
+# --- commands ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("with_numbers", [False, True])
+def test_fewer_commands_than_samples_are_a_problem_that_gaps_may_heal(with_numbers: bool) -> None:
+    recording = synthetic_recording(ticks=TICKS)
+    topics = recording.by_topic()
+    if with_numbers:
+        topics[COMMANDS] = numbered(TICKS)
+    del topics[COMMANDS][7:9]
+    trial = assemble(topics, statuses_of(recording))
+    assert trial.statistics.streams[COMMANDS].lost == trial.statistics.lost == 2
+    assert only(trial, ProblemCode.COMMANDS_MISSING).values == {"count": 2}
+    assert_refused(trial, ProblemCode.COMMANDS_MISSING, healed=True)
+    assert trial.segments[0].command is None
+
+
+def test_more_commands_than_samples_are_a_problem_that_nothing_heals() -> None:
+    recording = synthetic_recording(ticks=TICKS)
+    topics = recording.by_topic()
+    topics[COMMANDS][7:7] = topics[COMMANDS][:3]
+    trial = assemble(topics, statuses_of(recording))
+    assert_refused(trial, ProblemCode.COMMANDS_FOREIGN, healed=False)
+
+
+@pytest.mark.parametrize("number", [0, 1, 7, 8])
+def test_a_numbered_command_of_somebody_else_is_found_though_as_many_are_left(number: int) -> None:
+    recording = synthetic_recording(ticks=TICKS)
+    topics = recording.by_topic()
+    commands = topics[COMMANDS] = numbered(TICKS)
+    assert not assemble(topics, statuses_of(recording)).problems
+    stray = CommandEncoder(len(NAMES)).encode((0.0, 0.0), number)
+    topics[COMMANDS] = [*commands[:7], stray, *commands[7:-1]]
+    assert ProblemCode.COMMANDS_FOREIGN in codes(assemble(topics, statuses_of(recording)))
+
+
+@pytest.mark.parametrize("number", [0, 1, FIRST, 2 * TICKS])
+def test_a_command_of_somebody_else_before_the_trial_is_found_too(number: int) -> None:
+    topics = RECORDING.by_topic()
+    commands = numbered(len(topics[COMMANDS]))
+    stray = CommandEncoder(len(NAMES)).encode((0.0, 0.0), number)
+    topics[COMMANDS] = [*commands[: FIRST - 1], stray, *commands[FIRST - 1 :]]
+    assert ProblemCode.COMMANDS_FOREIGN in codes(assemble(topics))
+
+
+@pytest.mark.parametrize("stray", [0, FIRST - 1, -1])
+def test_a_perturbation_of_another_time_that_displaces_the_commands_is_found(stray: int) -> None:
+    topics = RECORDING.by_topic()
+    topics[PERTURBATION].insert(FIRST - 1, topics[PERTURBATION][stray])
+    assert ProblemCode.PERTURBATIONS_FOREIGN in codes(assemble(topics))
+
+
+@pytest.mark.parametrize(
+    ("intervals", "count", "parts", "excluded"),
+    [("10-12 35-35", 4, [10, 21, 3], 6), ("38-70", 9, [38], 2)],
+)
+def test_what_follows_clipped_commands_is_left_out_without_being_asked(
+    intervals: str, count: int, parts: list[int], excluded: int
+) -> None:
+    *others, last = statuses_of(RECORDING)
+    statuses = [*others, replace(last, clipped=count, clipped_intervals=intervals)]
+    trial = assemble(RECORDING.by_topic(), statuses)
+    # Each acts until the next sample.
+    assert [part.samples for part in trial.intact()] == parts
+    assert (trial.statistics.clipped, trial.statistics.excluded) == (count, excluded)
+    (much,) = trial.judged(allow_gaps=False, most_excluded=excluded / TICKS - 0.01)
+    assert much.code is ProblemCode.MUCH_EXCLUDED
+    assert much.values["percent"] == 100.0 * excluded / TICKS
+    assert not trial.judged(allow_gaps=False, most_excluded=excluded / TICKS)
+
+
+def test_clipped_at_an_unknown_time_is_a_problem() -> None:
+    *others, last = statuses_of(RECORDING)
+    trial = assemble(RECORDING.by_topic(), [*others, replace(last, clipped=3)])
+    assert only(trial, ProblemCode.CLIPPED_UNKNOWN).values == {"count": 3}
+    assert trial.intact()
+
+
+# --- early ends -------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(cut=st.integers(1, 4 * (TICKS + 10)))
+def test_cut_recording_gives_all_complete_periods(cut: int) -> None:
+    recording = synthetic_recording(ticks=TICKS, settle=10)
+    topics: Topics = {}
+    for topic, _, raw in recording.messages[:-cut]:
+        topics.setdefault(topic, []).append(raw)
+    statuses, _ = decode_trial_statuses(topics.get(TRIAL, []))
+    if not any(status.phase is Phase.PERTURB for status in statuses):
+        assert PERTURBATION not in topics or trials_of(topics, statuses) == ()
+        return
+    (trial,) = trials_of(topics, statuses)
+    complete = min(len(topics[topic]) for topic in STAMPED) - 10
+    assert trial.shortfall == TICKS - complete
+    assert trial.statistics.lost == 0
+    if complete > 1:
+        assert_part(trial.intact()[0], recording.records[0], 0, complete)
+    if complete < TICKS:
+        assert trial.note == f"trial 1 is cut short: {complete} of {TICKS} samples"
+
+
+def test_aborted_trial_keeps_what_came_before() -> None:
+    *others, last = statuses_of(RECORDING)
+    aborted = replace(last, phase=Phase.ABORTED, valid=False, reason="no sensor sample")
+    topics = RECORDING.by_topic()
+    for tick in range(25, TICKS):
+        topics[PERTURBATION][FIRST + tick] = effort(START + tick * PERIOD_NS, (0.0, 0.0))
+    trial = assemble(topics, [*others, aborted])
+    fault = only(trial, ProblemCode.TRIAL_ABORTED)
+    assert fault.values == {"reason": "no sensor sample"}
+    assert trial.shortfall == TICKS - 25
+    with pytest.raises(DataError, match="trial 1: aborted: no sensor sample; --allow-gaps"):
+        trial.intact()
+    assert_part(trial.intact(allow_gaps=True)[0], RECORDING.records[0], 0, 25)
+    # Its result is not valid all the same.
+    assert trial.judged(allow_gaps=True, most_excluded=1.0) == [fault]
+
+
+@pytest.mark.parametrize(
+    ("cause", "code", "healed"),
+    [
+        (Cause.LIMIT, ProblemCode.TRIAL_SPOILED, False),
+        (Cause.SAMPLES_LOST, ProblemCode.SAMPLES_LOST, True),
+    ],
+)
+def test_trial_that_the_controller_finds_not_valid_is_refused(
+    cause: Cause, code: ProblemCode, healed: bool
+) -> None:
+    statuses = statuses_of(RECORDING)
+    told = replace(statuses[1], valid=False, cause=cause, reason="so it is")
+    statuses.insert(2, told)
+    trial = assemble(RECORDING.by_topic(), statuses)
+    assert only(trial, code).values == {"reason": "so it is"}
+    assert_refused(trial, code, healed=healed)
+    assert trial.segments[0].samples == TICKS
+
+
+def test_trials_before_the_recording_began_are_passed_over() -> None:
+    # A latched topic repeats the statuses of trials that are over.
+    several = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=10, rest=10)
+    topics = several.by_topic()
+    for topic in DATA_STREAMS:
+        del topics[topic][: TICKS + 15]
+    (trial,) = trials_of(topics, statuses_of(several))
+    assert_part(trial.intact()[0], several.records[1], 0, TICKS)
+
+
+def test_trial_whose_beginning_was_not_recorded_is_refused() -> None:
+    topics = RECORDING.by_topic()
+    for topic in DATA_STREAMS:
+        del topics[topic][: FIRST + 15]
+    trial = assemble(topics)
+    assert [trial.statistics.streams[topic].lost for topic in STAMPED] == [15] * 3
+    assert ProblemCode.SAMPLES_MISSING in codes(trial)
+    assert_part(trial.segments[0], RECORDING.records[0], 15, TICKS)
+
+
+@pytest.mark.parametrize(
+    ("statuses", "code"),
+    [(3, ProblemCode.SAMPLES_MISSING), (2, ProblemCode.NOTHING_RECORDED)],
+)
+def test_trial_without_any_sample_is_refused(statuses: int, code: ProblemCode) -> None:
+    topics = RECORDING.by_topic()
+    for topic in STAMPED:
+        del topics[topic][FIRST:]
+    trial = assemble(topics, statuses_of(RECORDING)[:statuses])
+    assert trial.segments == ()
+    assert code in codes(trial)
+    with pytest.raises(DataError, match="trial 1"):
+        trial.intact(allow_gaps=True)
+
+
+def test_arrival_in_any_chunks_gives_the_same_streams() -> None:
+    topics = RECORDING.by_topic()
+    expected = decode_streams(NAMES, topics)
+    rng = random.Random(1)
+    found = Streams(NAMES)
+    for topic in DATA_STREAMS:
+        raws = topics[topic]
+        while raws:
+            count = rng.randint(1, 9)
+            found.add(topic, raws[:count])
+            raws = raws[count:]
+            if rng.random() < 0.3:
+                found.decode()
+    found.decode()
+    for one, other in (
+        (found.commands, expected.commands),
+        *((found.stamped[topic], expected.stamped[topic]) for topic in STAMPED),
+    ):
+        assert one.stamps.tobytes() == other.stamps.tobytes()
+        assert one.values.tobytes() == other.values.tobytes()

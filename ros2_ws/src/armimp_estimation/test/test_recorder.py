@@ -1,0 +1,464 @@
+"""Recording: a bag for each trial, closed whatever happens, and running figures meanwhile."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from armimp_common.cdr import CommandEncoder, JointStateEncoder
+from armimp_common.errors import BagError, MalformedMessageError
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    TRIAL,
+    VALUE_FIELD,
+)
+from armimp_estimation import scores
+from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.alignment.streams import Streams
+from armimp_estimation.alignment.synchronizer import StreamSynchronizer
+from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
+from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.progress import RunningTrial
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.recorder import TrialRecorder
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.stopping import PrecisionGoal, largest_error
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData
+from support.recordings import recorded_arm
+from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_trials import TWO_JOINT_ARM as ARM
+from support.synthetic_trials import SyntheticConfig, synthetic_trial
+
+SETTLE, TICKS, REST = 10, 100, 10
+MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST)
+NAMES = ("shoulder", "elbow")
+METADATA = {"seed": "7", "joint_names": '["shoulder", "elbow"]'}
+BAG_NAMES = ("trial_1_joint_1", "trial_2_joint_2")
+ARM_RECORDING = recorded_arm()
+ARM_NAMES = ARM_RECORDING.records[0].joint_names
+SAMPLES = ARM_RECORDING.records[0].samples
+WELCH = WelchConfig.for_samples(SAMPLES)
+STREAMS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
+
+
+@dataclass
+class Desk:
+    """A recorder with a list of what it handed over."""
+
+    directory: Path | None
+    names: tuple[str, ...] = NAMES
+    finished: list[Trial] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    goal: PrecisionGoal | None = None
+    together: int = 1
+    synchronizer: StreamSynchronizer = field(default_factory=StreamSynchronizer)
+    decisions: list[StoppingDecision] = field(default_factory=list)
+    led: int = 0
+
+    def __post_init__(self) -> None:
+        self.recorder = TrialRecorder(
+            self.names, self.directory, METADATA, self.on_finished, goal=self.goal
+        )
+
+    def on_finished(self, trial: Trial | Problem) -> None:
+        if isinstance(trial, Problem):
+            self.problems.append(trial)
+        else:
+            self.finished.append(trial)
+
+    def feed(self, messages: Iterable[Message]) -> None:
+        for topic, _, raw in messages:
+            if topic == TRIAL:
+                self.recorder.add_many(self.synchronizer.take(), self.refuse)
+                self.recorder.add_status(decode_trial_status(raw))
+            elif self.together > 1:
+                self.synchronizer.receiver(topic)(raw)
+                self.led += topic == PERTURBATION
+                if topic == PERTURBATION and self.led % self.together == 0:
+                    self.recorder.add_many(self.synchronizer.take(), self.refuse)
+            else:
+                self.recorder.add(topic, raw)
+                if (decision := self.recorder.decide()) is not None:
+                    self.decisions.append(decision)
+
+    def refuse(self, topic: str, error: MalformedMessageError) -> None:
+        raise error
+
+    @property
+    def bags(self) -> list[Path]:
+        assert self.directory is not None
+        return sorted((self.directory / "bags").iterdir())
+
+
+def assert_equal(record: TrialRecord, expected: TrialRecord, samples: int | None = None) -> None:
+    for name in ("position", "torque", "perturbation"):
+        np.testing.assert_array_equal(
+            getattr(record, name), getattr(expected, name)[:, slice(samples)]
+        )
+    assert record.start_ns == expected.start_ns
+    assert record.perturbed_joint == expected.perturbed_joint
+
+
+@pytest.mark.parametrize("together", [1, 10, 50])
+def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
+    tmp_path: Path, together: int
+) -> None:
+    desk = Desk(tmp_path, together=together)
+
+    desk.feed(MADE_UP.messages)
+
+    assert desk.problems == []
+    assert [bag.name for bag in desk.bags] == list(BAG_NAMES)
+    for number, (path, trial) in enumerate(zip(desk.bags, desk.finished, strict=True), 1):
+        assert trial.bag == f"bags/{path.name}"
+        assert 0.0 < trial.rtf < math.inf
+        assert_equal(trial.intact()[0], MADE_UP.records[number - 1])
+        content = read_bag(path)
+        (read,) = content.trials
+        assert_equal(read.intact()[0], trial.intact()[0])
+        assert (read.window, read.statistics) == (trial.window, trial.statistics)
+        assert content.metadata.items() >= METADATA.items()
+        assert content.notes == ()
+        # The messages are those of the trial alone, with its statuses.
+        topics: dict[str, list[bytes]] = {}
+        for topic, _, raw in content.messages():
+            topics.setdefault(topic, []).append(raw)
+        first = (number - 1) * (SETTLE + TICKS + REST) + SETTLE
+        for topic in DATA_STREAMS:
+            assert topics[topic] == MADE_UP.by_topic()[topic][first : first + TICKS]
+        statuses, problem = decode_trial_statuses(topics[TRIAL])
+        assert not problem
+        assert [(status.phase, status.trial) for status in statuses] == [
+            (phase, number) for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
+        ]
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_statuses_may_come_before_or_after_all_data(tmp_path: Path, late: bool) -> None:
+    desk = Desk(tmp_path)
+    desk.feed(sorted(MADE_UP.messages, key=lambda message: (message[0] == TRIAL) == late))
+    assert desk.problems == []
+    for path, trial, expected in zip(desk.bags, desk.finished, MADE_UP.records, strict=True):
+        assert_equal(trial.intact()[0], expected)
+        assert_equal(read_bag(path).records()[0], expected)
+
+
+def test_without_a_directory_trials_are_handed_over_and_nothing_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    desk = Desk(None)
+    desk.feed(MADE_UP.messages)
+    assert [trial.bag for trial in desk.finished] == [None, None]
+    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
+        assert_equal(trial.intact()[0], expected)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_when_stopped_in_a_trial_expect_its_bag_closed_and_readable(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 40) + 1])
+
+    desk.recorder.stop()
+    desk.recorder.stop()
+
+    (trial,) = desk.finished
+    assert_equal(trial.intact()[0], MADE_UP.records[0], 40)
+    assert trial.shortfall == TICKS - 40
+    (bag,) = desk.bags
+    assert (bag / "metadata.yaml").exists()
+    assert_equal(read_bag(bag).records()[0], MADE_UP.records[0], 40)
+
+
+def test_when_stopped_while_settling_expect_no_trial_and_no_open_bag(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.feed(MADE_UP.messages[: 4 * (SETTLE - 2)])
+    assert desk.recorder.samples == 0
+
+    desk.recorder.stop()
+
+    assert (desk.finished, desk.problems, desk.recorder.status) == ([], [], None)
+    (bag,) = desk.bags
+    with pytest.raises(BagError, match=bag.name):
+        read_bag(bag)
+
+
+def test_when_aborted_expect_the_reason_in_the_trial_and_in_the_bag(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 40)])
+    perturb = decode_trial_status(MADE_UP.by_topic()[TRIAL][1])
+
+    desk.recorder.add_status(
+        replace(perturb, phase=Phase.ABORTED, valid=False, reason="a fault", tick=50)
+    )
+
+    (trial,) = desk.finished
+    (problem,) = trial.problems
+    assert (problem.code, problem.values) == (ProblemCode.TRIAL_ABORTED, {"reason": "a fault"})
+    (read,) = read_bag(desk.bags[0]).trials
+    assert read.problems == trial.problems
+    assert_equal(read.segments[0], MADE_UP.records[0], 40)
+
+
+def test_when_nothing_of_a_stream_can_be_used_expect_the_reason_instead_of_a_trial(
+    tmp_path: Path,
+) -> None:
+    desk = Desk(tmp_path)
+    desk.feed(message for message in MADE_UP.messages if message[0] != JOINT_STATES)
+    desk.recorder.stop()
+    assert desk.finished == []
+    assert [str(one) for one in desk.problems] == ["no messages of joint_states"] * 2
+    assert [bag.name for bag in desk.bags] == list(BAG_NAMES)
+
+
+def test_when_the_bag_exists_expect_an_error_with_the_first_status(tmp_path: Path) -> None:
+    (tmp_path / "bags" / BAG_NAMES[0]).mkdir(parents=True)
+    desk = Desk(tmp_path)
+    with pytest.raises(BagError, match="trial_1_joint_1"):
+        desk.feed(MADE_UP.messages[:3])
+    assert desk.recorder.status is None
+
+
+def test_progress_is_told_while_a_trial_is_recorded() -> None:
+    desk = Desk(None)
+    recorder = desk.recorder
+    assert (recorder.samples, recorder.rate, recorder.status) == (0, 0.0, None)
+    assert recorder.coherence() is None
+
+    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 40) + 1])
+
+    assert recorder.samples == 40
+    assert recorder.rate > 0.0
+    assert recorder.coherence() is None  # too few samples for a spectrum
+
+
+def test_coherence_begins_anew_with_each_trial() -> None:
+    desk = Desk(None, names=ARM_NAMES)
+    told: list[tuple[float, float] | None] = []
+    for i in range(0, len(ARM_RECORDING.messages), 8000):
+        desk.feed(ARM_RECORDING.messages[i : i + 8000])
+        told.append(desk.recorder.coherence())
+    assert told[0] is None
+    assert told[5] is None
+    for coherence in (*told[2:4], *told[7:9]):
+        assert coherence is not None
+        assert min(coherence) > 0.9
+
+
+def test_when_nothing_comes_any_more_expect_all_of_it_in_the_file(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 7)])
+    with pytest.raises(BagError, match="no messages"):
+        read_bag(desk.bags[0])
+
+    desk.recorder.flush(if_idle=True)  # Something has come since it was made.
+    desk.recorder.flush(if_idle=True)
+
+    assert_equal(read_bag(desk.bags[0]).records()[0], MADE_UP.records[0], 7)
+    desk.recorder.stop()
+
+
+def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() -> None:
+    considered = 6000 - NOTICE_TICKS
+    desk = Desk(None, ARM_NAMES, goal=PrecisionGoal(bound=0.5, least=6.0))
+
+    desk.feed(ARM_RECORDING.messages)
+
+    told = [(one.trial, one.samples, one.enough) for one in desk.decisions]
+    assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, considered)]
+    past: list[TrialRecord] = []
+    for decision, record in zip(desk.decisions[1::2], ARM_RECORDING.records, strict=True):
+        column = LpmFull().column(cut(record, considered, commands=True), past)
+        assert (decision.largest, decision.element) == largest_error(column)
+        past.append(replace(record, command=record.perturbation))
+
+
+def test_without_a_goal_nothing_is_decided() -> None:
+    desk = Desk(None)
+    desk.feed(MADE_UP.messages)
+    assert desk.decisions == []
+
+
+def test_column_is_made_anew_at_most_once_a_second_but_as_soon_as_there_is_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 100.0
+    monkeypatch.setattr("armimp_estimation.recorder.time.monotonic", lambda: now)
+    desk = Desk(None, ARM_NAMES)
+    messages = iter(ARM_RECORDING.messages)
+    assert desk.recorder.column() is None
+    desk.feed(next(messages) for _ in range(1000))
+    assert desk.recorder.column() is None
+    desk.feed(next(messages) for _ in range(19_000))
+    first = desk.recorder.column()
+    assert first is not None
+    desk.feed(next(messages) for _ in range(4000))
+    now += 0.9
+    assert desk.recorder.column() is first
+    now += 0.2
+    assert desk.recorder.column() not in (None, first)
+
+
+# --- running figures --------------------------------------------------------------------------
+
+
+def cut(record: TrialRecord, samples: int, *, commands: bool = False) -> TrialRecord:
+    parts = {n: getattr(record, n)[:, :samples] for n in ("position", "torque", "perturbation")}
+    return replace(record, **parts, command=parts["perturbation"] if commands else None)
+
+
+def messages_of(joint: int, names: tuple[str, ...] = ARM_NAMES) -> dict[str, list[bytes]]:
+    """Messages of a trial, with the joints in this order."""
+    record = ARM_RECORDING.records[joint]
+    order = [ARM_NAMES.index(name) for name in names]
+    rows = (record.perturbation[order], record.position[order], record.torque[order])
+    return {
+        topic: [encoder.encode(k * PERIOD_NS, values[:, k]) for k in range(SAMPLES)]
+        for topic, values, encoder in (
+            (topic, values, JointStateEncoder(names, VALUE_FIELD[topic]))
+            for topic, values in zip(STREAMS, rows, strict=True)
+        )
+    }
+
+
+TRIALS = [messages_of(joint) for joint in range(2)]
+
+
+class Run:
+    """A running trial whose streams have come up to a sample."""
+
+    def __init__(self, joint: int, planned: int = SAMPLES) -> None:
+        self.streams = Streams(ARM_NAMES)
+        self.trial = RunningTrial(self.streams, joint, rate=1000.0, planned=planned)
+
+    def come(self, messages: dict[str, list[bytes]], upto: int = SAMPLES) -> RunningTrial:
+        for topic, raws in messages.items():
+            self.streams.add(topic, raws[self.streams.count(topic) : upto])
+        return self.trial
+
+
+def final(joint: int) -> tuple[float, float]:
+    trial = TrialData.from_record(ARM_RECORDING.records[joint], WELCH).spectra
+    motion = scores.coherence(trial.spectra, 0, trial.position_channel(joint))
+    torque = scores.coherence(trial.spectra, 0, trial.torque_channel(joint))
+    return float(np.mean(motion)), float(np.mean(torque))
+
+
+def assert_same(found: FittedColumn | None, expected: FittedColumn) -> None:
+    assert found is not None
+    assert found.joint == expected.joint
+    assert found.values.tobytes() == expected.values.tobytes()
+    assert found.errors.tobytes() == expected.errors.tobytes()
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+@settings(max_examples=8, deadline=None)
+@given(stops=st.lists(st.integers(0, SAMPLES), max_size=8), samples=st.integers(3000, SAMPLES))
+def test_figures_depend_on_the_samples_alone_however_they_arrived(
+    joint: int, stops: list[int], samples: int
+) -> None:
+    run = Run(joint)
+    for stop in sorted(stops):
+        run.come(TRIALS[joint], stop).coherence()
+    trial = run.come(TRIALS[joint])
+    assert trial.coherence() == final(joint)
+    record = ARM_RECORDING.records[joint]
+    assert_same(trial.column(samples), LpmFull().column(cut(record, samples)))
+    assert_same(trial.column(), LpmFull().column(cut(record, SAMPLES)))
+
+
+def test_joint_order_comes_from_the_names() -> None:
+    assert Run(1).come(messages_of(1, ARM_NAMES[::-1])).coherence() == final(1)
+
+
+def test_nothing_is_told_before_two_segments_are_complete_on_all_streams() -> None:
+    run = Run(0)
+    two_segments = WELCH.segment + WELCH.step
+    for upto in (0, WELCH.segment, two_segments - 1):
+        assert run.come(TRIALS[0], upto).coherence() is None
+    run.come({topic: TRIALS[0][topic] for topic in STREAMS[:2]})
+    assert run.trial.coherence() is None
+    assert min(run.come(TRIALS[0], two_segments).coherence() or (0.0,)) > 0.9
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        b"rubbish",
+        JointStateEncoder(("a",), "effort").encode(0, (1.0,)),
+        JointStateEncoder(ARM_NAMES, "effort").encode(0, (float("nan"), 0.0)),
+    ],
+)
+def test_when_a_message_cannot_be_used_expect_silence(bad: bytes) -> None:
+    run = Run(0)
+    half = SAMPLES // 2
+    spoiled = [*TRIALS[0][TORQUE_SENSORS][:half], bad, *TRIALS[0][TORQUE_SENSORS][half + 1 :]]
+    messages = {**TRIALS[0], TORQUE_SENSORS: spoiled}
+    assert run.come(messages, half).coherence() is not None
+    for _ in range(2):
+        assert run.come(messages).coherence() is None
+        assert run.trial.column() is None
+
+
+@pytest.mark.parametrize("planned", [0, 100, 1500])
+def test_trial_too_short_for_spectra_is_endured(planned: int) -> None:
+    assert Run(0, planned).come(TRIALS[0], min(planned, 1000)).coherence() is None
+
+
+@pytest.mark.parametrize("spoiled", [False, True])
+def test_commands_take_part_in_the_column_unless_one_cannot_be_decoded(spoiled: bool) -> None:
+    encode, values = CommandEncoder(len(ARM_NAMES)).encode, ARM_RECORDING.records[0].perturbation
+    commands = [encode(values[:, k]) for k in range(SAMPLES)]
+    if spoiled:
+        commands[10] = b"rubbish"
+    found = Run(0).come({**TRIALS[0], COMMANDS: commands}).column(8000)
+    record = cut(ARM_RECORDING.records[0], 8000, commands=not spoiled)
+    assert_same(found, LpmFull().column(record))
+
+
+@pytest.mark.parametrize("topics", [*((topic,) for topic in STREAMS), STREAMS])
+def test_when_a_sample_is_missing_expect_no_column_but_the_coherence(
+    topics: tuple[str, ...],
+) -> None:
+    messages = dict(TRIALS[0])
+    for topic in topics:
+        messages[topic] = [*messages[topic][:100], *messages[topic][101:]]
+    trial = Run(0).come(messages)
+    assert trial.coherence() is not None
+    assert trial.column() is None
+
+
+def test_when_samples_are_too_few_expect_no_column() -> None:
+    run = Run(0)
+    for upto in (0, 1, 10):
+        assert run.come(TRIALS[0], upto).column() is None
+    assert run.come(TRIALS[0], SAMPLES // 2).column(SAMPLES) is None
+    assert run.trial.column(0) is None
+
+
+def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_so() -> None:
+    # A soft lock, so that without the trials before the column is far off.
+    config = SyntheticConfig(samples=SAMPLES, lock_stiffness=3e3, torque_noise=0.01)
+    records = [synthetic_trial(ARM, joint, config, seed=joint) for joint in range(2)]
+    lpm = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
+    true = np.stack([matrix[:, 1] for matrix in (ARM.M, ARM.B, ARM.K)])
+
+    alone, last = lpm.column(records[1]), lpm.column(records[1], records[:1])
+    assert alone.preliminary
+    assert not last.preliminary
+    assert (np.abs(alone.values - true) / np.abs(true)).max() > 0.5
+    assert (np.abs(last.values - true) / last.errors).max() < 4.0

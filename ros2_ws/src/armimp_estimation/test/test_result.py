@@ -1,0 +1,610 @@
+"""Results: one path for live and recorded trials, whatever is wrong as data, and the files."""
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from armimp_common.errors import DataError
+from armimp_common.realtime import TimingLimits
+from armimp_common.status import Cause, Phase, TimingFigures
+from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, TRIAL
+from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.bags import read_bag
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
+from armimp_estimation.estimators.registry import IdentifyConfig
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.metadata import Metadata, reading_of
+from armimp_estimation.parameters import EstimatorParameters
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.recorder import TrialRecorder
+from armimp_estimation.report import report_page
+from armimp_estimation.result import Result, conclude, load_result
+from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
+from armimp_estimation.summary import Summary, TruthSummary, read_summary, write_summary
+from armimp_estimation.timing import RECORD_KEY, Timing, latest_metadata
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData, segments_for
+from support.recordings import recorded_arm
+from support.results import METADATA as CONFIGURED
+from support.results import make_result
+from support.synthetic_bags import Message
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+
+RECORDING = recorded_arm()
+NAMES = RECORDING.records[0].joint_names
+SAMPLES = RECORDING.records[0].samples
+SETTLE = 60
+ESTIMATORS = ("welch_siso", "lpm_full")
+METADATA = {
+    "config": json.dumps({"friction": 0}),
+    "seed": "5",
+    "joint_names": json.dumps(NAMES),
+    "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
+}
+NOISE = problem(ProblemCode.STALLED, seconds=30.0)
+
+
+def without(
+    messages: Iterable[Message], topic: str, trial: int, ticks: Iterable[int]
+) -> list[Message]:
+    """The messages without those of a topic in some ticks of a trial."""
+    start_ns = RECORDING.records[trial - 1].start_ns
+    lost = {start_ns + tick * PERIOD_NS for tick in ticks}
+    return [(t, time, raw) for t, time, raw in messages if t != topic or time not in lost]
+
+
+def recorded(
+    messages: Iterable[Message] = RECORDING.messages,
+    directory: Path | None = None,
+    cause: Cause = Cause.NONE,
+) -> list[Trial]:
+    """The trials as a recorder hands them over; with a cause the controller finds them invalid."""
+    trials: list[Trial] = []
+
+    def keep(trial: Trial | Problem) -> None:
+        assert isinstance(trial, Trial), trial
+        trials.append(trial)
+
+    recorder = TrialRecorder(NAMES, directory, METADATA, keep)
+    for topic, _, raw in messages:
+        if topic == TRIAL:
+            status = decode_trial_status(raw)
+            if cause is not Cause.NONE and status.phase is Phase.REST:
+                status = replace(status, valid=False, cause=cause, reason="so it is")
+            recorder.add_status(status)
+        else:
+            recorder.add(topic, raw)
+    recorder.stop()
+    return trials
+
+
+LIVE = recorded()
+GAP = without(RECORDING.messages, JOINT_STATES, 2, range(4000, 4037))
+
+
+def result_of(
+    trials: Sequence[Trial] = LIVE,
+    metadata: dict[str, str] | None = None,
+    problems: Sequence[Problem] = (),
+    *,
+    allow_gaps: bool = False,
+    most_excluded: float = 0.05,
+) -> Result:
+    return conclude(
+        trials,
+        metadata=METADATA if metadata is None else metadata,
+        joint_names=("shoulder", "elbow"),
+        estimators=ESTIMATORS,
+        allow_gaps=allow_gaps,
+        most_excluded=most_excluded,
+        problems=problems,
+    )
+
+
+def bits(result: Result) -> list[bytes]:
+    return [part.tobytes() for one in result.curves.values() for part in (one.Z, one.variance)]
+
+
+def codes(result: Result) -> list[ProblemCode]:
+    return [one.code for one in result.summary.problems]
+
+
+COMPLETE = result_of()
+
+
+# --- from trials ------------------------------------------------------------------------------
+
+
+def test_complete_trials_give_a_valid_result_near_the_truth() -> None:
+    summary = COMPLETE.summary
+    assert (summary.valid, summary.problems) == (True, [])
+    assert (summary.joints, summary.seed, summary.config) == (2, 5, {"friction": 0})
+    assert [(one.k, one.ticks, one.lost) for one in summary.trials] == [
+        (1, SAMPLES, 0),
+        (2, SAMPLES, 0),
+    ]
+    assert tuple(summary.estimators) == tuple(COMPLETE.curves) == ESTIMATORS
+    for one in summary.estimators.values():
+        # Short trials: the averaged spectra leak.
+        np.testing.assert_allclose(one.M, TWO_JOINT_ARM.M, rtol=0.05)
+        assert one.vaf is not None
+        assert np.min(one.vaf) > 98.0
+
+
+@pytest.mark.parametrize("messages", [RECORDING.messages, GAP], ids=["complete", "gap"])
+def test_live_trials_and_those_read_from_bags_give_equal_results_to_the_bit(
+    tmp_path: Path, messages: Sequence[Message]
+) -> None:
+    live = recorded(messages, tmp_path)
+    contents = [read_bag(tmp_path / str(trial.bag)) for trial in live]
+    read = [
+        replace(content.trials[0], bag=trial.bag, rtf=trial.rtf)
+        for content, trial in zip(contents, live, strict=True)
+    ]
+    one = result_of(live, allow_gaps=True)
+    # The order of the trials does not matter.
+    other = result_of(read[::-1], dict(contents[0].metadata), allow_gaps=True)
+    assert one.summary == other.summary
+    assert bits(one) == bits(other) != []
+
+
+@pytest.mark.parametrize("trials", [LIVE[:1], LIVE[1:], [], [LIVE[0], LIVE[0]]])
+def test_when_there_is_not_one_trial_for_each_joint_expect_a_result_without_estimates(
+    trials: list[Trial],
+) -> None:
+    result = result_of(trials)
+    assert not result.summary.valid
+    assert not result.curves
+    assert not result.summary.estimators
+    assert codes(result) == [ProblemCode.TRIALS_INCOMPLETE]
+    assert len(result.summary.trials) == len(trials)
+    assert result.summary.truth is not None
+
+
+def test_known_problems_make_a_result_invalid_and_come_first() -> None:
+    summary = result_of(problems=[NOISE]).summary
+    assert (summary.valid, summary.problems, summary.faults) == (False, [NOISE], [NOISE])
+    assert tuple(summary.estimators) == ESTIMATORS
+    assert codes(result_of([], problems=[NOISE])) == [NOISE.code, ProblemCode.TRIALS_INCOMPLETE]
+
+
+def test_a_problem_that_is_known_beforehand_is_not_told_twice() -> None:
+    trials = recorded(cause=Cause.LIMIT)
+    known = trials[0].problems[0]
+    assert codes(result_of(trials, problems=[known])) == [ProblemCode.TRIAL_SPOILED] * 2
+
+
+def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:
+    note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
+    biased = Problem(code=ProblemCode.LOCK_RATIO, estimator="welch_siso")
+    summary = COMPLETE.summary.with_problems([note, biased])
+    assert summary.valid
+    assert summary.faults == []
+    assert summary.verdict_on("lpm_full").impedance
+    assert not summary.verdict_on("welch_siso").impedance
+    again = summary.with_problems([note, NOISE])
+    assert again.problems == [NOISE, note, biased]
+    assert not again.verdict.impedance
+
+
+@pytest.mark.parametrize("truth", [None, "null"])
+def test_without_a_truth_there_is_no_vaf(truth: str | None) -> None:
+    metadata = {key: value for key, value in METADATA.items() if key not in ("truth", "seed")}
+    if truth is not None:
+        metadata["truth"] = truth
+    summary = result_of(metadata=metadata).summary
+    assert summary.valid
+    assert summary.truth is None
+    assert [one.vaf for one in summary.estimators.values()] == [None, None]
+    assert summary.seed == RECORDING.records[0].seed
+
+
+@pytest.mark.parametrize(
+    ("key", "text", "reason"),
+    [
+        *(
+            ("truth", text, "truth is not")
+            for text in ("{}", "[1]", '{"M": [[1]], "B": 2, "K": 3}', "{", "7")
+        ),
+        ("config", "[1]", "config is not a JSON object"),
+        ("torque_delay", '"late"', "torque_delay is not a number"),
+        ("torque_order", "1.5", "torque_order is not an integer"),
+        ("torque_uncertainty", "-1", "torque_uncertainty is not a time"),
+        *(
+            ("torque_timing", text, "torque_timing is .*known are unknown, before_update")
+            for text in ('"later"', "7", "null", "[1]")
+        ),
+    ],
+)
+def test_metadata_that_make_no_sense_are_refused_in_one_line(
+    key: str, text: str, reason: str
+) -> None:
+    with pytest.raises(DataError, match=f"^metadata: {reason}") as caught:
+        Metadata.of({key: text}, 2)
+    assert "\n" not in str(caught.value)
+
+
+def test_nothing_is_known_of_torques_unless_the_metadata_say_so() -> None:
+    assert reading_of({}) == TorqueReading()
+    mean = reading_of({"torque_timing": '"interval_mean"'})
+    assert mean == TorqueReading(timing=TorqueTiming.INTERVAL_MEAN)
+
+
+# --- gaps -------------------------------------------------------------------------------------
+
+
+def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_parts() -> None:
+    trials = recorded(GAP)
+    refused, healed = result_of(trials), result_of(trials, allow_gaps=True)
+    assert codes(refused) == codes(healed) == [ProblemCode.SAMPLES_MISSING]
+    assert not refused.curves
+    assert all(math.isnan(value) for value in refused.summary.trials[0].lock_ratio)
+    (note,) = healed.summary.problems
+    assert (note.severity, note.trial) == (Severity.NOTE, 2)
+    assert note.values == {"stream": JOINT_STATES, "count": 37, "first": 4.0, "last": 4.037}
+    assert healed.summary.valid
+    first, second = healed.summary.trials
+    assert (first.lost, first.excluded, first.stretches) == (0, 0, 1)
+    assert (second.lost, second.excluded, second.stretches) == (37, 37, 2)
+    for estimator in healed.summary.estimators.values():
+        assert estimator.vaf is not None
+        assert np.min(estimator.vaf) > 99.0
+    # Of records without gaps the result is the same.
+    assert bits(result_of(allow_gaps=True)) == bits(COMPLETE)
+
+
+@pytest.mark.parametrize(("cause", "valid"), [(Cause.LIMIT, False), (Cause.SAMPLES_LOST, True)])
+def test_what_gaps_do_not_explain_is_refused_even_if_gaps_are_allowed(
+    cause: Cause, valid: bool
+) -> None:
+    result = result_of(recorded(GAP, cause=cause), allow_gaps=True)
+    assert result.summary.valid is valid
+    assert bool(result.curves) is valid
+
+
+def test_parts_that_are_too_short_are_refused() -> None:
+    messages = without(RECORDING.messages, JOINT_STATES, 1, range(0, SAMPLES, 900))
+    result = result_of(recorded(messages), allow_gaps=True)
+    assert [one.code for one in result.summary.faults] == [ProblemCode.RECORD_TOO_SHORT]
+
+
+def test_a_result_from_too_little_of_a_trial_is_not_valid() -> None:
+    trials = recorded(without(RECORDING.messages, TORQUE_SENSORS, 1, range(600)))
+    result = result_of(trials, allow_gaps=True)
+    assert [one.code for one in result.summary.faults] == [ProblemCode.MUCH_EXCLUDED]
+    assert result.curves
+    assert result_of(trials, allow_gaps=True, most_excluded=0.06).summary.valid
+
+
+def test_duplicates_and_disorder_are_put_right_when_gaps_are_allowed() -> None:
+    messages = list(RECORDING.messages)
+    torque = [i for i, m in enumerate(messages) if m[0] == TORQUE_SENSORS]
+    i, j = torque[SETTLE + 50], torque[SETTLE + 51]
+    messages[i], messages[j] = messages[j], messages[i]
+    messages.insert(torque[SETTLE + 90], messages[torque[SETTLE + 80]])
+    healed = result_of(recorded(messages), allow_gaps=True)
+    assert codes(healed) == [ProblemCode.SAMPLES_REPEATED, ProblemCode.SAMPLES_REORDERED]
+    assert healed.summary.valid
+    assert bits(healed) == bits(COMPLETE)
+
+
+def part(record: TrialRecord, start: int, stop: int) -> TrialRecord:
+    return replace(
+        record,
+        perturbation=record.perturbation[:, start:stop],
+        position=record.position[:, start:stop],
+        torque=record.torque[:, start:stop],
+        command=None,
+        start_ns=record.start_ns + start * PERIOD_NS,
+    )
+
+
+def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
+    config = WelchConfig(segment=1024, overlap=768)
+    complete = RECORDING.records[0]
+    parts = [part(complete, 0, 3000), part(complete, 3100, 3600), part(complete, 4000, 9000)]
+    data = TrialData.from_stretches(parts, config)
+    alone = [TrialData.from_stretches([one], config).spectra.spectra for one in parts[::2]]
+    counts = [config.segments_in(3000), config.segments_in(5000)]
+    assert [one.segments for one in alone] == counts
+    mean = sum(one.matrix * one.segments for one in alone) / sum(counts)
+    np.testing.assert_allclose(data.spectra.spectra.matrix, mean, rtol=1e-12)
+    assert data.spectra.spectra.segments == sum(counts)
+    assert data.record is parts[2]
+    # Of equal parts exactly; segments on either side of a gap have nothing in common.
+    config = WelchConfig()
+    assert effective_averages(config, 8, 8) == pytest.approx(2 * effective_averages(config, 8))
+    assert effective_averages(config, 8, 8) > effective_averages(config, 16)
+    np.testing.assert_allclose(bin_correlation(config, 8, 8), bin_correlation(config, 8))
+
+
+@pytest.mark.parametrize(
+    ("lengths", "segment"),
+    [
+        ([50_000], 8192),
+        ([32_767], 4096),
+        ([20_000, 29_000], 8192),
+        ([8191] * 6, 4096),
+        ([100] * 500, 1024),
+    ],
+)
+def test_segment_length_is_that_of_which_four_fit_into_long_enough_parts(
+    lengths: list[int], segment: int
+) -> None:
+    assert WelchConfig.for_stretches(lengths).segment == segment
+
+
+def test_all_trials_get_the_segments_of_the_one_that_can_have_least() -> None:
+    long = synthetic_trial(TWO_JOINT_ARM, 0, SyntheticConfig(samples=33_000), 1)
+    assert segments_for([[long]]).segment == 8192
+    assert segments_for([[long], [part(long, 0, 9000)]]).segment == 2048
+
+
+# --- timing in real time ----------------------------------------------------------------------
+
+GOOD = TimingFigures(
+    ticks=2000,
+    late=3,
+    missed=1,
+    period_p50=1e-3,
+    period_p99=1.1e-3,
+    period_max=2.5e-3,
+    latency_p50=2e-4,
+    latency_p99=4e-4,
+    latency_max=1.5e-3,
+)
+BAD = replace(GOOD, missed=100)
+
+
+def timing(figures: TimingFigures = GOOD, **changes: Any) -> Timing:
+    return Timing.of(replace(figures, **changes), TimingLimits())
+
+
+def stored(*timings: Timing) -> list[dict[str, str]]:
+    return [{RECORD_KEY: one.model_dump_json()} for one in timings]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, []),
+        ({"late": 21}, [ProblemCode.SAMPLES_LATE]),
+        ({"missed": 21}, [ProblemCode.COMMANDS_LATE]),
+        ({"latency_p99": 1.1e-3}, [ProblemCode.LATENCY]),
+        ({"latency_p99": math.nan}, [ProblemCode.LATENCY]),
+    ],
+)
+def test_each_limit_that_is_exceeded_is_a_problem(
+    changes: dict[str, float], expected: list[ProblemCode]
+) -> None:
+    told = timing(GOOD, **changes)
+    assert [one.code for one in told.problems] == expected
+    result = result_of(metadata={**METADATA, **stored(told)[0]})
+    assert [one.code for one in result.summary.faults] == expected
+    assert result.summary.timing is not None
+    assert result.summary.timing.model_dump_json() == told.model_dump_json()
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("{", "Invalid JSON"),
+        ("3", "content: "),
+        (json.dumps({"ticks": 3}), "late: Field required"),
+        (timing().model_dump_json().replace('"late":3', '"late":3000'), "late must lie between 0"),
+    ],
+)
+def test_timing_that_makes_no_sense_is_refused_in_one_line(text: str, complaint: str) -> None:
+    with pytest.raises(DataError, match=f"metadata: timing: .*{complaint}") as caught:
+        Timing.from_metadata({RECORD_KEY: text})
+    assert "\n" not in str(caught.value)
+
+
+def test_of_several_bags_the_one_that_knows_most_of_the_run_tells_its_timing() -> None:
+    empty = timing(TimingFigures(ticks=10, late=0, missed=0))
+    assert json.loads(empty.model_dump_json())["latency_p99"] is None
+    bags = stored(empty, timing(), timing(ticks=5000))
+    assert latest_metadata([{"seed": "1", **bags[0]}, *bags[1:]]) == {"seed": "1", **bags[2]}
+    assert latest_metadata([{"seed": "1"}, {}]) == {"seed": "1"}
+
+
+@pytest.mark.parametrize(
+    "changes", [{"missed": 900}, {"late": 900}, {"period_max": 0.2}, {"latency_max": 0.2}]
+)
+def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
+    changes: dict[str, float],
+) -> None:
+    bad, longer = timing(BAD, **changes), timing(ticks=20_000, late=150, missed=120)
+    assert bad.problems
+    assert not longer.problems
+    for order in ((bad, longer), (longer, bad)):
+        assert latest_metadata(stored(*order)) == stored(bad)[0]
+
+
+def test_limits_come_from_the_parameters_of_the_estimator() -> None:
+    assert EstimatorParameters().realtime.limits() == TimingLimits()
+
+
+def test_the_report_has_a_timing_part_for_a_run_in_real_time_only(tmp_path: Path) -> None:
+    paced = make_result(tmp_path / "a", metadata={**CONFIGURED, **stored(timing(BAD))[0]})
+    plain = make_result(tmp_path / "b")
+    page = report_page(load_result(paced))
+    assert 'id="timing"' in page
+    assert 'id="timing"' not in report_page(load_result(plain))
+    section = page[page.index('id="timing"') :]
+    section = section[: section.index("</section>")]
+    for shown in ("1.000", "1.100", "2.500", "0.200", "0.400", "1.500", "0.150", "5.000", "2000"):
+        assert shown in section
+    assert (section.count("✓"), section.count("✗")) == (2, 1)
+    assert "The computer was not quick or regular enough" in page
+
+
+# --- files ------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def identification() -> Identification:
+    config = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
+    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
+    data = [
+        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), config.welch)
+        for joint in range(2)
+    ]
+    return identify(data, ["welch_siso", "welch_full"], TWO_JOINT_ARM, config)
+
+
+def test_summary_has_the_keys_of_schema_1_and_comes_back_bit_by_bit(tmp_path: Path) -> None:
+    summary = result_of(
+        [replace(trial, bag="somewhere", rtf=2.5) for trial in LIVE], problems=[NOISE]
+    ).summary
+    path = tmp_path / "summary.json"
+    write_summary(path, summary)
+    content = json.loads(path.read_text())
+    assert content["schema"] == 1
+    assert (content["valid"], content["verdict"]["impedance"]) == (False, False)
+    assert content["problems"][0] == {
+        "code": "stalled",
+        "concern": "impedance",
+        "severity": "error",
+        "trial": None,
+        "estimator": "",
+        "values": {"seconds": 30.0},
+        "sentence": "nothing happened for 30 s",
+    }
+    assert [(one["bag"], one["rtf"]) for one in content["trials"]] == [("somewhere", 2.5)] * 2
+    back = read_summary(path)
+    assert back.model_dump_json() == summary.model_dump_json()
+    assert back.truth is not None
+    np.testing.assert_array_equal(back.truth.mbk().B, TWO_JOINT_ARM.B)
+
+
+@given(st.lists(st.floats(), min_size=1, max_size=5))
+def test_any_finite_number_comes_back_and_others_as_nan(values: list[float]) -> None:
+    text = TruthSummary(M=[values], B=[values], K=[values]).model_dump_json()
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    back = TruthSummary.model_validate_json(text)
+    for value, read in zip(values, back.M[0], strict=True):
+        if math.isfinite(value):
+            assert (read, math.copysign(1.0, read)) == (value, math.copysign(1.0, value))
+        else:
+            assert math.isnan(read)
+
+
+def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None:
+    COMPLETE.write(tmp_path)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    assert read_summary(tmp_path / "summary.json") == COMPLETE.summary
+    assert set(read_frf(tmp_path / "frf.npz")) == set(ESTIMATORS)
+    with pytest.raises(DataError, match=r"frf.npz: exists already"):
+        COMPLETE.write(tmp_path)
+    with pytest.raises(DataError, match=r"summary.json: exists already"):
+        write_summary(tmp_path / "summary.json", COMPLETE.summary)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    (tmp_path / "bare").mkdir()
+    result_of([]).write(tmp_path / "bare")
+    assert [path.name for path in (tmp_path / "bare").iterdir()] == ["summary.json"]
+    with pytest.raises(DataError, match=r"nowhere/summary.json: cannot be written: No such file"):
+        write_summary(tmp_path / "nowhere" / "summary.json", COMPLETE.summary)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "content"),
+        ("[]", "content"),
+        ('{"schema": 2}', "schema"),
+        ('{"schema": 1, "config": {}, "joints": "two"}', "joints"),
+        (
+            json.dumps(json.loads(COMPLETE.summary.model_dump_json(by_alias=True)) | {"red": 1}),
+            "red",
+        ),
+    ],
+)
+def test_when_the_file_is_no_summary_expect_file_and_place_in_one_line(
+    text: str, message: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "summary.json"
+    with pytest.raises(DataError, match=r"summary.json: No such file"):
+        read_summary(path)
+    path.write_text(text)
+    with pytest.raises(DataError, match=f"summary.json: not a summary: {message}") as caught:
+        read_summary(path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("values", [{"delay": 2.0}, {"cutoff": -1.0}, {"order": 9}])
+def test_a_torque_reading_out_of_range_is_refused(values: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="torque reading"):
+        TorqueReading(**values)  # type: ignore[arg-type]
+
+
+def curves_of(identification: Identification) -> dict[str, ImpedanceCurve]:
+    return {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
+
+
+def test_curves_come_back_bit_by_bit_each_with_its_own_frequencies(
+    identification: Identification, tmp_path: Path
+) -> None:
+    curves = curves_of(identification)
+    curves["fine"] = replace(curves["welch_siso"], f=curves["welch_siso"].f + 1.0)
+    for name in ("one", "two"):
+        write_frf(tmp_path / f"{name}.npz", curves)
+    assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
+    back = read_frf(tmp_path / "one.npz")
+    assert list(back) == list(curves)
+    for name, written in curves.items():
+        for part_of, other in ((written, back[name]), (written.coherence, back[name].coherence)):
+            for one in fields(part_of):
+                if one.name != "coherence":
+                    found, expected = getattr(other, one.name), getattr(part_of, one.name)
+                    np.testing.assert_array_equal(found, expected, strict=True)
+    with pytest.raises(DataError, match="no estimate"):
+        write_frf(tmp_path / "none.npz", {})
+
+
+def test_covariances_of_responses_and_parameters_contain_the_standard_errors(
+    identification: Identification,
+) -> None:
+    for result in identification.estimators.values():
+        estimate, fit = result.estimate, result.fit
+        assert estimate.disturbance is not None
+        assert estimate.inverse is not None
+        share = np.abs(estimate.inverse) ** 2
+        variance = np.einsum("kiif,kjf->ijf", estimate.disturbance, share).real
+        known = estimate.without_systematics().variance
+        np.testing.assert_allclose(variance, known, rtol=1e-6)
+        errors = np.concatenate([getattr(fit, f"{letter}_se").ravel() for letter in "MBK"])
+        np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), errors, rtol=1e-12)
+        correlation = fit.covariance / np.outer(errors, errors)
+        assert np.linalg.eigvalsh(correlation).min() > 0.0
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", b"PK\x03\x04 cut"])
+def test_when_the_file_holds_no_curves_expect_its_name_in_the_error(
+    content: bytes, tmp_path: Path
+) -> None:
+    path = tmp_path / "frf.npz"
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=r"frf.npz: not a file of impedance curves"):
+        read_frf(path)
+    np.savez(path, f=np.ones(2), Z_x=np.ones((1, 1, 2)))
+    with pytest.raises(DataError, match="T_x"):
+        read_frf(path)
+
+
+def test_a_summary_needs_values_for_all_joints() -> None:
+    content = json.loads(COMPLETE.summary.model_dump_json(by_alias=True))
+    content["trials"][0]["lock_ratio"] = [1.0]
+    with pytest.raises(ValueError, match="lock_ratio has 1 values for 2 joints"):
+        Summary.model_validate(content)
