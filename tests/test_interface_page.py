@@ -303,6 +303,7 @@ def test_the_keys_of_summary_json_are_those_of_its_model(
     place: int, model: type[BaseModel]
 ) -> None:
     expected = {field.alias or name for name, field in model.model_fields.items()}
+    expected |= set(model.model_computed_fields)
     assert _keys("summary.json", place) == expected
 
 
