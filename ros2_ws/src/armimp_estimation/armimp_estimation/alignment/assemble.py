@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, computed_field
 
 from armimp_common.errors import DataError
 from armimp_common.status import TrialStatus
@@ -114,6 +114,7 @@ class StreamStatistics(JsonModel):
         """Sum of one of the counts over all streams."""
         return sum(int(getattr(count, kind)) for count in self.streams.values())
 
+    @computed_field  # type: ignore[prop-decorator]
     @property
     def lost(self) -> int:
         """Messages missing from all streams together."""
