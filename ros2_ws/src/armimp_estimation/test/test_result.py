@@ -48,6 +48,8 @@ ESTIMATORS = ("welch_siso", "lpm_full")
 METADATA = {
     "config": json.dumps({"friction": 0}),
     "seed": "5",
+    "gain_uncertainty": "0",
+    "cross_talk_uncertainty": "0",
     "joint_names": json.dumps(NAMES),
     "truth": json.dumps({name: getattr(TWO_JOINT_ARM, name).tolist() for name in ("M", "B", "K")}),
 }
