@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Iterator
 from functools import partial
 
@@ -68,14 +67,6 @@ def test_what_a_known_publisher_sends_from_now_on_arrives(
             eventually(spinner, partial(bool, answers), "an answer")
             assert answers == [String(data=f"{number}")]
             node.destroy_subscription(listener)
-
-
-def test_a_node_without_a_sign_of_life_is_not_waited_for(node: Node) -> None:
-    begun = time.monotonic()
-
-    wait_until_known_to(node, ["nobody"], timeout_s=PATIENCE)
-
-    assert time.monotonic() - begun < PATIENCE
 
 
 def test_when_a_node_gives_no_answer_expect_it_named_and_nothing_left_behind(

@@ -24,11 +24,6 @@ def protection() -> Protection:
     return protection
 
 
-def test_commands_within_the_limits_are_obeyed(protection: Protection) -> None:
-    protection.command((3.0, -4.0))
-    assert (protection.applied, protection.fault) == ((3.0, -4.0), "")
-
-
 @pytest.mark.parametrize("bad", [(math.nan, 0.0), (math.inf, 0.0), (101.0, 0.0), (1.0,)])
 def test_a_command_that_cannot_be_obeyed_takes_all_torque_away(
     protection: Protection, bad: tuple[float, ...]
@@ -132,12 +127,6 @@ def test_a_controller_that_never_numbers_its_commands_is_obeyed_until_one_has_a_
     assert not any(sequence.check(0) for _ in range(100))
     assert sequence.numbered is False
     assert sequence.check(1) == "command 1 came after a command without a number"
-
-
-def test_before_the_first_command_nothing_is_missed(protection: Protection) -> None:
-    for _ in range(100):
-        assert not protection.period()
-    assert not protection.fault
 
 
 @pytest.mark.parametrize("angles", [(3.1, 0.0), (math.nan, 0.0)])

@@ -126,28 +126,6 @@ def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node, kind: Exec
 
 
 @both_kinds
-def test_nodes_can_be_added_and_removed(node: Node, context: Context, kind: ExecutorKind) -> None:
-    ticks: dict[str, int] = {"first": 0, "second": 0}
-    second = Node("second", context=context)
-
-    def count(name: str) -> None:
-        ticks[name] += 1
-
-    node.create_timer(0.005, lambda: count("first"))
-    second.create_timer(0.005, lambda: count("second"))
-    with Spinner([node], kind=kind) as spinner:
-        spinner.add_node(second)
-        spinner.spin(lambda: min(ticks.values()) >= 2, period=0.01)
-        spinner.remove_node(second)
-        second.destroy_node()
-        seen = dict(ticks)
-        spinner.spin(lambda: ticks["first"] >= seen["first"] + 3, period=0.01)
-        spinner.close()
-
-    assert ticks["second"] == seen["second"]
-
-
-@both_kinds
 def test_idle_spinning_costs_next_to_nothing(node: Node, kind: ExecutorKind) -> None:
     # rclpy's own events executor takes a whole core when spun without a timeout.
     with Spinner([node], kind=kind) as spinner:
@@ -180,16 +158,6 @@ while True:
         other.wait()
 
     assert len(received) >= 3
-
-
-def test_executor_kind_can_be_chosen(context: Context) -> None:
-    single = make_executor(context, "single")
-    events = make_executor(context, "events")
-
-    assert isinstance(single, SingleThreadedExecutor)
-    assert not isinstance(events, SingleThreadedExecutor)
-    single.shutdown()
-    events.shutdown()
 
 
 def test_when_rclpy_has_no_events_executor_expect_the_single_threaded_one(
@@ -277,17 +245,6 @@ def test_when_a_callback_raises_an_armimp_error_expect_its_status(
 
 
 @pytest.mark.usefixtures("domain_id")
-def test_when_a_callback_has_a_bug_expect_its_traceback() -> None:
-    def factory(*, context: Context) -> Node:
-        node = Node("failing", context=context)
-        break_in_timer(node)
-        return node
-
-    with pytest.raises(CallbackError):
-        run_node(factory, ["program"])
-
-
-@pytest.mark.usefixtures("domain_id")
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
@@ -372,19 +329,6 @@ def test_when_there_is_always_another_event_expect_stop_conditions_to_be_looked_
 
     spin(node, should_stop, period=0.05, kind=kind)
 
-    assert not late()
-
-
-@both_kinds
-def test_when_there_is_always_another_event_expect_spin_until_to_keep_its_timeout(
-    node: Node, kind: ExecutorKind
-) -> None:
-    keep_busy(node)
-    late = deadline()
-    with Spinner([node], kind=kind) as spinner:
-        done = spinner.spin_until(Future(), 0.2)
-
-    assert not done
     assert not late()
 
 

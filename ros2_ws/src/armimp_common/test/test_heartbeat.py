@@ -17,7 +17,6 @@ from std_msgs.msg import String
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor, Presence
-from armimp_common.process import Life
 from armimp_common.pubsub import wait_until_matched
 from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, set_clock
 
@@ -122,12 +121,6 @@ def test_a_process_that_is_looked_up_in_vain_is_dead_though_its_lease_has_not_ru
     assert Presence.ALIVE.after(1, 1, lives) is after
 
 
-def test_only_a_node_that_was_there_can_be_lost() -> None:
-    lost = {presence for presence in Presence if presence.lost}
-
-    assert lost == {Presence.SILENT, Presence.GONE, Presence.LEFT}
-
-
 def test_when_a_process_is_killed_expect_its_death_to_be_heard(
     watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
 ) -> None:
@@ -140,21 +133,6 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard(
     assert changes[1] is Presence.GONE
     assert watch.sentence == "other is dead"
     assert watch.ghost
-
-
-def test_when_one_of_two_watched_processes_has_left_expect_the_other_to_be_looked_at_still(
-    node: Node, watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
-) -> None:
-    gone: list[Presence] = []
-    second = HeartbeatMonitor(node, "another", lambda watch: gone.append(watch.presence))
-    with other_process() as process, other_process("another") as leaving:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        eventually(spinner, lambda: introduced(second, gone), "a sign of life of the other one")
-        leaving.send_signal(signal.SIGINT)
-        eventually(spinner, lambda: second.presence is Presence.LEFT, "its end")
-
-        process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
 
 
 @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
@@ -175,33 +153,6 @@ def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_
         eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death")
 
     assert watch.ghost
-
-
-def test_when_a_stopped_process_is_killed_expect_its_death_to_be_heard(
-    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
-) -> None:
-    with other_process() as process:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: changes[-1] is Presence.STALLED, "silence")
-        process.kill()
-        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death")
-
-    assert watch.presence.lost
-
-
-def test_when_the_process_cannot_be_looked_up_expect_silence(
-    node: Node, spinner: Spinner, changes: list[Presence], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    watch = HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
-    monkeypatch.setattr("armimp_common.heartbeat.life_of", lambda _: Life.UNKNOWN)
-    with other_process() as process:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        process.send_signal(signal.SIGSTOP)
-        eventually(spinner, lambda: len(changes) == 2, "silence")
-
-    assert changes[1] is Presence.SILENT
-    assert watch.sentence == "other gave no sign of life for 6 s: it is dead or stopped"
 
 
 def test_when_a_process_is_stopped_for_a_moment_expect_it_stalled_and_alive_again(

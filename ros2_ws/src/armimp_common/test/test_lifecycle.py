@@ -128,18 +128,6 @@ def test_when_transition_fails_expect_graph_error_and_the_reason_kept(
     assert managed.transition_error == ""
 
 
-def test_when_transition_has_a_bug_expect_its_traceback_in_the_log(
-    manager: LifecycleManager, managed: Managed, capfd: pytest.CaptureFixture[str]
-) -> None:
-    managed.fault = ZeroDivisionError("a bug")
-
-    with pytest.raises(GraphError, match=r"managed failed to configure"):
-        manager.configure("managed")
-
-    assert managed.transition_error == "ZeroDivisionError: a bug"
-    assert "Traceback" in capfd.readouterr().err
-
-
 def test_when_node_is_absent_expect_graph_error_in_time(node: Node, spinner: Spinner) -> None:
     manager = LifecycleManager(
         node, ["managed", "absent"], spin_until=spinner.spin_until, timeout=0.3
@@ -151,38 +139,6 @@ def test_when_node_is_absent_expect_graph_error_in_time(node: Node, spinner: Spi
         manager.configure("absent")
     with pytest.raises(GraphError, match=r"node stranger is not managed; managed: managed, absent"):
         manager.configure("stranger")
-
-
-def test_when_node_does_not_answer_expect_graph_error_in_time(node: Node, managed: Managed) -> None:
-    with Spinner([node]) as spinner:  # which does not spin the managed node
-        manager = LifecycleManager(node, ["managed"], spin_until=spinner.spin_until, timeout=0.3)
-        manager.wait_for_nodes()
-        with pytest.raises(GraphError, match=r"node managed did not answer to configure in 0.3 s"):
-            manager.configure("managed")
-
-
-def test_when_configuration_is_slow_expect_the_manager_to_wait(
-    manager: LifecycleManager, managed: Managed
-) -> None:
-    managed.delay = 0.5
-
-    manager.configure("managed")
-
-    assert manager.state("managed") == "inactive"
-
-
-def test_names_are_relative_to_the_namespace_of_the_asking_node(context: Context) -> None:
-    asking = Node("asking", context=context, namespace="/left")
-    left = Managed("arm", context=context, namespace="/left")
-    right = Managed("arm", context=context, namespace="/right")
-    with Spinner([asking, left, right]) as spinner:
-        manager = LifecycleManager(asking, ["arm", "/right/arm"], spin_until=spinner.spin_until)
-        manager.wait_for_nodes()
-        manager.configure("arm")
-        assert manager.state("arm") == "inactive"
-        assert manager.state("/right/arm") == "unconfigured"
-    for node in (asking, left, right):
-        node.destroy_node()
 
 
 def test_node_of_another_process_is_managed_and_its_death_noticed(node: Node) -> None:

@@ -79,21 +79,6 @@ def set_parameter(node: Node, name: str, value: object) -> SetParametersResult:
     return node.set_parameters([Parameter(name, value=value)])[0]
 
 
-def test_when_nothing_is_given_expect_the_defaults(make_node: MakeNode) -> None:
-    node = make_node()
-
-    assert parameters.declare(node, Params) == Params()
-    assert parameters.load(node, Params) == Params()
-    assert node.get_parameter("law.gamma").value == 100.0
-
-
-def test_when_other_defaults_are_given_expect_those(make_node: MakeNode) -> None:
-    node = make_node(file("count: 5"))
-    default = Params(quiet=True, count=7)
-
-    assert parameters.declare(node, Params, default) == Params(quiet=True, count=5)
-
-
 def test_when_file_and_command_line_give_values_expect_them(make_node: MakeNode) -> None:
     node = make_node(
         file("law: {gamma: 7, mass: [1, 2]}", "count: 4", "quiet: true", "use_sim_time: false"),
@@ -185,21 +170,6 @@ def test_when_guarded_expect_refusal_of_what_the_schema_refuses(make_node: MakeN
     assert parameters.load(node, Params) == Params(law=Law(gamma=5.0))
 
 
-def test_when_parameters_must_change_together_expect_atomic_setting_to_work(
-    make_node: MakeNode,
-) -> None:
-    node = make_node()
-    parameters.declare(node, Params)
-    parameters.guard(node, lambda: None)
-
-    result = node.set_parameters_atomically(
-        [Parameter("joints", value=["a"]), Parameter("law.mass", value=[1.0])]
-    )
-
-    assert result.successful, result.reason
-    assert parameters.load(node, Params).joints == ("a",)
-
-
 def test_when_locked_expect_every_change_refused_with_the_reason(make_node: MakeNode) -> None:
     node = make_node()
     parameters.declare(node, Params)
@@ -219,12 +189,3 @@ def test_when_locked_expect_every_change_refused_with_the_reason(make_node: Make
     lock.append("trial 3 is running")
     node.remove_on_set_parameters_callback(callback)
     assert set_parameter(node, "law.gamma", 6.0).successful
-
-
-def test_written_parameter_file_is_read_back_by_a_node(make_node: MakeNode) -> None:
-    values = Params(
-        joints=("a: b", "1"), masks=(True,), scales=(1e-05, 3.0), count=7, law=Law(mass=(1.0, 2e9))
-    )
-    text = parameters.to_params_yaml({"/unit": values, "other": Params()})
-
-    assert parameters.declare(make_node(text), Params) == values

@@ -24,10 +24,6 @@ from armimp_common.process import (
 TELL = "import time; from armimp_common.process import identity; print(identity(), flush=True)"
 
 
-def test_this_process_lives() -> None:
-    assert life_of(identity()) is Life.RUNNING
-
-
 def test_a_process_lives_until_it_ends_even_if_it_is_stopped_or_not_waited_for() -> None:
     program = f"{TELL}; time.sleep(1000)"
     process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)

@@ -1,7 +1,5 @@
 """Channels over real DDS: what is sent arrives, malformed bytes are reported, peers are found."""
 
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 
@@ -10,8 +8,7 @@ from rclpy.context import Context
 from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray, UInt64
+from std_msgs.msg import UInt64
 
 from armimp_common import qos
 from armimp_common.cdr import decode_count, encode_count
@@ -78,21 +75,6 @@ def test_joint_states_arrive_in_the_order_asked_for(node: Node, spin: Spin) -> N
     assert received == [(k, (2.0, 1.0 + k)) for k in range(100)]
 
 
-def test_commands_arrive(node: Node, spin: Spin) -> None:
-    received: list[tuple[float, ...]] = []
-    publisher = CommandPublisher(node, "topic", 3)
-    subscription = CommandSubscription(node, "topic", 3, received.append)
-    assert not wait_until_matched(
-        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
-    )
-
-    for k in range(100):
-        publisher.publish((1.0, 2.0, k))
-    spin.until(lambda: len(received) == 100)
-
-    assert received == [(1.0, 2.0, float(k)) for k in range(100)]
-
-
 def test_counts_arrive_raw_and_typed_also_where_somebody_joins_late(node: Node, spin: Spin) -> None:
     publisher = CountPublisher(node, "topic")
     for count in (0, 10, 2**64 - 1):
@@ -113,50 +95,6 @@ def test_when_the_publisher_was_destroyed_expect_an_error_and_no_crash(node: Nod
 
     with pytest.raises(RuntimeError):
         publisher.publish([1.0, 2.0])
-
-
-def test_sent_bytes_equal_those_of_a_typed_publisher(node: Node, spin: Spin) -> None:
-    received: list[bytes] = []
-    typed = node.create_publisher(JointState, "topic", qos.SAMPLE)
-    raw = JointStatePublisher(node, "topic", ["abc", "abcdefg"], "position")
-    subscription = RawSubscription(node, "topic", JointState, received.append)
-    assert not wait_until_matched(
-        node, publishers=[typed, raw], subscriptions=[subscription], timeout_s=PATIENCE
-    )
-
-    # Names whose lengths leave no padding but that after the empty frame_id.
-    message = JointState(name=["abc", "abcdefg"], position=[1.0, 2.0])
-    message.header.stamp.sec = 5
-    typed.publish(message)
-    spin.until(lambda: len(received) == 1)
-    sent = raw.publish(5_000_000_000, [1.0, 2.0])
-    spin.until(lambda: len(received) == 2)
-
-    assert received[1] == sent
-    typed_bytes = bytearray(received[0])
-    typed_bytes[17:20] = bytes(3)
-    assert bytes(typed_bytes) == sent
-
-
-def test_typed_subscription_understands_raw_messages(node: Node, spin: Spin) -> None:
-    states: list[JointState] = []
-    commands: list[Float64MultiArray] = []
-    node.create_subscription(JointState, "states", states.append, qos.SAMPLE)
-    node.create_subscription(Float64MultiArray, "commands", commands.append, qos.SAMPLE)
-    state_publisher = JointStatePublisher(node, "states", NAMES, "position")
-    command_publisher = CommandPublisher(node, "commands", 2)
-    assert not wait_until_matched(
-        node, publishers=[state_publisher, command_publisher], timeout_s=PATIENCE
-    )
-
-    state_publisher.publish(1_000_000_002, [1.0, 2.0])
-    command_publisher.publish([3.0, 4.0])
-    spin.until(lambda: bool(states and commands))
-
-    assert list(states[0].name) == NAMES
-    assert list(states[0].position) == [1.0, 2.0]
-    assert (states[0].header.stamp.sec, states[0].header.stamp.nanosec) == (1, 2)
-    assert list(commands[0].data) == [3.0, 4.0]
 
 
 def test_a_count_that_cannot_be_read_is_dropped(node: Node, spin: Spin) -> None:
@@ -279,70 +217,6 @@ def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:
     ) == ("/heard",)
 
 
-def test_when_the_peer_is_in_another_process_expect_it_found_and_lost(node: Node) -> None:
-    script = """
-import rclpy, sys
-from armimp_common.pubsub import CommandPublisher, JointStateSubscription
-rclpy.init()
-node = rclpy.create_node("other")
-CommandPublisher(node, "heard", 1)
-JointStateSubscription(node, "spoken", ["a"], "position", print)
-sys.stdin.readline()
-node.destroy_node()
-rclpy.shutdown()
-"""
-    publisher = JointStatePublisher(node, "spoken", ["a"], "position")
-    subscription = CommandSubscription(node, "heard", 1, lambda values: None)
-    other = subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE)
-    try:
-        assert not wait_until_matched(
-            node, publishers=[publisher], subscriptions=[subscription], timeout_s=20.0
-        )
-        other.communicate(b"\n", timeout=PATIENCE)
-        end = time.monotonic() + PATIENCE
-        while (
-            len(
-                wait_until_matched(
-                    node, publishers=[publisher], subscriptions=[subscription], timeout_s=0.0
-                )
-            )
-            < 2
-        ):
-            assert time.monotonic() < end
-            time.sleep(0.01)
-    finally:
-        other.kill()
-        other.wait()
-
-
-def test_burst_of_two_thousand_samples_is_kept(node: Node, spin: Spin) -> None:
-    received: list[int] = []
-    publisher = JointStatePublisher(node, "topic", NAMES, "position")
-    subscription = JointStateSubscription(
-        node, "topic", NAMES, "position", lambda stamp, values: received.append(stamp)
-    )
-    assert not wait_until_matched(
-        node, publishers=[publisher], subscriptions=[subscription], timeout_s=PATIENCE
-    )
-
-    for k in range(2000):
-        publisher.publish(k, [1.0, 2.0])
-    spin.until(lambda: len(received) == 2000)
-
-    assert received == list(range(2000))
-
-
-def test_when_a_listener_is_late_expect_the_latched_message(node: Node, spin: Spin) -> None:
-    received: list[Float64MultiArray] = []
-    publisher = node.create_publisher(Float64MultiArray, "topic", qos.LATCHED)
-    publisher.publish(Float64MultiArray(data=[7.0]))
-
-    node.create_subscription(Float64MultiArray, "topic", received.append, qos.LATCHED)
-    spin.until(lambda: len(received) == 1)
-
-    assert list(received[0].data) == [7.0]
-
-
 @pytest.fixture
 def poller(context: Context) -> Iterator[PollingNode]:
     made = PollingNode("poller", context=context)
@@ -382,24 +256,3 @@ def test_messages_wait_in_their_order_while_the_node_is_spun(
     assert numbers(first) == [0, 1, 2]
     assert numbers(second) == [3]
     assert polled.take() == []
-
-
-def test_beyond_the_depth_the_newest_are_kept(poller: PollingNode) -> None:
-    polled = PolledSubscription(poller, "number", UInt64, profile=PROFILE)
-    publisher = poller.create_publisher(UInt64, "number", PROFILE)
-    assert not wait_until_matched(
-        poller, publishers=[publisher], subscriptions=[polled], timeout_s=PATIENCE
-    )
-
-    for number in range(25):
-        publisher.publish(UInt64(data=number))
-    taken: list[int] = []
-
-    def arrived() -> bool:
-        taken.extend(numbers(polled.take()))
-        return 24 in taken
-
-    with Spinner([poller]) as spinner:
-        eventually(spinner, arrived, "the last message")
-
-    assert taken == list(range(25 - PROFILE.depth, 25))

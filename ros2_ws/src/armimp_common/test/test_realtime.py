@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import math
 import os
@@ -133,16 +132,6 @@ def pacer(clock: FakeClock, *, spin_ns: int = 0) -> Pacer:
     made = Pacer(PERIOD, spin_ns=spin_ns, now=clock.now, sleep=clock.sleep)
     made.start()
     return made
-
-
-def test_deadlines_are_whole_periods_after_the_start() -> None:
-    clock = FakeClock()
-    start = clock.ns
-    paced = pacer(clock)
-    clock.ns += 77
-    assert [paced.deadline_ns(tick) for tick in (0, 1, 50_000)] == [
-        *(start, start + PERIOD, start + 50_000 * PERIOD)
-    ]
 
 
 def test_when_every_sleep_lasts_too_long_expect_no_drift() -> None:
@@ -301,19 +290,3 @@ def test_a_priority_that_is_not_permitted_is_found_out_beforehand() -> None:
     require_precedence(0)
     with pytest.raises(ConfigurationError, match="priority = 40: the system does not permit"):
         require_precedence(40)
-
-
-def test_finding_out_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    threads: list[int] = []
-    monkeypatch.setattr(
-        os, "sched_setscheduler", lambda *_: threads.append(threading.get_native_id())
-    )
-    require_precedence(40)
-    assert len(threads) == 1
-    assert threads[0] != threading.get_native_id()
-
-
-def test_waking_up_exactly_may_be_asked_for_anywhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    realtime.wake_up_exactly()
-    monkeypatch.setattr(ctypes, "CDLL", lambda _: object())
-    realtime.wake_up_exactly()

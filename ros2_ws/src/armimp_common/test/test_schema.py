@@ -171,13 +171,6 @@ def test_when_a_value_is_refused_expect_one_line_with_name_value_and_reason(
     assert str(caught.value) == message
 
 
-def test_when_a_value_is_long_expect_it_cut_in_the_message() -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        build(Parameters, {"mode": "x" * 1000})
-
-    assert len(str(caught.value)) < 200
-
-
 def test_when_a_field_without_default_is_not_given_expect_it_named() -> None:
     class Required(Schema):
         name: str

@@ -266,20 +266,6 @@ class TestFaults:
         assert set(driver.commands[60:]) == {(0.0, 0.0)}
         assert {values for _, values in driver.perturbations[60:]} == {(0.0, 0.0)}
 
-    @pytest.mark.parametrize("bad", [math.nan, math.inf])
-    def test_when_a_reading_is_not_finite_expect_zero_torque_and_an_abort(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, bad: float
-    ) -> None:
-        self.start(make(), driver, spinner)
-
-        driver.feed(POSTURE, (0.0, bad))
-        feed_still(driver, 5)
-        eventually(spinner, lambda: driver.has_said(Phase.ABORTED) and driver.answered, "an abort")
-
-        # One more, if the bad reading came before its partner.
-        assert driver.commands[60:] in ([(0.0, 0.0)] * 6, [(0.0, 0.0)] * 7)
-        assert driver.statuses[-1].reason == f"torque reading of joint 2 is not finite: {bad}"
-
     @pytest.mark.parametrize(
         ("topic", "what"),
         [(topics.JOINT_STATES, "position"), (topics.TORQUE_SENSORS, "torque reading")],
@@ -328,20 +314,6 @@ class TestFaults:
         assert (np.diff(ramp, axis=0) <= 0.0).all()
         assert driver.commands[-1] == (0.0, 0.0)
         assert driver.statuses[-1].reason == "no sensor sample arrived any more"
-
-    def test_when_samples_stay_away_after_an_abort_expect_zero_torque_and_a_node_alive(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        controller = make(IMPATIENT)
-        self.start(controller, driver, spinner)
-
-        driver.feed((math.nan, 0.0), (0.0, 0.0))
-        eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
-        a_moment(spinner, LONGER_THAN_PATIENCE)
-
-        assert set(driver.commands[60:]) == {(0.0, 0.0)}
-        assert [status.phase for status in driver.statuses].count(Phase.ABORTED) == 1
-        assert controller.trigger_deactivate() is SUCCESS
 
     def test_when_samples_stay_away_after_the_last_trial_expect_no_abort(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
@@ -434,15 +406,6 @@ class TestServices:
             "reset: emergency stop; the next activation begins a new experiment",
         )
         assert controller.trigger_activate() is SUCCESS, controller.transition_error
-
-    def test_while_a_trial_runs_expect_reset_refused(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, reset: Service
-    ) -> None:
-        self.start(make(), driver, spinner)
-
-        assert reset() == (False, "not reset: a trial is running")
-
-        assert not driver.has_said(Phase.ABORTED)
 
     @pytest.mark.parametrize(
         ("theta", "reason"),
@@ -637,33 +600,3 @@ class TestLife:
             "an abort",
         )
         assert driver.commands[-1] == (0.0, 0.0)
-
-    def test_when_there_is_no_rig_expect_activation_to_fail_with_the_topics_named(
-        self, make: MakeController, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
-        controller = make()
-        controller.trigger_configure()
-
-        assert controller.trigger_activate() is FAILURE
-
-        assert controller.transition_error == (
-            "nobody at the other end of /effort_controller/commands, /joint_states, /torque_sensors"
-        )
-
-    def test_node_in_a_namespace_keeps_to_it(
-        self, make: MakeController, context: Context, spinner: Spinner, driver: ScriptedDriver
-    ) -> None:
-        left = Node("driver", context=context, namespace="/left")
-        spinner.add_node(left)
-        left_driver = ScriptedDriver(left, NAMES)
-        bring_up(make(cli_args=["--ros-args", "-r", "__ns:=/left"]), left_driver)
-
-        feed_still(left_driver, 5)
-        eventually(spinner, lambda: left_driver.answered, "an answer to every sample")
-
-        assert left_driver.trial.topic_name == "/left/imbic_controller/trial"
-        assert len(left_driver.statuses) == 1
-        assert driver.commands == []
-        spinner.remove_node(left)
-        left.destroy_node()

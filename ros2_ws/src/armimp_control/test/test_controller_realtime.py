@@ -17,7 +17,6 @@ from armimp_common.status import Phase
 from armimp_common.topics import PERIOD_NS
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
-from armimp_control.sequence import PERIOD
 from armimp_control.trial_sequencer import TrialSequencer
 from support.graph import ScriptedDriver, a_moment, eventually, overrides
 
@@ -57,12 +56,6 @@ def answers(parameters: ControllerParameters) -> list[tuple[bytes, bytes]]:
 
 def test_answers_are_those_of_lockstep_bit_for_bit() -> None:
     assert answers(PARAMETERS) == answers(LOCKSTEP)
-
-
-def test_the_watchdog_counts_in_periods_whatever_suits_lockstep() -> None:
-    assert LOCKSTEP.slowest_tick == LOCKSTEP.safety.slowest_tick == 1.0
-    assert PARAMETERS.slowest_tick == PERIOD
-    assert PARAMETERS.safety.watchdog_ticks == 5
 
 
 @pytest.fixture
@@ -136,11 +129,3 @@ def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_
     eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
 
     assert driver.statuses[-1].reason == SILENCE
-
-
-def test_a_core_that_does_not_exist_makes_activation_fail_with_one_line(
-    make: MakeController, driver: ScriptedDriver
-) -> None:
-    controller = make({"realtime.cpu": 1023})
-    assert controller.trigger_activate() is FAILURE
-    assert controller.transition_error == "parameter 'realtime.cpu' = 1023: Invalid argument"

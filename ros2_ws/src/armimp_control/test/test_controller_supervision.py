@@ -176,25 +176,3 @@ def test_when_the_recorder_takes_leave_expect_zero_torque(around: Surroundings) 
     around.received.publish(UInt64(data=topics.RECORDER_GONE))
 
     around.assert_aborted("nothing is recorded any more")
-
-
-def test_when_a_recorder_took_leave_before_the_experiment_expect_it_to_run(
-    around: Surroundings,
-) -> None:
-    for data in (0, topics.RECORDER_GONE):
-        around.received.publish(UInt64(data=data))
-    a_moment(around.spinner)
-
-    around.activate()
-    a_moment(around.spinner)
-
-    assert not around.aborted()
-
-
-def test_when_the_rig_is_silent_expect_activation_to_fail(around: Surroundings) -> None:
-    around.heard(SIM_NODE, alive=1, silent=0)
-    around.heard(SIM_NODE, alive=0, silent=1)
-
-    assert around.controller.trigger_activate() is TransitionCallbackReturn.FAILURE
-
-    assert around.controller.transition_error.startswith("arm_sim gave no sign of life")

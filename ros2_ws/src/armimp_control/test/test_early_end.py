@@ -106,15 +106,6 @@ def test_a_judgement_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench
     assert bench.said(Phase.REST, 1)[0].tick == SETTLE + ticks
 
 
-def test_a_judgement_that_comes_at_the_last_moment_ends_the_trial_there(bench: Bench) -> None:
-    bench.run_into_perturbation(END)
-    bench.experiment.decide(ENOUGH)
-    bench.run(1)
-
-    assert [one.ticks for one in bench.said(Phase.REST, 1)] == [END]
-    assert bench.torques[-1] == 0.0
-
-
 @pytest.mark.parametrize(
     ("ticks", "judgement"),
     [

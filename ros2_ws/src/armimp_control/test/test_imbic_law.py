@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from armimp_control.laws.base import NO_JOINT
@@ -118,33 +117,6 @@ def test_law_is_that_of_the_design(n: int, limit: float, dither: float) -> None:
     assert (saturated == 0) if limit > 100.0 else (20 < saturated < 200 * n - 20)
 
 
-def test_first_tick_away_from_the_target_takes_the_position_for_rest() -> None:
-    config = _config()
-    controller = Controller(config, safety=torque_only(1e9))
-    deflection = np.array([0.02, -0.01])
-    controller.tick(config.target_posture + deflection, np.zeros(2), np.zeros(2))
-    # The locked joint has its target where it is.
-    u = np.array([-config.target_stiffness[0] * deflection[0] / config.target_inertia[0], 0.0])
-    # No velocity and no acceleration: a kick from a jump 0 → θ would be 1e4 times larger.
-    assert controller.command == pytest.approx(
-        config.model_inertia @ (u * (1.0 + GAMMA * PERIOD)), rel=1e-9
-    )
-
-
-def test_after_reset_the_law_starts_from_rest_again() -> None:
-    config = _config()
-    used, fresh = (Controller(config, safety=torque_only(80.0)) for _ in range(2))
-    random = np.random.default_rng(3)
-    for _ in range(20):
-        used.tick(config.target_posture + 1e-3 * random.normal(size=2), np.ones(2), np.zeros(2))
-    used.reset()
-    for _ in range(5):
-        sample = config.target_posture + 1e-4 * random.normal(size=2)
-        used.tick(sample, np.ones(2), np.array([2.0, 0.0]))
-        fresh.tick(sample, np.ones(2), np.array([2.0, 0.0]))
-        assert np.array_equal(used.command, fresh.command)
-
-
 def test_delayed_torque_is_the_one_sent_so_saturation_does_not_wind_up() -> None:
     config = _config(1)
     controller = Controller(config, safety=torque_only(1.0))
@@ -212,10 +184,6 @@ def test_a_tare_is_taken_from_the_torque_that_the_law_feels_and_outlasts_a_chang
             plain.tick(config.target_posture, reading - [0.5, -0.2], np.zeros(2))
         assert np.max(np.abs(plain.command)) > 0.1
         assert tared.command == pytest.approx(plain.command, rel=1e-12)
-
-
-NUMBERS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
-SENSIBLE = st.floats(-2.0, 2.0)
 
 
 @pytest.mark.parametrize("shape", [(1,), (3,), (1, 2)])

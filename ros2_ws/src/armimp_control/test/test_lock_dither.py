@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from armimp_control import presets
 from armimp_control.laws.base import APPROACH, DITHER, DITHER_ANGLE
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
@@ -139,8 +138,3 @@ def test_joint_between_two_counts_is_read_right_but_for_the_bessel_functions(
     error = np.sum((-1.0) ** order / (np.pi * order) * left * np.sin(2.0 * np.pi * order * place))
     # 2000 readings have some hundred steps between them, each known to within a tick.
     assert np.mean(readings) == pytest.approx(place + error, abs=0.015)
-
-
-@pytest.mark.parametrize("resolution", [0.02, 1.0, 1e6])
-def test_encoders_that_are_no_good_get_no_larger_dither(resolution: float) -> None:
-    assert presets.lock_dither(resolution) == pytest.approx(0.007)

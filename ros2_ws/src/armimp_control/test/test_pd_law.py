@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
@@ -16,7 +15,6 @@ from armimp_control.laws.law import Controller
 from armimp_control.laws.pd import PdConfig
 from armimp_control.parameters import ControllerParameters
 from armimp_control.stability import check_stability, spectral_radius
-from armimp_control.trial_sequencer import TrialSequencer
 from support.safety import torque_only
 
 Array = NDArray[np.float64]
@@ -91,19 +89,6 @@ def test_locked_joints_are_held_by_stiffness_and_damping_and_the_perturbed_one_b
     assert (saturated == 0) if limit > 100.0 else (saturated > 0)
 
 
-def test_first_tick_takes_the_position_for_rest_and_so_does_the_one_after_a_reset() -> None:
-    config = _config()
-    controller = Controller(config, safety=torque_only(1e9))
-    stiffness = config.role(0)[3]
-    for deflection in (np.array([0.02, -0.01]), np.array([-0.3, 0.1])):
-        controller.tick(config.target_posture + deflection, np.zeros(2), np.zeros(2))
-        assert controller.command == pytest.approx(-stiffness * deflection, rel=1e-9)
-        controller.reset()
-
-
-NUMBERS = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
-
-
 # --- the configuration -----------------------------------------------------------------------
 
 
@@ -118,18 +103,6 @@ def test_law_of_the_study_is_the_default_and_one_parameter_chooses_the_other() -
         assert np.array_equal(getattr(law, name), getattr(_parameters().imbic_config(), name))
     tuned = _parameters(**{"law.pd_frequency": 40.0, "law.pd_damping_ratio": 0.7}).pd_config()
     assert (tuned.frequency, tuned.damping_ratio) == (40.0, 0.7)
-
-
-def test_experiment_answers_with_the_chosen_law() -> None:
-    commands = {}
-    for kind in ("imbic", "pd"):
-        experiment = TrialSequencer(_parameters(**{"law.kind": kind}), lambda _: None)
-        experiment.answer(0, POSTURE.tolist(), (0.0, 0.0))
-        experiment.answer(1_000_000, [POSTURE[0], POSTURE[1] + COUNT], (0.0, 0.0))
-        commands[kind] = experiment.command.copy()
-    damping, stiffness = 2.0 * 25.0 * ROBOT[1, 1], 25.0**2 * ROBOT[1, 1]
-    assert commands["pd"] == pytest.approx([0.0, -(damping / PERIOD + stiffness) * COUNT])
-    assert abs(commands["imbic"][1]) > 10.0 * abs(commands["pd"][1])
 
 
 # --- sampled stability -----------------------------------------------------------------------
@@ -163,14 +136,6 @@ def test_spectral_radius_is_the_growth_of_the_loop(frequency: float, perturbed: 
     else:
         growth = (np.max(sizes[350:]) / np.max(sizes[250:300])) ** 0.01
         assert growth == pytest.approx(radius, rel=2e-3)
-
-
-def test_default_gains_are_accepted_without_a_warning() -> None:
-    margins = check_stability(_rig_config(), robot_inertia=ROBOT, arm_inertia=ARM)
-    assert max(margins.spectral_radius) < 1.0
-    assert margins.warnings == ()
-    # What the conditions on an internal model are about is not there.
-    assert (margins.time_delay_estimation, margins.force_feedback) == (None, ())
 
 
 def test_gains_near_the_edge_give_a_warning_and_beyond_it_are_refused() -> None:

@@ -13,7 +13,6 @@ from armimp_driver_template.conversion import (
     Calibration,
     Drive,
     Encoders,
-    Transducers,
     Wiring,
 )
 from armimp_driver_template.parameters import (
@@ -35,23 +34,6 @@ def test_angles_go_on_where_counters_wrap() -> None:
     raw = [65530, 65535, 3, 65534, 65000]
     counts = [5530, 5535, 5539, 5534, 5000]
     assert [one.angles([value]) for value in raw] == [(count * COUNT,) for count in counts]
-
-
-def test_first_angles_lie_within_half_the_range_of_zero() -> None:
-    assert encoders(60000, 100).angles([3000, 65500]) == (8536 * COUNT, -136 * COUNT)
-
-
-def test_an_encoder_that_counts_backwards_has_a_negative_sign() -> None:
-    assert encoders(0, sign=-1).angles([10]) == (-10 * COUNT,)
-
-
-def test_an_encoder_behind_a_gear_sees_more_than_the_joint_turns() -> None:
-    assert encoders(0, gear=100.0).angles([10]) == pytest.approx((10 * COUNT / 100.0,))
-
-
-def test_torques_lack_the_reading_without_load() -> None:
-    transducers = Transducers([Calibration(resolution=0.02, zero=zero) for zero in (1250, -400)])
-    assert transducers.torques([1251, -410]) == (0.02, -0.2)
 
 
 @st.composite

@@ -33,11 +33,6 @@ def test_our_joints_are_picked_by_name_whatever_else_there_is_in_whatever_order(
     assert readings().decode(message()) == (5 * PERIOD_NS, (1.1, 1.3), (0.4, -0.2))
 
 
-def test_a_single_joint_is_picked_from_the_middle() -> None:
-    one = Readings(BridgeParameters(joints=("exo_elbow",)).checked())
-    assert one.decode(message()) == (5 * PERIOD_NS, (1.3,), (-0.2,))
-
-
 def test_a_direction_turns_angle_torque_and_command_and_a_torque_sign_the_reading_alone() -> None:
     turned = readings(directions=(-1, 1), torque_signs=(-1, -1))
     assert turned.decode(message()) == (5 * PERIOD_NS, (-1.1, 1.3), (0.4, 0.2))
@@ -127,12 +122,6 @@ def test_when_the_rate_is_another_one_expect_a_refusal_within_a_second(period: f
 def test_when_the_clock_is_set_expect_a_refusal_at_once(jump: float, words: str) -> None:
     with pytest.raises(MalformedMessageError, match=words):
         steps([3e4, 3e4 + 1.0, 3e4 + 2.0, 3e4 + 2.0 + 1e3 * jump])
-
-
-def test_now_and_then_a_lost_sample_is_borne_for_long() -> None:
-    found, rule = steps([float(i) for i in range(100_000) if i % 20])
-    assert rule.lost == 100_000 // 20 - 1
-    assert set(found) == {1, 2}
 
 
 def test_a_clock_that_runs_fast_by_as_much_as_is_allowed_is_followed_for_minutes() -> None:

@@ -47,12 +47,6 @@ def test_every_number_of_joints_makes_a_plant_at_every_level(joints: int, fricti
 
 
 @pytest.mark.parametrize("joints", ALL)
-def test_inertia_stays_positive_definite_over_the_motion(joints: int) -> None:
-    smallest = [_smallest(_total(joints, d)) for d in _deflections(joints)]
-    assert min(smallest) > 0.5 * _smallest(_total(joints)) > 0.0
-
-
-@pytest.mark.parametrize("joints", ALL)
 def test_internal_model_made_in_the_posture_serves_over_the_motion(joints: int) -> None:
     """Time-delay estimation needs eigenvalues of (M_r + M_h)⁻¹ M̄ between 0 and 2."""
     model = 0.6 * _inertia(joints)[0]
@@ -83,16 +77,6 @@ def test_sizes_of_joints_are_inertias_to_the_power_of_three_fifths(joints: int) 
     assert sizes[:known] == paper
     assert paper == pytest.approx(tuple(rule[:known]), rel=0.05)
     assert sizes[known:] == pytest.approx(tuple(rule[known:]), rel=0.03)
-
-
-@pytest.mark.parametrize("joints", [2, 3])
-@pytest.mark.parametrize("level", [1, 2, 3])
-def test_shoulder_and_elbow_have_the_same_friction_and_the_wrist_less(
-    level: int, joints: int
-) -> None:
-    shoulder, elbow, *wrist = presets.friction(level, joints)
-    assert elbow == shoulder
-    assert wrist == [shoulder.scaled(0.14)] * (joints - 2)
 
 
 @pytest.mark.parametrize("joints", [4, 5, 6, 7])

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.plant import PlantConfig
-
-Array = NDArray[np.float64]
 
 
 def _plant() -> PlantConfig:
@@ -29,12 +25,6 @@ def _plant() -> PlantConfig:
 
 def _arm(n: int) -> HumanArm:
     return HumanArm(posture=np.zeros(n), inertia=np.eye(n), damping=np.eye(n), stiffness=np.eye(n))
-
-
-@pytest.mark.parametrize("n", [0, 8])
-def test_other_numbers_of_joints_are_refused(n: int) -> None:
-    with pytest.raises(ConfigurationError, match=rf"1 to 7 joints, got \({n},\)"):
-        _arm(n)
 
 
 @pytest.mark.parametrize("name", ["inertia", "damping", "stiffness"])
@@ -77,17 +67,6 @@ def test_robot_with_a_link_lighter_than_a_point_mass_is_refused() -> None:
         centres=np.array([0.3]),
     )
     assert heavy.mass_matrix(np.zeros(1)) == pytest.approx(np.array([[0.01]]))
-
-
-@pytest.mark.parametrize("part", ["arm", "robot", "friction"])
-def test_plant_of_parts_with_unequal_numbers_of_joints_is_refused(part: str) -> None:
-    others: dict[str, Any] = {
-        "arm": presets.human_arm(3),
-        "robot": presets.robot(3),
-        "friction": presets.friction(0, 3),
-    }
-    with pytest.raises(ConfigurationError, match=r"joints, robot \d, friction \d"):
-        replace(_plant(), **{part: others[part]})
 
 
 def test_plant_whose_inertia_is_not_positive_definite_is_refused() -> None:

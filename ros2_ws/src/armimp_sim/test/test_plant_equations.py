@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_sim import dynamics, presets
+from armimp_sim import dynamics
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
@@ -15,7 +15,6 @@ from armimp_sim.plant import Plant, PlantConfig
 
 Array = NDArray[np.float64]
 JOINTS = range(1, 8)
-OTHERS_SLOW = [n if n == 2 else pytest.param(n, marks=pytest.mark.slow) for n in JOINTS]
 """A plant of each size is compiled for itself."""
 
 
@@ -28,32 +27,6 @@ def _chain(n: int, seed: int = 0) -> PlanarChain:
         masses=masses,
         centres=centres,
     )
-
-
-def _mass_matrix_from_jacobians(chain: PlanarChain, theta: Array) -> Array:
-    """Σ m JᵀJ of the centres of mass plus the moments about them: the definition."""
-    n = chain.joints
-    phi = np.cumsum(theta)
-    ahead = np.stack([np.cos(phi), np.sin(phi)], axis=1)
-    joints = np.vstack([np.zeros(2), np.cumsum(chain.lengths[:, None] * ahead, axis=0)])
-    total = np.zeros((n, n))
-    for link in range(n):
-        centre = joints[link] + chain.centres[link] * ahead[link]
-        moving = np.arange(n) <= link
-        arms = np.where(moving[:, None], centre - joints[:n], 0.0)
-        jacobian = np.stack([-arms[:, 1], arms[:, 0]])
-        about_centre = chain.moments[link] - chain.masses[link] * chain.centres[link] ** 2
-        total += chain.masses[link] * jacobian.T @ jacobian
-        total += about_centre * np.outer(moving, moving)
-    return total
-
-
-@pytest.mark.parametrize("n", JOINTS)
-def test_mass_matrix_is_that_of_moving_masses(n: int) -> None:
-    chain = _chain(n)
-    for theta in np.random.default_rng(n).uniform(-np.pi, np.pi, (5, n)):
-        expected = _mass_matrix_from_jacobians(chain, theta)
-        assert chain.mass_matrix(theta) == pytest.approx(expected, rel=1e-12, abs=1e-13)
 
 
 @pytest.mark.parametrize("n", JOINTS)
@@ -170,21 +143,3 @@ def test_velocity_gained_in_a_short_period_is_acceleration_times_period(n: int) 
     gained = (plant.state()[0, 1] - state[1]) / 1e-8
     expected = _acceleration(config, state, command, voluntary)
     assert gained == pytest.approx(expected, rel=1e-4, abs=1e-3)
-
-
-def test_impedance_is_the_ratio_of_torque_to_angle_of_a_harmonic_motion() -> None:
-    arm = presets.human_arm(2)
-    f, t = np.array([0.122, 2.0, 15.0]), 0.37
-    impedance = arm.impedance(f)
-    assert impedance.shape == (2, 2, 3)
-    for line, frequency in enumerate(f):
-        omega = 2.0 * np.pi * frequency
-        for joint in range(2):
-            angle = np.eye(2)[joint] * np.exp(1j * omega * t)
-            torque = (
-                arm.inertia @ (-(omega**2) * angle)
-                + arm.damping @ (1j * omega * angle)
-                + arm.stiffness @ angle
-            )
-            ratio = torque / angle[joint]
-            assert impedance[:, joint, line] == pytest.approx(ratio, rel=1e-13)

@@ -67,24 +67,6 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
     assert bristle == pytest.approx(direction * level / 2000.0, rel=1e-4)
 
 
-def test_without_bristle_stiffness_steady_state_friction_is_viscous() -> None:
-    law = LuGre(coulomb=0.0, static=0.0, sigma_0=0.0, sigma_1=0.3, sigma_2=0.4)
-    plant = _joint(law)
-    _, velocity, _ = _load(plant, np.full(20_000, 1.4))
-    assert velocity == pytest.approx(2.0, rel=1e-5)
-    assert law.steady_state(np.array([2.0]))[0] == pytest.approx(1.4)
-
-
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.6, 0.8])
-def test_slow_loading_follows_the_pre_sliding_curve(share: float) -> None:
-    torque = share * LAW.static
-    plant = _joint(LAW, inertia=0.05)
-    theta, _, _ = _load(plant, np.linspace(0.0, torque, 5000))
-    # dz/dθ = 1 − σ0 z/Fs while the motion is slow and goes one way.
-    expected = -LAW.static / LAW.sigma_0 * np.log(1.0 - share)
-    assert theta == pytest.approx(expected, rel=3e-3)
-
-
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 def test_joint_sticks_below_the_static_level_and_breaks_away_above(direction: float) -> None:
     plant = _joint(LAW, inertia=0.05)

@@ -51,17 +51,6 @@ def _course(plant: Plant, commands: Array, voluntary: Array | None = None) -> Ar
     return np.array(states)
 
 
-def test_free_oscillation_follows_the_cosine() -> None:
-    inertia, stiffness, amplitude = 0.2, 8.0, 0.3
-    plant = Plant([_single(inertia=inertia, damping=0.0, stiffness=stiffness)])
-    plant.set_state(np.array([[[0.4 + amplitude], [0.0], [0.0]]]))
-    states = _course(plant, np.zeros((2000, 1)))
-    omega = np.sqrt(stiffness / inertia)
-    t = np.arange(1, 2001) * PERIOD
-    assert states[:, 0, 0] == pytest.approx(0.4 + amplitude * np.cos(omega * t), abs=1e-11)
-    assert states[:, 1, 0] == pytest.approx(-amplitude * omega * np.sin(omega * t), abs=1e-10)
-
-
 @pytest.mark.parametrize("ratio", [0.05, 0.7])
 def test_damped_step_response_follows_the_closed_form(ratio: float) -> None:
     inertia, stiffness, torque = 0.2, 8.0, 1.5
@@ -75,20 +64,6 @@ def test_damped_step_response_follows_the_closed_form(ratio: float) -> None:
     decay = np.exp(-ratio * omega * t)
     shape = 1.0 - decay * (np.cos(damped * t) + ratio * omega / damped * np.sin(damped * t))
     assert states[:, 0, 0] == pytest.approx(0.4 + torque / stiffness * shape, abs=1e-11)
-
-
-def test_command_is_held_from_tick_to_tick() -> None:
-    inertia = 0.2
-    plant = Plant([_single(inertia=inertia, damping=0.0, stiffness=0.0)])
-    commands = np.random.default_rng(3).uniform(-5.0, 5.0, (200, 1))
-    states = _course(plant, commands)
-    # A free inertia under piecewise constant torque moves along parabolas.
-    acceleration = commands[:, 0] / inertia
-    velocity = np.cumsum(acceleration) * PERIOD
-    before = np.concatenate([[0.0], velocity[:-1]])
-    position = 0.4 + np.cumsum(before * PERIOD + 0.5 * acceleration * PERIOD**2)
-    assert states[:, 1, 0] == pytest.approx(velocity, abs=1e-12)
-    assert states[:, 0, 0] == pytest.approx(position, abs=1e-12)
 
 
 def _frictionless_chain(n: int) -> PlantConfig:

@@ -159,22 +159,6 @@ class TestWatchdog:
         assert RAMP_TICKS <= 50
         assert set(applied[RAMP_TICKS - 1 :]) == {(0.0, 0.0)}
 
-    def test_after_the_watchdog_commands_are_not_obeyed_until_a_reset(self, bench: Bench) -> None:
-        bench.command(10.0, 10.0)
-        bench.next(40)
-        for _ in range(3):
-            bench.command(7.0, 7.0)
-        bench.next()
-        assert bench.rig.applied == (0.0, 0.0)
-        for _ in range(40):
-            bench.command(0.0, 0.0)
-        bench.next()
-        bench.rig.reset()
-        bench.command(7.0, 7.0)
-        bench.next()
-        assert bench.rig.applied == (7.0, 7.0)
-        assert not bench.rig.fault
-
     def test_the_reset_forgets_answers_that_are_owed_so_that_new_commands_are_obeyed(
         self, bench: Bench
     ) -> None:
@@ -211,17 +195,6 @@ class TestWatchdog:
         bench.next(RAMP_TICKS)
         assert bench.rig.applied == (0.0, 0.0)
 
-    def test_a_controller_that_is_slow_to_start_may_catch_up(self, bench: Bench) -> None:
-        bench.next(50)
-        for _ in range(20):
-            bench.command(0.0, 0.0)
-            bench.next()
-        assert not bench.rig.fault
-        for _ in range(51):
-            bench.command(0.0, 0.0)
-        bench.next()
-        assert not bench.rig.fault
-
     @pytest.mark.parametrize(
         ("again", "unheard"),
         [(False, UNHEARD_TICKS), (False, 1000), (True, WATCHDOG_TICKS), (True, 200)],
@@ -251,16 +224,6 @@ class TestWatchdog:
             bench.command(7.0, 7.0)
         bench.next()
         assert bench.rig.fault == f"commands are more than {WATCHDOG_TICKS} ticks behind"
-
-    def test_another_fault_in_the_ramp_takes_the_torque_away_at_once(self, bench: Bench) -> None:
-        bench.command(10.0, 10.0)
-        bench.next(WATCHDOG_TICKS + 3)
-        assert 0.0 < bench.rig.applied[0] < 10.0
-        bench.rig.latch("emergency stop")
-        assert bench.rig.applied == (0.0, 0.0)
-        bench.next()
-        assert bench.rig.applied == (0.0, 0.0)
-        assert bench.rig.fault == SILENCE
 
 
 class TestFigures:

@@ -52,13 +52,6 @@ def test_reading_is_the_nearest_multiple_of_the_resolution(value: float, resolut
     assert abs(reading - value) <= 0.5 * resolution + 4.0 * np.spacing(abs(value))
 
 
-@settings(deadline=None)
-@given(st.floats(-100.0, 100.0))
-def test_reading_has_no_offset(value: float) -> None:
-    assert quantise(-value, 0.02) == -quantise(value, 0.02)
-    assert quantise(0.009, 0.02) == 0.0
-
-
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
     sensors = presets.sensors(level)
@@ -111,13 +104,3 @@ def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
         assert np.max(np.abs(torques[-1] - mean)) > 1e-5
         assert np.max(np.abs(_torque(coarse, states[0], last) - mean)) > 1e-3
         last = command
-
-
-@pytest.mark.parametrize("sampling", list(Sampling))
-def test_voluntary_torque_is_part_of_either_reading(sampling: Sampling) -> None:
-    config = _config(presets.sensors(0, sampling))
-    relaxed, active = Plant([config]), Plant([config])
-    voluntary = np.array([[0.7, -0.3]])
-    relaxed.tick(np.zeros((1, 2)), np.zeros((1, 2)))
-    active.tick(voluntary, voluntary)  # the robot holds against it
-    assert active.torque == pytest.approx(relaxed.torque + voluntary, abs=1e-13)

@@ -234,28 +234,6 @@ class TestFaults:
         assert len(commander.errors()) == 1
         assert commander.errors()[0].startswith(reason)
 
-    def test_fault_lasts_until_the_node_is_configured_anew(
-        self, make: MakeRig, commander: Commander, spinner: Spinner
-    ) -> None:
-        simulator = make()
-        bring_up(simulator, commander)
-        send(commander, spinner, [(math.nan, 0.0)])
-
-        for transition in ("deactivate", "activate"):
-            assert getattr(simulator, f"trigger_{transition}")() is SUCCESS
-        eventually(spinner, lambda: commander.samples == 3, "the sample of the activation")
-        send(commander, spinner, [(20.0, 20.0)] * 5)
-        zero = expected_samples([(0.0, 0.0)] * 6)[0]
-        assert commander.positions[-5:] == zero[-5:]
-
-        for transition in ("deactivate", "cleanup"):
-            assert getattr(simulator, f"trigger_{transition}")() is SUCCESS
-        commander.positions.clear()
-        commander.torques.clear()
-        bring_up(simulator, commander)
-        send(commander, spinner, [(20.0, 20.0)] * 5)
-        assert commander.positions == expected_samples([(20.0, 20.0)] * 5)[0]
-
 
 class TestParameters:
     def test_while_active_changes_are_refused_with_a_reason(
@@ -324,32 +302,3 @@ class TestLife:
             assert simulator.trigger_deactivate() is SUCCESS
             assert simulator.trigger_cleanup() is SUCCESS
         assert simulator.trigger_shutdown() is SUCCESS
-
-    def test_when_there_is_no_controller_expect_activation_to_fail_with_the_topics_named(
-        self, make: MakeRig, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
-        simulator = make()
-        simulator.trigger_configure()
-
-        assert simulator.trigger_activate() is FAILURE
-
-        assert simulator.transition_error == (
-            "nobody at the other end of /joint_states, /torque_sensors, /effort_controller/commands"
-        )
-
-    def test_node_in_a_namespace_keeps_to_it(
-        self, make: MakeRig, context: Context, spinner: Spinner, commander: Commander
-    ) -> None:
-        left = Node("commander", context=context, namespace="/left")
-        spinner.add_node(left)
-        left_commander = Commander(left)
-        bring_up(make(cli_args=["--ros-args", "-r", "__ns:=/left"]), left_commander)
-
-        send(left_commander, spinner, some_commands(5))
-
-        topics = {entry.subscription.topic_name for entry in left_commander.subscriptions}
-        assert topics == {"/left/joint_states", "/left/torque_sensors"}
-        assert commander.samples == 0
-        spinner.remove_node(left)
-        left.destroy_node()

@@ -60,17 +60,6 @@ def test_level_out_of_range_is_refused_with_the_offending_value(level: int) -> N
         presets.sensors(level)
 
 
-@pytest.mark.parametrize("joints", [-1, 0, 8])
-def test_numbers_of_joints_without_a_preset_are_refused(joints: int) -> None:
-    message = f"no preset .* {joints} joints"
-    with pytest.raises(ConfigurationError, match=message):
-        presets.human_arm(joints)
-    with pytest.raises(ConfigurationError, match=message):
-        presets.robot(joints)
-    with pytest.raises(ConfigurationError, match=message):
-        presets.friction(1, joints)
-
-
 @pytest.mark.parametrize("joints", [2, 3])
 @pytest.mark.parametrize("friction", presets.LEVELS)
 def test_every_preset_makes_a_plant_at_the_steps_of_the_design(joints: int, friction: int) -> None:

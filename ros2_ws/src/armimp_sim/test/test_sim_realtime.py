@@ -11,7 +11,6 @@ from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from std_msgs.msg import UInt64
-from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
@@ -171,48 +170,6 @@ def test_when_commands_stay_away_expect_a_fault_no_torque_and_samples_that_go_on
 
     assert set(around.faults()) == {SILENCE}
     assert around.rig()[-1][1:] == (SILENCE, "0.0 0.0")
-
-
-def test_reset_is_refused_until_the_last_command_is_zero_and_the_silence_over(
-    make: MakeRig, around: Surroundings, node: Node
-) -> None:
-    around.answers = (3.0, -3.0)
-    around.bring_up(make())
-    around.await_samples(20)
-    around.answers = None
-    eventually(around.spinner, lambda: bool(around.faults()), "a fault")
-    client = node.create_client(Trigger, topics.SIM_RESET_SERVICE)
-    assert client.wait_for_service(PATIENCE)
-
-    future = client.call_async(Trigger.Request())
-    assert around.spinner.spin_until(future, PATIENCE)
-    answer = future.result()
-
-    assert answer is not None
-    assert not answer.success
-    assert "not zero torque" in answer.message
-
-
-def test_torque_comes_and_goes_with_the_life_of_the_node(
-    make: MakeRig, around: Surroundings
-) -> None:
-    simulator = make()
-    around.answers = (0.0, 0.0)
-    around.bring_up(simulator)
-    around.await_samples(20)
-    assert simulator.trigger_deactivate() is SUCCESS
-    eventually(
-        around.spinner,
-        lambda: any(text != "running" for _, text, _ in around.rig()),
-        "the last report",
-    )
-    before = max(around.stamps[topics.TORQUE_SENSORS])
-
-    assert simulator.trigger_activate() is SUCCESS, simulator.transition_error
-    around.await_samples(20)
-
-    assert max(around.stamps[topics.TORQUE_SENSORS]) > before
-    assert simulator.trigger_shutdown() is SUCCESS
 
 
 def test_what_goes_wrong_in_the_pacing_thread_ends_the_node(

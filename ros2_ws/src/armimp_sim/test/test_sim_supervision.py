@@ -131,31 +131,6 @@ def test_when_torque_is_still_commanded_expect_reset_to_be_refused(around: Surro
     assert around.applied == (0.0, 0.0)
 
 
-def test_emergency_stop_outlasts_configuration(around: Surroundings) -> None:
-    assert around.call("/arm_sim/emergency_stop").success
-    around.bring_up()
-    around.command(5.0, 5.0)
-    assert around.applied == (0.0, 0.0)
-
-    for transition in ("deactivate", "cleanup"):
-        assert getattr(around.simulator, f"trigger_{transition}")() is SUCCESS
-    assert around.call("/arm_sim/reset").success
-    around.samples = 0
-    around.bring_up()
-    around.command(5.0, 5.0)
-    assert around.applied == (5.0, 5.0)
-
-
-def test_a_latched_fault_is_reported_again_and_again(
-    around: Surroundings, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armimp_sim.node._FAULT_PERIOD", 0.05)
-    around.bring_up()
-    around.call("/arm_sim/emergency_stop")
-
-    eventually(around.spinner, lambda: len(around.faults) > 3, "reports")
-
-
 @pytest.mark.parametrize(("alive", "silent"), [(0, 1), (0, 0)], ids=["silent", "left"])
 def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
     around: Surroundings, alive: int, silent: int
@@ -176,16 +151,6 @@ def test_when_the_controller_is_lost_expect_zero_torque_and_a_fault(
     around.heard(around.simulator.controller, alive=1, silent=0)
     around.command(5.0, -5.0)
     assert around.applied == (0.0, 0.0)
-
-
-def test_when_the_controller_is_silent_expect_activation_to_fail(around: Surroundings) -> None:
-    assert around.simulator.trigger_configure() is SUCCESS
-    around.heard(around.simulator.controller, alive=1, silent=0)
-    around.heard(around.simulator.controller, alive=0, silent=1)
-
-    assert around.simulator.trigger_activate() is TransitionCallbackReturn.FAILURE
-
-    assert "imbic_controller gave no sign of life" in around.simulator.transition_error
 
 
 def with_recorder(around: Surroundings) -> HeartbeatMonitor:

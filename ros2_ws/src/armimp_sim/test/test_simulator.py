@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant
 from armimp_sim.simulator import SimulatedRig
@@ -79,24 +78,3 @@ def test_voluntary_torque_follows_the_seed_and_goes_on_after_a_fault() -> None:
     assert not np.array_equal(first, other)
     np.testing.assert_array_equal(first, readings(faulty, commands))
     assert np.ptp(first[:, 1], axis=0).min() > 0.0
-
-
-@pytest.mark.parametrize(
-    ("part", "name", "values", "reason"),
-    [
-        ("arm", "damping", (1.0, 2.0), r"'arm\.damping'"),
-        ("arm", "posture", (1.0,), r"'arm\.posture' has 1 values for 2 joints"),
-        ("robot", "lengths", (0.3, 0.3, 0.3), r"'robot\.lengths' has 3 values for 2 joints"),
-        ("friction", "sigma_0", (1.0,), r"'friction\.sigma_0' has 1 values for 2 joints"),
-        ("friction", "sigma_0", (1e11, 1e11), "too long for the stuck joints"),
-    ],
-)
-def test_when_parameters_describe_no_rig_expect_one_line_that_says_why(
-    part: str, name: str, values: tuple[float, ...], reason: str
-) -> None:
-    given = parameters()
-    wrong = given.model_copy(update={part: getattr(given, part).model_copy(update={name: values})})
-
-    with pytest.raises(ConfigurationError, match=reason) as caught:
-        SimulatedRig(wrong)
-    assert "\n" not in str(caught.value)

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy import signal
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
 
-Array = NDArray[np.float64]
 PERIOD = 1e-3
 
 
