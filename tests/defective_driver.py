@@ -2,7 +2,6 @@
 
 import sys
 import threading
-from collections import deque
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -24,128 +23,17 @@ from armimp_sim.node import ArmSimNode
 Readings: TypeAlias = NDArray[np.float64]
 
 
-class WrongField(ArmSimNode):
-    """Sends torques as positions."""
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        result = super().on_configure(state)
-        self.destroy_publisher(self.torque_sensors.publisher)
-        names = self._settings.joints
-        self.torque_sensors = JointStatePublisher(self, topics.TORQUE_SENSORS, names, "position")
-        return result
-
-
-class WrongSign(ArmSimNode):
-    """Turns every torque round."""
-
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        super()._on_command(tuple(-value for value in command))
-
-
-class Altered(ArmSimNode):
-    """Sends what it measures in some other way."""
-
-    def _send(self) -> None:
-        rig = self.limiter
-        assert rig is not None
-        self.tell(rig.tick, rig.stamp_ns, rig.position, rig.torque)
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        """Send one sample; to be overridden."""
-        self.joint_states.publish(stamp_ns, angles)
-        self.torque_sensors.publish(stamp_ns, torques)
-
-    def _renamed(self, topic: str, names: tuple[str, ...], profile: QoSProfile) -> None:
-        """Make the publisher of the angles or of the torques anew."""
-        angles = topic == topics.JOINT_STATES
-        old = self.joint_states if angles else self.torque_sensors
-        self.destroy_publisher(old.publisher)
-        field = topics.VALUE_FIELD[topic]
-        new = JointStatePublisher(self, topic, names, field, profile=profile)
-        if angles:
-            self.joint_states = new
-        else:
-            self.torque_sensors = new
-
-
-class Degrees(Altered):
-    """Angles in degrees."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        super().tell(tick, stamp_ns, np.degrees(angles), torques)
-
-
-class Unpaired(Altered):
-    """Each message has the time of its sending."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        self.joint_states.publish(stamp_ns, angles)
-        self.torque_sensors.publish(stamp_ns + 20_000, torques)
-
-
-class Doubled(Altered):
-    """A sample comes twice now and then."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        super().tell(tick, stamp_ns, angles, torques)
-        if tick % 100 == 50:
-            self.joint_states.publish(stamp_ns, angles)
-
-
-class FastClock(Altered):
-    """The clock of the stamps runs fast by a thousandth."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        super().tell(tick, stamp_ns * 1001 // 1000, angles, torques)
-
-
-class BackInTime(Altered):
-    """The clock of the stamps is set back once."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        super().tell(tick, stamp_ns - 10 * PERIOD_NS * (tick > 500), angles, torques)
-
-
-class NotFinite(Altered):
-    """A transducer has nothing to say once."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        super().tell(tick, stamp_ns, angles, np.where(tick == 300, np.nan, torques))
-
-
-class Wraps(Altered):
-    """The counter of the shoulder wraps a bit above where it is."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        turned = angles.copy()
-        turned[0] -= 2.0 * np.pi * (angles[0] > 1.0950)
-        super().tell(tick, stamp_ns, turned, torques)
-
-
-class WrongName(Altered):
-    """Torques of a joint that there is not."""
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        result = super().on_configure(state)
-        self._renamed(topics.TORQUE_SENSORS, ("shoulder", "wrist"), qos.SAMPLE)
-        return result
-
-
-class BestEffort(Altered):
+class BestEffort(ArmSimNode):
     """Angles by best effort."""
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         result = super().on_configure(state)
         profile = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self._renamed(topics.JOINT_STATES, tuple(self._settings.joints), profile)
+        self.destroy_publisher(self.joint_states.publisher)
+        self.joint_states = JointStatePublisher(
+            self, topics.JOINT_STATES, self._settings.joints, "position", profile=profile
+        )
         return result
-
-
-class SensorSign(Altered):
-    """Transducers that read the torque of the arm on the robot."""
-
-    def tell(self, tick: int, stamp_ns: int, angles: Readings, torques: Readings) -> None:
-        super().tell(tick, stamp_ns, angles, -torques)
 
 
 class TwoForOne(ArmSimNode):
@@ -168,19 +56,6 @@ class Strong(ArmSimNode):
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         super()._on_command(tuple(150.0 * value for value in command))
-
-
-class Late(ArmSimNode):
-    """Six commands are always on their way."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        self._queue: deque[tuple[float, ...]] = deque()
-
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        self._queue.append(command)
-        first = self._queue.popleft() if len(self._queue) > 6 else (0.0,) * len(command)
-        super()._on_command(first)
 
 
 class Moody(ArmSimNode):

@@ -195,6 +195,12 @@ def _held_up(message: Message) -> Message:
             "range",
         ),
         (JOINT_STATES, lambda m: m._replace(position=m.position[:1]), "field"),
+        # The counter of the encoder wraps.
+        (
+            JOINT_STATES,
+            lambda m: m._replace(position=(m.position[0] - 6.3 * (m.stamp_ns > 10**8), 1.0)),
+            "jumps",
+        ),
         (TORQUE_SENSORS, lambda m: m._replace(position=m.effort, effort=()), "field"),
         (
             TORQUE_SENSORS,
@@ -338,6 +344,16 @@ def test_the_moment_at_which_torque_has_gone_is_found_within_ten_milliseconds(
         assert end is not None
         assert end.share >= 0.65
         assert abs(end.delay - (wait + length - 1)) <= 10
+
+
+def test_a_driver_on_whose_way_six_commands_always_are_is_late(sound: Record) -> None:
+    waiting = [ZERO] * 6
+
+    def late(torque: Torque) -> Torque:
+        waiting.append(torque)
+        return waiting.pop(0)
+
+    assert failed(moved(sound, pushes=Bench(late).pushes())) == ["torque: delay"]
 
 
 def test_nothing_is_judged_by_motion_where_nothing_moved(sound: Record) -> None:
