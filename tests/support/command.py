@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from armimp_bringup.cli import main
 
-_NOTES = ("note: ", "armimp: note: ", "trial ")
+_NOTES = ("note: ", "armimp: note: ", "armimp: refused: ", "trial ")
 
 
 @dataclass(frozen=True, kw_only=True)

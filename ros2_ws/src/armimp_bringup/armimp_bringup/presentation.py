@@ -16,6 +16,7 @@ from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
 from armimp_common.process import age
 from armimp_common.status import Phase
+from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.summary import (
     SUMMARY_FILE,
     EstimatorSummary,
@@ -26,6 +27,7 @@ from armimp_estimation.summary import (
 )
 from armimp_estimation.timing import Timing
 
+_TOO_BUSY = (ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY)
 _COUNTS = ("duplicated", "contradictory", "reordered", "late")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 
@@ -102,10 +104,8 @@ def present(
         print_result(summary)
         if stopwatch is not None:
             stopwatch.shown()
-    faults = summary.faults
-    for one in summary.problems:
-        # What concerns an estimator that decides nothing makes its own numbers alone not valid.
-        say(f"armimp: {'not valid' if one in faults else 'note'}: {one}")
+    for line in complaints(summary):
+        say(f"armimp: {line}")
     if directory is not None:
         try:
             write_summary(directory / SUMMARY_FILE, summary, anew=True)
@@ -124,6 +124,28 @@ def present(
     else:
         print_files(summary, directory)
     return 0 if summary.valid and complete else 1
+
+
+def complaints(summary: Summary) -> list[str]:
+    """Return the problems of a result, each with what it does, in one line for each cause.
+
+    Notes spoil nothing; an error that concerns an estimator which decides nothing has only that
+    estimate refused.
+    """
+    faults = summary.faults
+    late = [one for one in faults if one.code in _TOO_BUSY]
+    lines = []
+    if len(late) > 1:
+        told = "; ".join(one.sentence.removeprefix("real time: ") for one in late)
+        lines.append(f"not valid: the machine was too busy for real time: {told}")
+    for one in summary.problems:
+        if one.severity is Severity.NOTE:
+            lines.append(f"note: {one}")
+        elif one not in faults:
+            lines.append(f"refused: {one}")
+        elif one not in late or len(late) == 1:
+            lines.append(f"not valid: {one}")
+    return lines
 
 
 def _write(directory: Path, bags: Sequence[Path] | None, namespace: str | None) -> None:

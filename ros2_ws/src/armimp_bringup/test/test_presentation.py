@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.presentation import Stopwatch, present
+from armimp_bringup.presentation import Stopwatch, complaints, present
 from armimp_common.status import Phase
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.summary import read_summary
 from support.results import make_result
 
@@ -99,3 +100,34 @@ def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -
     whole = stopwatch.stop()
     assert whole.before == first.before
     assert whole.trials > inside.trials >= 0.0
+
+
+def test_problems_are_told_by_what_they_do_and_one_cause_takes_one_line(directory: Path) -> None:
+    late = {"count": 300, "ticks": 20_000, "late_ms": 0.25, "percent": 1.5, "limit": 1.0}
+    problems = [
+        problem(ProblemCode.SAMPLES_LATE, **late),
+        problem(ProblemCode.STALLED, seconds=30.0),
+        problem(ProblemCode.LATENCY, ms=2.0, limit=1.0),
+        Problem(
+            code=ProblemCode.LOCK_RATIO,
+            estimator="welch_siso",
+            values={"name": "a", "perturbed": "b", "percent": 4.0, "limit": 2.0, "estimator": "x"},
+        ),
+        Problem(
+            code=ProblemCode.DELAY_CORRECTED,
+            severity=Severity.NOTE,
+            values={"delay_ms": 1.0, "error_ms": 0.1},
+        ),
+    ]
+    summary = read_summary(directory / "summary.json")
+    deciding = {
+        name: one.model_copy(update={"decides": name != "welch_siso"})
+        for name, one in summary.estimators.items()
+    }
+    told = complaints(summary.model_copy(update={"problems": problems, "estimators": deciding}))
+    kinds = [line.partition(": ")[0] for line in told]
+    assert kinds == ["not valid", "not valid", "refused", "note"]
+    assert told[0].startswith("not valid: the machine was too busy for real time: 300 of 20000 ")
+    assert "real time: the" not in told[0]
+    (alone,) = complaints(summary.model_copy(update={"problems": problems[:1]}))
+    assert alone == f"not valid: {problems[0]}"
