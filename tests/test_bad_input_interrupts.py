@@ -50,11 +50,11 @@ def test_while_it_measures_expect_one_line() -> None:
 def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
     bag, out = tmp_path / "bag", tmp_path / "out"
     with BagWriter(bag, metadata={}) as writer:
-        for topic, log_time_ns, raw in recorded_arm(8_000).messages:
+        for topic, log_time_ns, raw in recorded_arm(20_000).messages:
             writer.write(topic, raw, log_time_ns)
     with program("replay", str(bag), "--out", str(out)) as process:
         assert process.stderr is not None
-        while not process.stderr.readline().startswith("trial 1 of 2"):
+        while not process.stderr.readline().startswith("trial 1/2"):
             assert process.poll() is None
         told = interrupt(process, status=1)
     assert "armimp: not valid: interrupted by the user" in told
