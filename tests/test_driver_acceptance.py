@@ -100,7 +100,7 @@ def figures(told: Result) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("duration", "coherence"), [(15.0, 0.94), pytest.param(50.0, 0.985, marks=pytest.mark.slow)]
 )
-def test_offset_drift_delay_filter_and_lag_are_calibrated_out_and_spoil_the_result_if_not(
+def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
     nodes: None, tmp_path: Path, duration: float, coherence: float
 ) -> None:
     """The row of `lpm_full`, which is for trials of 50 s.
@@ -135,6 +135,5 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_and_spoil_the_resu
 
     not_told, _ = estimate_bags(bags, ("lpm_full",), declared=Declared(torque_delay=0.0))
     # The records refute it: either that was corrected, or nothing claims to be right.
-    delay = not_told.summary.estimators["lpm_full"].delay
-    assert delay is not None
-    assert delay.refuted or not not_told.summary.valid
+    found = figures(not_told)
+    assert not not_told.summary.valid or max(found[name] for name in ("M", "B", "K")) <= 2.0
