@@ -116,14 +116,14 @@ def test_local_polynomials_meet_their_targets_with_room_to_spare(
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)
-def test_without_commands_they_still_meet_them(
+def test_without_commands_the_errors_hold_what_is_not_known_of_instant_and_friction(
     relaxed: dict[Condition, list[OfflineTrial]], condition: Condition
 ) -> None:
-    result = _local(relaxed[condition], with_command=False)
-    assert result.vaf is not None
-    assert np.min(result.vaf) > 99.7
-    assert np.min(result.fit.r2) > 0.997
-    assert (_errors(result.fit.mbk) < 2.0).all()
+    fit = _local(relaxed[condition], with_command=False).fit
+    for name in ("M", "B", "K"):
+        error = getattr(fit.mbk, name) - getattr(TRUTH, name)
+        assert (np.abs(error) < 3.0 * getattr(fit, f"{name}_se")).all()
+    assert (_errors(fit.mbk) < 2.5).all()
 
 
 def test_under_voluntary_torque_the_direct_estimate_is_biased_and_the_others_are_not(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -221,10 +220,12 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
         return reading_of(node_parameters(config, None).estimator.bag_metadata())
 
     prompt = TorqueReading(timing=TorqueTiming.BEFORE_UPDATE)
-    everything = replace(prompt, delay=0.0015, cutoff=150.0, order=2, actuator_lag=0.0002)
+    everything = TorqueReading(
+        timing=prompt.timing, delay=0.0015, cutoff=150.0, order=2, actuator_lag=0.0002
+    )
     assert known() == everything
-    assert known(torque_delay=0.001) == replace(everything, delay=0.001)
-    assert known(torque_delay=0.0) == replace(everything, delay=0.0)
+    assert known(torque_delay=0.001) == everything.model_copy(update={"delay": 0.001})
+    assert known(torque_delay=0.0) == everything.model_copy(update={"delay": 0.0})
     blind = {"torque": {"delay": 0.0, "cutoff": 0.0, "actuator_lag": 0.0}}
     assert known(impedance_estimator=blind) == prompt
 

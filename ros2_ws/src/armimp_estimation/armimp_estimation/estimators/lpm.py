@@ -161,6 +161,8 @@ class LpmFull:
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
         systematics = (systematic, *unresolved(records, impedance, inverse))
+        if jump is None and self._delay_uncertainty(jump, records[0].rate) == 0.5 / records[0].rate:
+            systematics += untold_friction(records, impedance, f)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for k, column in enumerate(columns):
             for i in range(n):
@@ -339,6 +341,37 @@ def unresolved(
         effect = share * impedance[:, joint, None] * inverse[None, k]
         lost += [effect, 1j * effect]
     return lost
+
+
+_FRICTION = 2.0
+"""Assumption: what a robot's joint may have of Coulomb friction F_c, N·m."""
+
+
+def untold_friction(
+    records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray
+) -> tuple[ComplexArray, ...]:
+    """What commands that nobody recorded may do to the impedance where their instant is not known.
+
+    With each update Δu the torque on the arm jumps by ``D Δu``, ``D = M_h (M_r + M_h)⁻¹``. As far
+    as u moves the arm, reading before the jump is a delay, which is fitted. The rest overcomes
+    friction, like ``jω c θ`` with ``c = 4 F_c/(π V)`` at a velocity of amplitude V (describing
+    function), and its jumps are missing by half: ``δZ = -ω² L D c/2``, which looks like inertia.
+    F_c up to `_FRICTION` and ``D_ik = M_ik/(2 M_kk)`` are assumptions.
+    """
+    squared = -((2.0 * np.pi * f) ** 2)
+    high = f >= 0.8 * f[-1]
+    inertia = np.mean(impedance.real[..., high] / squared[high], axis=2)
+    effects = []
+    for k, record in enumerate(records):
+        spectrum = np.fft.rfft(record.position[k] - np.mean(record.position[k]))
+        turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
+        below = turning <= 2.0 * np.pi * f[-1]
+        speed = 2.0 * np.sqrt(np.sum(np.abs(turning * spectrum)[below] ** 2)) / record.samples
+        largest = 0.25 / record.rate * 4.0 * _FRICTION / (np.pi * speed) / abs(inertia[k, k])
+        effect = np.zeros_like(impedance)
+        effect[:, k] = largest / np.sqrt(3.0) * inertia[:, k, None] * squared
+        effects.append(effect)
+    return tuple(effects)
 
 
 def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
