@@ -37,8 +37,8 @@ class WelchShifted:
 
 estimators: list[str | Estimator] = ["welch_siso", WelchShifted()]
 if bags := [Path(argument) for argument in sys.argv[1:]]:
-    result, notes = estimate_bags(bags, estimators)
-    print(*notes, sep="\n", end="\n" if notes else "")
+    result = estimate_bags(bags, estimators)
+    print(*result.notes, sep="\n", end="\n" if result.notes else "")
     assert result.curves, result.summary.problems
     viscosities = {name: np.array(one.B) for name, one in result.summary.estimators.items()}
     truth = None if result.summary.truth is None else result.summary.truth.mbk()

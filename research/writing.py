@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
-from armimp_estimation.atomic_write import write_text, write_whole
+from armimp_estimation.atomic_write import write_atomically, write_text
 
 # Colours by Okabe and Ito, which colour-blind readers can tell apart.
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -71,7 +71,7 @@ def write_figure(directory: Path, name: str, figure: Any) -> list[Path]:
     for suffix, metadata in (("png", None), ("pdf", {"CreationDate": None})):
         path = directory / f"{name}.{suffix}"
         save = functools.partial(figure.savefig, dpi=_DPI, metadata=metadata)
-        write_whole(path, save, anew=True)
+        write_atomically(path, save, anew=True)
         paths.append(path)
     return paths
 

@@ -125,7 +125,7 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
         expected = (0.8 + 0.01 * seconds, -0.5 - 0.005 * seconds)
         assert trial.window.tare == pytest.approx(expected, abs=0.03)
 
-    told, _ = estimate_bags(bags, ("lpm_full",))
+    told = estimate_bags(bags, ("lpm_full",))
     assert told.summary.estimators["lpm_full"] == summary.estimators["lpm_full"]
     found = figures(told)
     assert found["VAF"] >= 99.7
@@ -133,7 +133,7 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
     assert found["coherence"] >= coherence
     assert max(found[name] for name in ("M", "B", "K")) <= 2.0
 
-    not_told, _ = estimate_bags(bags, ("lpm_full",), declared=Declared(torque_delay=0.0))
+    not_told = estimate_bags(bags, ("lpm_full",), declared=Declared(torque_delay=0.0))
     # The records refute it: either that was corrected, or nothing claims to be right.
     found = figures(not_told)
     assert not not_told.summary.valid or max(found[name] for name in ("M", "B", "K")) <= 2.0

@@ -198,7 +198,7 @@ def test_when_every_command_is_in_time_expect_the_bits_of_lockstep(in_time: Fini
 def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -> None:
     live = in_time.summary
 
-    offline = estimate_bags(in_time.bags, ("welch_siso", "lpm_full"))[0].summary
+    offline = estimate_bags(in_time.bags, ("welch_siso", "lpm_full")).summary
     replayed = replay_bags(in_time.bags, (), None)
 
     for summary in (offline, replayed):

@@ -139,10 +139,11 @@ def test_when_killed_at_random_moments_expect_little_lost_and_an_estimate(tmp_pa
     killed = kill_recorders(tmp_path, [rng.uniform(1.7, 3.5) for _ in range(3)])
 
     left = [assert_little_is_lost(one) for one in killed]
-    result, notes = estimate_bags([killed[0].bag, killed[1].bag], ())
+    result = estimate_bags([killed[0].bag, killed[1].bag], ())
 
     assert result.curves
     assert [trial.ticks for trial in result.summary.trials] == left[:2]
+    notes = result.notes
     for one, samples in zip(killed[:2], left, strict=False):
         assert any(note.startswith(f"{one.bag}: its recorder did not finish it") for note in notes)
         assert f"{one.bag}: trial {one.trial} is cut short: {samples} of {SAMPLES} samples" in notes

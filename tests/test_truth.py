@@ -70,8 +70,8 @@ def test_bags_of_another_rig_at_other_rates_are_right_with_joints_in_any_order(
     mismatch = replace(Mismatch(rate=rate, duration=10.0), **options)  # type: ignore[arg-type]
     path = tmp_path / "bag"
     write_bag(path, simulate(mismatch, 3), orders=((1, 0), (0, 1), (0, 1)), commands=commands)
-    conclusion, _ = estimate_bags([path], ("lpm_full",))
-    summary = conclusion.summary
+    result = estimate_bags([path], ("lpm_full",))
+    summary = result.summary
     assert summary.valid, summary.problems
     assert summary.verdict.impedance
     found = summary.estimators["lpm_full"]

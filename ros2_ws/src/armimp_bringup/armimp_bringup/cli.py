@@ -157,7 +157,7 @@ def estimate(
         bags = find_bags(bags)
         if out is not None:
             prepare_directory(out)
-        conclusion, notes = estimate_bags(
+        result = estimate_bags(
             bags,
             tuple(estimators or ()),
             namespace=namespace,
@@ -166,11 +166,11 @@ def estimate(
             trust=trust,
         )
         display.close()
-        for note in notes:
+        for note in result.notes:
             say(f"note: {note}")
         if out is not None:
-            conclusion.write(out)
-        return present(conclusion.summary, out, as_json=json, bags=bags, namespace=namespace)
+            result.write(out)
+        return present(result.summary, out, as_json=json, result=result)
 
 
 @app.command()

@@ -43,7 +43,7 @@ def estimate_bags(
     allow_gaps: bool = False,
     declared: Declared | None = None,
     trust: bool = False,
-) -> tuple[Result, list[str]]:
+) -> Result:
     """Identify the impedance from bags that hold one trial for each joint between them.
 
     Parameters
@@ -63,9 +63,8 @@ def estimate_bags(
 
     Returns
     -------
-    result : Result
-    notes : list of str
-        What a user should know of the bags.
+    Result
+        With notes of what a user should know of the bags.
 
     Raises
     ------
@@ -89,7 +88,7 @@ def estimate_bags(
         estimators=estimators or EstimatorParameters().estimators,
         allow_gaps=allow_gaps,
     )
-    return result, notes
+    return replace(result, notes=tuple(notes))
 
 
 def _metadata_of(declared: Declared) -> dict[str, str]:

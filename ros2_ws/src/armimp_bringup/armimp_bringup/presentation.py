@@ -6,6 +6,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -17,6 +18,7 @@ from armimp_common.errors import DataError
 from armimp_common.process import age
 from armimp_common.status import Phase
 from armimp_estimation.problems import ProblemCode, Severity
+from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import (
     SUMMARY_FILE,
     EstimatorSummary,
@@ -74,8 +76,8 @@ def present(
     directory: Path | None,
     *,
     as_json: bool,
+    result: Result | None = None,
     bags: Sequence[Path] | None = None,
-    namespace: str | None = None,
     stopwatch: Stopwatch | None = None,
 ) -> int:
     """Print a result, and draw and report it afterwards.
@@ -88,8 +90,9 @@ def present(
         Where it is stored, and figures and report go; None if nowhere.
     as_json : bool
         Whether to print the summary instead of tables.
-    bags, namespace : optional
-        As in `armimp_estimation.report.load_result`.
+    result : Result, optional
+        With the curves and trials to draw; by default they are read from the directory and `bags`,
+        see `armimp_estimation.result.load_result`.
     stopwatch : Stopwatch, optional
         What has measured the run; its times become part of the summary.
 
@@ -111,7 +114,10 @@ def present(
             write_summary(directory / SUMMARY_FILE, summary, anew=True)
             with Display() as display:
                 display.phase("drawing figures and report")
-                _write(directory, bags, namespace)
+                if result is None:
+                    result = load_result(directory, bags)
+                name = directory.absolute().name
+                _draw(directory, replace(result, name=name, summary=summary))
             if stopwatch is not None:
                 summary = summary.model_copy(update={"wall": stopwatch.stop()})
                 write_summary(directory / SUMMARY_FILE, summary, anew=True)
@@ -148,7 +154,7 @@ def complaints(summary: Summary) -> list[str]:
     return lines
 
 
-def _write(directory: Path, bags: Sequence[Path] | None, namespace: str | None) -> None:
+def _draw(directory: Path, result: Result) -> None:
     """Write report and figures, each even if the other cannot be written.
 
     Raises
@@ -157,9 +163,7 @@ def _write(directory: Path, bags: Sequence[Path] | None, namespace: str | None) 
         The first of what went wrong.
     """
     from armimp_estimation.report import write_report
-    from armimp_estimation.result import load_result
 
-    result = load_result(directory, bags, namespace=namespace)
     try:
         write_report(directory, result)
     finally:

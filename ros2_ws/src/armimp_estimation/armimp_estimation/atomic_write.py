@@ -17,7 +17,7 @@ _SPARSEST: Final = 20
 """Size of a large file relative to what was ever written of it."""
 
 
-def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
+def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file under a new random name beside its place, and move it there.
 
     Nothing that stands there under that name is opened, and no link is followed.
@@ -45,7 +45,7 @@ def replace_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def is_part(path: Path) -> bool:
-    """Tell whether a file is named like those of `replace_whole`, which an end may leave behind."""
+    """Whether a file is named like those of `replace_atomically`, which an end may leave behind."""
     return re.fullmatch(rf"\.[0-9a-f]{{{2 * _PART_BYTES}}}", path.stem) is not None
 
 
@@ -61,19 +61,19 @@ def open_lock(path: Path) -> BinaryIO:
     return _checked(path, os.open(path, flags, 0o666), "r+b")
 
 
-def write_whole(
+def write_atomically(
     path: Path,
     write: Callable[[Path], object],
     *,
     anew: bool = False,
     error: type[ArmimpError] = DataError,
 ) -> None:
-    """Write a file as `replace_whole` does, with one line for whatever goes wrong.
+    """Write a file as `replace_atomically` does, with one line for whatever goes wrong.
 
     Parameters
     ----------
     path, write
-        As of `replace_whole`.
+        As of `replace_atomically`.
     anew : bool
         Whether to put it in the place of a file that is there, which stays if that fails.
     error : type
@@ -87,7 +87,7 @@ def write_whole(
     try:
         if path.exists() and not anew:
             raise error(f"{path}: exists already")
-        replace_whole(path, write)
+        replace_atomically(path, write)
     except OSError as cause:
         raise error(f"{path}: cannot be written: {cause.strerror}") from cause
 
@@ -100,7 +100,7 @@ def write_text(path: Path, content: str) -> None:
     DataError
         If it can't be written.
     """
-    write_whole(path, lambda part: part.write_text(content, encoding="utf-8"), anew=True)
+    write_atomically(path, lambda part: part.write_text(content, encoding="utf-8"), anew=True)
 
 
 def open_regular(path: Path) -> BinaryIO:

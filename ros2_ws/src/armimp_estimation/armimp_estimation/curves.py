@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.atomic_write import open_regular, write_whole
+from armimp_estimation.atomic_write import open_regular, write_atomically
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.scores import Coherences
 
@@ -137,7 +137,7 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
         with part.open("wb") as file:
             np.savez(file, allow_pickle=False, **known)
 
-    write_whole(path, save)
+    write_atomically(path, save)
 
 
 def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
@@ -159,8 +159,8 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
         for name, curve in curves.items():
             _check(name, curve)
     except _UNREADABLE as error:
-        told = getattr(error, "strerror", None) or str(error)
-        reason = " ".join(told.split()) or type(error).__name__
+        text = getattr(error, "strerror", None) or str(error)
+        reason = " ".join(text.split()) or type(error).__name__
         raise DataError(f"{path}: not a file of impedance curves: {reason}") from error
     return curves
 

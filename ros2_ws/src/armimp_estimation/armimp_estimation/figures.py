@@ -18,7 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator, MultipleLocator, NullLocator
 
 from armimp_estimation.alignment.assemble import Trial
-from armimp_estimation.atomic_write import write_whole
+from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.report.curves import (
     distances,
@@ -286,7 +286,7 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     for suffix, metadata in ((".png", {"Software": None}), (".pdf", {"CreationDate": None})):
         written.append(path.with_name(path.name + suffix))
         save = functools.partial(figure.savefig, dpi=200, metadata=metadata)
-        write_whole(written[-1], save, anew=True)
+        write_atomically(written[-1], save, anew=True)
     return written
 
 

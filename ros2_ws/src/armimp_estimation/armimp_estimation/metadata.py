@@ -22,7 +22,7 @@ from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 TIMING_KEY = "torque_timing"
 """Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
 UNCERTAINTY_KEY = "torque_uncertainty"
-"""Name there of the standard error of what is told of the instant of torque readings, s."""
+"""Name there of the standard error with which the instant of torque readings is known, s."""
 MODEL_KEY = "arm_model"
 """Name there of the model of the arm that was asked for."""
 CALIBRATION_KEYS = {"gain_uncertainty": "gain", "cross_talk_uncertainty": "cross_talk"}
@@ -58,7 +58,7 @@ class Metadata:
     reading : TorqueReading
         How torques were read; ``unknown`` if nobody says.
     uncertainty : float
-        Standard error of what is told of the instant of torque readings, s.
+        Standard error with which the instant of torque readings is known, s.
     rate : float or None
         Sampling rate that was declared, Hz.
     model : str
@@ -127,13 +127,13 @@ def reading_of(metadata: Mapping[str, str]) -> TorqueReading:
     timing = _parsed(metadata, TIMING_KEY, TorqueTiming.UNKNOWN.value)
     if timing not in known:
         raise DataError(f"metadata: {TIMING_KEY} is {timing!r}, known are {', '.join(known)}")
-    told: dict[str, Any] = {
+    others: dict[str, Any] = {
         name: value
         for key, name in READING_KEYS.items()
         if (value := _number(metadata, key, integer=name == "order")) is not None
     }
     try:
-        return TorqueReading(timing=TorqueTiming(timing), **told)
+        return TorqueReading(timing=TorqueTiming(timing), **others)
     except ValidationError as error:
         raise DataError(f"metadata: {first_complaint(error)}") from None
 
@@ -146,15 +146,17 @@ def calibration_of(metadata: Mapping[str, str]) -> Calibration:
     DataError
         If something is there, but makes no sense.
     """
-    told = {
+    declared = {
         name: _number(metadata, key) for key, name in CALIBRATION_KEYS.items() if key in metadata
     }
-    if not told:
+    if not declared:
         return Calibration.undeclared()
-    if None in told.values():
-        raise DataError(f"metadata: uncertainty of the calibration is not a number: {told!r}")
+    if None in declared.values():
+        raise DataError(f"metadata: uncertainty of the calibration is not a number: {declared!r}")
     try:
-        return replace(Calibration.undeclared(), assumed=len(told) < len(CALIBRATION_KEYS), **told)
+        return replace(
+            Calibration.undeclared(), assumed=len(declared) < len(CALIBRATION_KEYS), **declared
+        )
     except ConfigurationError as error:
         raise DataError(f"metadata: {error}") from None
 

@@ -59,7 +59,7 @@ from armimp_estimation.timing import RECORD_KEY, Timing
 from armimp_estimation.trial import TrialData, segments_for
 
 _LATE_PERIOD = 0.005
-"""How often to look for messages that are late (s); mostly there are none."""
+"""How often to poll for messages that are late (s); mostly there are none."""
 _STRAGGLERS = 5.0
 """Seconds after the end of the last trial in which samples of it may still come."""
 _MESSAGE_CLASSES = {
@@ -70,7 +70,7 @@ _RECORDED_BESIDE = {topics.CLOCK: Clock, topics.DIAGNOSTICS: DiagnosticArray}
 
 
 class ImpedanceEstimatorNode(PollingNode, ManagedNode):
-    """Records every trial, estimates each as it ends, and the whole matrix after the last."""
+    """Records every trial, estimates each as it ends, and the full matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(topics.ESTIMATOR_NODE, **kwargs)
@@ -101,7 +101,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._progress = self.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, topics.RESULT, qos.LATCHED)
         self._received = CountPublisher(self, topics.RECEIVED)
-        self._judgement = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
+        self._stopping = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
         fetched = {
             topic: PolledSubscription(self, topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
             for topic in FETCHED
@@ -166,7 +166,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream.subscription)
         self.destroy_publisher(self._received.publisher)
-        self.destroy_publisher(self._judgement)
+        self.destroy_publisher(self._stopping)
         self.destroy_publisher(self._progress)
         self.destroy_publisher(self._result)
         return TransitionCallbackReturn.SUCCESS
@@ -228,10 +228,10 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._flushed = samples
             self._flush()
         if self._active:
-            # First, so that in lockstep the judgement is there before the samples go on.
-            if (judgement := self._recording.decide()) is not None:
-                self._announced.note(judgement)
-                self._judgement.publish(status_message(judgement))
+            # First, so that in lockstep the decision is there before the samples go on.
+            if (decision := self._recording.decide()) is not None:
+                self._announced.note(decision)
+                self._stopping.publish(status_message(decision))
             self._acknowledged = samples
             self._received.publish(samples)
 
@@ -347,10 +347,10 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _result_so_far(self) -> Result:
         timing = self._recording.timing
-        told = {} if timing is None else {RECORD_KEY: timing.model_dump_json()}
+        measured = {} if timing is None else {RECORD_KEY: timing.model_dump_json()}
         return conclude(
             self._finished,
-            metadata={**self._metadata, **told},
+            metadata={**self._metadata, **measured},
             joint_names=self._settings.joints,
             estimators=self._settings.estimators,
             allow_gaps=self._settings.allow_gaps,
@@ -382,7 +382,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._conclude()
 
     def _on_late(self) -> None:
-        """Look for messages that the perturbation of their sample has overtaken."""
+        """Poll for messages that the perturbation of their sample has overtaken."""
         if not self._synchronizer.poll():
             self._late.cancel()
 

@@ -51,11 +51,11 @@ class TorqueParameters(Schema):
     )
 
     def metadata(self) -> dict[str, str]:
-        """What is told, as the metadata of bags have it."""
-        told = {key: getattr(self, name) for key, name in READING_KEYS.items()}
+        """What is known, as the metadata of bags have it."""
+        known = {key: getattr(self, name) for key, name in READING_KEYS.items()}
         if not self.cutoff:
-            del told["torque_order"]
-        return {key: json.dumps(value) for key, value in told.items() if value}
+            del known["torque_order"]
+        return {key: json.dumps(value) for key, value in known.items() if value}
 
 
 class EstimatorParameters(Schema):

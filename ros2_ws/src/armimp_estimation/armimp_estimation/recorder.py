@@ -71,7 +71,7 @@ class TrialRecorder:
         self._column: FittedColumn | None = None
         self._column_at = 0.0
         self._past: list[TrialRecord] = []
-        self._began = self._opened_at = self._told_at = 0.0
+        self._began = self._opened_at = self._perturbed_at = 0.0
         self._last_ns = 0
         self._statuses_written = 0
         self._seen = 0
@@ -104,7 +104,7 @@ class TrialRecorder:
             If the bag of a new trial can't be written.
         """
         if status.phase is Phase.PERTURB:
-            self._told_at = time.monotonic()
+            self._perturbed_at = time.monotonic()
         self._segmenter.add_status(status)
 
     def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
@@ -222,7 +222,7 @@ class TrialRecorder:
     def _write(self, stamps: Sequence[int], messages: Mapping[str, Sequence[bytes]]) -> None:
         if self._statuses_written == 0:
             # The messages may have waited for others, with which they are written.
-            self._began = max(self._told_at, self._opened_at)
+            self._began = max(self._perturbed_at, self._opened_at)
             self._write_statuses(self._segmenter.statuses, stamps[0])
         self._last_ns = stamps[-1]
         if self._writer is None:

@@ -223,9 +223,7 @@ def summarise(
     )
 
 
-def load_result(
-    directory: Path, bags: Sequence[Path] | None = None, *, namespace: str | None = None
-) -> Result:
+def load_result(directory: Path, bags: Sequence[Path] | None = None) -> Result:
     """Read a result directory and the bags of its trials.
 
     What is missing besides the summary leaves a note, not an error.
@@ -236,8 +234,6 @@ def load_result(
         With ``summary.json`` and mostly ``frf.npz``.
     bags : sequence of Path, optional
         Where the trials are; by default where the summary says.
-    namespace : str, optional
-        Of the topics in the bags.
 
     Raises
     ------
@@ -256,7 +252,7 @@ def load_result(
     for path in _bags_of(directory, summary) if bags is None else dict.fromkeys(bags):
         try:
             # They have been read before, or were recorded here.
-            contents.append(read_bag(path, namespace=namespace, trust=True))
+            contents.append(read_bag(path, trust=True))
         except (ArmimpError, OSError) as error:
             notes.append(f"no time traces: {error}")
     notes += (note for content in contents for note in content.notes)

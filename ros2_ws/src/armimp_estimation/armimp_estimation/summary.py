@@ -16,7 +16,7 @@ from typing_extensions import Self
 from armimp_common.errors import DataError
 from armimp_estimation.alignment.assemble import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
-from armimp_estimation.atomic_write import read_bytes, write_whole
+from armimp_estimation.atomic_write import read_bytes, write_atomically
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
@@ -314,7 +314,7 @@ def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
         If the file exists already or cannot be written.
     """
     text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
+    write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)
 
 
 def read_summary(path: Path) -> Summary:

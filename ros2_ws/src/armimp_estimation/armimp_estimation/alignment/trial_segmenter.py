@@ -117,7 +117,7 @@ class TrialSegmenter:
         if status.phase is Phase.PERTURB and self._start_ns is None:
             self._begin(status)
         elif self._start_ns is not None and status.ticks < self._ticks:
-            # Mostly told ahead of time; what has come beyond belongs to the rest after it.
+            # Mostly announced ahead of time; what has come beyond belongs to the rest after it.
             self._end_ns -= (self._ticks - status.ticks) * PERIOD_NS
             self._ticks = status.ticks
             self._finished = self._finished or self._led >= status.ticks

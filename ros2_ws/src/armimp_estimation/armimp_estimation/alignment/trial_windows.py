@@ -89,7 +89,7 @@ class AnnouncedTrials:
     Parameters
     ----------
     strict : bool
-        Whether a trial may end early only if a judgement was :meth:`note`-d that it is long enough.
+        Whether a trial may end early only if a decision was :meth:`note`-d that it is long enough.
     """
 
     def __init__(self, *, strict: bool) -> None:
@@ -97,10 +97,10 @@ class AnnouncedTrials:
         self._planned: dict[int, int] = {}
         self._enough: set[int] = set()
 
-    def note(self, judgement: StoppingDecision) -> None:
+    def note(self, decision: StoppingDecision) -> None:
         """Take what was found of a trial."""
-        if judgement.enough:
-            self._enough.add(judgement.trial)
+        if decision.enough:
+            self._enough.add(decision.trial)
 
     def contradiction(self, status: TrialStatus) -> str:
         """Return what a status says that cannot be; empty if it is as it should be."""
@@ -254,7 +254,7 @@ def infer_windows(
 def tick_numbers(stamps: NDArray[np.int64], period: float = PERIOD_NS) -> NDArray[np.int64]:
     """Number the control periods of ascending stamps, the first one 0.
 
-    Every step is rounded by itself to whole periods, so neither jitter nor a clock that runs a
+    Every step is rounded by itself to full periods, so neither jitter nor a clock that runs a
     little fast or slow adds up.
 
     Parameters

@@ -36,9 +36,9 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
     A finished copy takes the place of the storage file at once, then ``metadata.yaml`` is
-    replaced. All whole chunks are kept, byte for byte. A bag that is still being recorded is known
-    by its lock, one that is whole by its metadata. A bag behind a link stays as it is, since that
-    may lead anywhere.
+    replaced. All complete chunks are kept, byte for byte. A bag that is still being recorded is
+    known by its lock, one that is complete by its metadata. A bag behind a link stays as it is,
+    since that may lead anywhere.
 
     Parameters
     ----------
@@ -124,9 +124,9 @@ def _finish(path: Path, source: BinaryIO, name: str, custom: dict[str, str], bud
 
 
 def _copy(source: BinaryIO, copy: McapFile, budget: Budget) -> dict[str, tuple[str, int]]:
-    """Copy all whole records; return topic of the contract and channel of each topic."""
+    """Copy all complete records; return topic of the contract and channel of each topic."""
     topics: dict[str, tuple[str, int]] = {}
-    for opcode, content in _whole_records(source):
+    for opcode, content in _complete_records(source):
         budget.spend(RECORD_COST)
         stream = ReadDataStream(BytesIO(content))
         if opcode == Opcode.SCHEMA:
@@ -151,7 +151,7 @@ def _copy(source: BinaryIO, copy: McapFile, budget: Budget) -> dict[str, tuple[s
     return topics
 
 
-def _whole_records(source: BinaryIO) -> Iterator[tuple[int, bytes]]:
+def _complete_records(source: BinaryIO) -> Iterator[tuple[int, bytes]]:
     source.seek(len(MAGIC))
     while len(head := source.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
         opcode, length = RECORD_HEAD.unpack(head)
@@ -164,7 +164,7 @@ def _whole_records(source: BinaryIO) -> Iterator[tuple[int, bytes]]:
 
 
 def _library(source: BinaryIO) -> str:
-    for opcode, content in _whole_records(source):
+    for opcode, content in _complete_records(source):
         if opcode == Opcode.HEADER:
             return str(Header.read(ReadDataStream(BytesIO(content))).library)
         break

@@ -70,7 +70,7 @@ class McapFile:
 
     The file is locked as long as it is open, by which others can tell that it is being written
     from one whose writer was killed. What cannot be written leaves no trace in the file, so that
-    it always ends with a whole record, unless the process dies within a system call.
+    it always ends with a complete record, unless the process dies within a system call.
 
     Parameters
     ----------
@@ -349,7 +349,7 @@ class McapFile:
                 self._position += written
                 view = view[written:]
         except OSError:
-            # Nothing may follow a record that is not whole.
+            # Nothing may follow a record that is cut.
             try:
                 self._file.truncate(start)
                 self._file.seek(start)

@@ -1,4 +1,4 @@
-"""Reading of MCAP files from their first record on, whole or cut.
+"""Reading of MCAP files from their first record on, complete or cut.
 
 Neither the summary nor the indexes are used: what is wanted is nearly everything, and a file
 whose writer was killed has no summary. All records but messages and chunks are parsed by the
@@ -49,7 +49,7 @@ DAMAGE: Final = (
 def read_mcap(
     file: BinaryIO, size: int, *, name: str, wanted: TopicFilter, into: RawMessages
 ) -> None:
-    """Read an MCAP file up to its end, or up to the last whole record before a cut.
+    """Read an MCAP file up to its end, or up to the last complete record before a cut.
 
     Parameters
     ----------

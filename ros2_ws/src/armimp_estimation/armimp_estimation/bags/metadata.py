@@ -20,7 +20,7 @@ from armimp_common.topics import (
     STOPPING,
     TRIAL,
 )
-from armimp_estimation.atomic_write import read_text, replace_whole
+from armimp_estimation.atomic_write import read_text, replace_atomically
 from armimp_estimation.bags.definitions import message_definition
 
 FILE_NAME: Final = "metadata.yaml"
@@ -152,7 +152,7 @@ def write_metadata(directory: Path, information: Mapping[str, Any]) -> None:
         If the file cannot be written.
     """
     text = dump({_ROOT: dict(information)})
-    replace_whole(directory / FILE_NAME, lambda part: part.write_text(text, encoding="utf-8"))
+    replace_atomically(directory / FILE_NAME, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:

@@ -37,7 +37,7 @@ class RawMessages:
     metadata : dict of str to str
         Metadata of the recording.
     cut : str
-        Where and how the recording ends early; empty if it is whole.
+        Where and how the recording ends early; empty if it is complete.
     """
 
     budget: Budget

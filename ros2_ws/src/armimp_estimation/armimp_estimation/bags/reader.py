@@ -81,7 +81,7 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
     """Read a bag with everything that an estimate needs.
 
     Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
-    MCAP or SQLite3 files, compressed or not, whole or cut. Topics may be under a namespace, and
+    MCAP or SQLite3 files, compressed or not, complete or cut. Topics may be under a namespace, and
     the joints of every message in any order. Where there is no trial status, the trials are
     inferred from the perturbation, as `infer_windows` says.
 

@@ -29,7 +29,7 @@ def read_sqlite(path: Path, *, name: str, wanted: TopicFilter, into: RawMessages
 
     Only plain tables are read: views and generated columns are programs of whoever made the file. A
     file whose writer was killed may have its last messages in a write-ahead log beside it; since
-    SQLite wants to write then, a copy of both is opened. A rollback journal is not looked at:
+    SQLite wants to write then, a copy of both is opened. A rollback journal is ignored:
     the recorders of ROS 2 leave none, and it may name other files that SQLite deletes.
 
     Parameters
@@ -74,7 +74,7 @@ def _copy(source: Path, target: Path, size: int) -> None:
 
 
 def _part_of_a_page(path: Path) -> int:
-    """Bytes after the last whole page; 0 for a file that is whole, or too short to be one."""
+    """Bytes after the last complete page; 0 also for a file that is too short for one."""
     with path.open("rb") as file:
         head = file.read(18)
     page = int.from_bytes(head[16:18], "big")

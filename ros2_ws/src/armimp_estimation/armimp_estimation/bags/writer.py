@@ -182,7 +182,7 @@ class BagWriter:
         if self._closed:
             return
         self._closed = True
-        told = self._failed
+        reported = self._failed
         problem: BagError | None = None
         try:
             self._file.flush()
@@ -198,7 +198,7 @@ class BagWriter:
             problem = problem or self._error(error)
         finally:
             self._file.abandon()
-        if problem is not None and not told:
+        if problem is not None and not reported:
             raise problem
 
     def __enter__(self) -> "BagWriter":
