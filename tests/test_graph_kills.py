@@ -254,7 +254,8 @@ def assert_named(done: Kill) -> None:
     assert done.status == 1
     summary = json.loads((done.directory / "summary.json").read_text())
     assert not summary["valid"]
-    assert summary["problems"][0].startswith(f"node {done.victim} was killed by SIGKILL")
+    first = summary["problems"][0]["sentence"]
+    assert first.startswith(f"node {done.victim} was killed by SIGKILL")
     assert f"node {done.victim} was killed by SIGKILL" in done.errors
     assert "Traceback" not in done.errors
 

@@ -35,7 +35,7 @@ for number in range(int(sys.argv[2])):
     shutil.rmtree(directory)
     status = dict(line.split(":", 1) for line in open("/proc/self/status"))
     told = {
-        "problems": summary.problems,
+        "problems": [str(problem) for problem in summary.problems],
         "ticks": [trial.ticks for trial in summary.trials],
         "lost": [trial.lost for trial in summary.trials],
         "memory": int(status["VmRSS"].split()[0]) / 1024,

@@ -7,7 +7,6 @@ import math
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from functools import partialmethod
 from typing import Any, Final, Literal, TypeAlias, TypeVar
 
 from lifecycle_msgs.msg import Transition
@@ -174,11 +173,25 @@ class LifecycleManager:
         if not answer.success:
             raise GraphError(f"node {name} failed to {transition}; its log tells why")
 
-    configure = partialmethod(change, transition="configure")
-    activate = partialmethod(change, transition="activate")
-    deactivate = partialmethod(change, transition="deactivate")
-    cleanup = partialmethod(change, transition="cleanup")
-    shutdown = partialmethod(change, transition="shutdown")
+    def configure(self, name: str) -> None:
+        """Have a node take its parameters."""
+        self.change(name, "configure")
+
+    def activate(self, name: str) -> None:
+        """Have a node begin its work."""
+        self.change(name, "activate")
+
+    def deactivate(self, name: str) -> None:
+        """Have a node end its work."""
+        self.change(name, "deactivate")
+
+    def cleanup(self, name: str) -> None:
+        """Have a node forget its parameters."""
+        self.change(name, "cleanup")
+
+    def shutdown(self, name: str) -> None:
+        """Have a node end for good."""
+        self.change(name, "shutdown")
 
     def _available(self, name: str, purpose: str) -> dict[str, int]:
         request = GetAvailableTransitions.Request()
