@@ -28,6 +28,7 @@ from armimp_common.lifecycle import LifecycleManager, ask
 from armimp_common.parameters import as_parameters
 from armimp_common.process import ParentWatchdog
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_estimation.conclusion import CALIBRATION_KEYS
 
 NODES = (ESTIMATOR_NODE, CONTROLLER_NODE, SIM_NODE)
 """In the order of activation: whoever listens comes before whoever speaks."""
@@ -385,5 +386,6 @@ def _leave_to_driver(given: dict[str, list[Parameter]], known: set[str]) -> None
     for number, item in enumerate(given.get(ESTIMATOR_NODE, [])):
         if item.name == "metadata":
             metadata = json.loads(item.value)
-            metadata.pop("truth", None)
+            for key in ("truth", *CALIBRATION_KEYS):
+                metadata.pop(key, None)
             given[ESTIMATOR_NODE][number] = Parameter("metadata", value=json.dumps(metadata))
