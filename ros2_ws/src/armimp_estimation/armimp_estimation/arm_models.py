@@ -90,6 +90,8 @@ class ArmModel:
     variants : tuple of mapping
         From simple to full: parameters of which only the diagonal is free, or which keep their
         start. The one with the best criterion is taken.
+    possible : callable
+        Whether values can be those of an arm; others are no solution where there is one.
     """
 
     name: str
@@ -98,6 +100,7 @@ class ArmModel:
     impedance: Callable[[Values, ComplexArray], ComplexArray]
     starts: tuple[Mapping[str, float], ...]
     variants: tuple[Mapping[str, str], ...] = ({},)
+    possible: Callable[[Values], bool] = lambda _: True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,8 +138,11 @@ class ModelFit:
 
     @property
     def fits(self) -> bool:
-        """Whether noise explains what it leaves, in the bins of the fit and in others."""
-        return bool((self.lack <= self.lack_limit).all() and self.held_out <= self.lack_limit)
+        """Whether it is possible, and noise explains what it leaves, in the fit and held out."""
+        possible = self.model.possible(self.values)
+        return possible and bool(
+            (self.lack <= self.lack_limit).all() and self.held_out <= self.lack_limit
+        )
 
     @property
     def text(self) -> str:
@@ -164,6 +170,11 @@ def _reflex(values: Values, s: ComplexArray) -> ComplexArray:
     arc = np.exp(-s * values["delay"]) * omega**2 / (s**2 + 2.0 * zeta * omega * s + omega**2)
     gains = values["velocity_gain"][:, :, None] * s + values["stretch_gain"][:, :, None]
     return np.asarray(_intrinsic(values, s) + arc * gains)
+
+
+def _resists(values: Values) -> bool:
+    """Whether a stretch reflex resists the stretch."""
+    return bool((np.diag(values["velocity_gain"]) >= 0.0).all())
 
 
 def _cuffed(values: Values, s: ComplexArray) -> ComplexArray:
@@ -207,7 +218,7 @@ MODELS: Final[Mapping[str, ArmModel]] = MappingProxyType(
                 starts=tuple(
                     {"delay": delay, "muscle": muscle, "damping_ratio": 1.0}
                     for delay in (0.025, 0.045, 0.07)
-                    for muscle in (15.0, 50.0)
+                    for muscle in (10.0, 25.0, 60.0)
                 ),
                 variants=(
                     {"velocity_gain": DIAGONAL, "stretch_gain": KEPT, "damping_ratio": KEPT},
@@ -215,6 +226,7 @@ MODELS: Final[Mapping[str, ArmModel]] = MappingProxyType(
                     {"velocity_gain": DIAGONAL, "stretch_gain": DIAGONAL},
                     {},
                 ),
+                possible=_resists,
             ),
             ArmModel(
                 name="cuff",
@@ -399,7 +411,9 @@ class _Problem:
         free = self.free(self.model.variants[0])
         rough = free & np.concatenate(kinds)
         starts = [self.solve(self.start(one), rough, self.used, 1e-2) for one in self.model.starts]
-        solution = min(starts, key=lambda found: found[1])[0]
+        found = [self.solve(one, free, self.used) for one, _ in starts]
+        possible = [one for one in found if self.model.possible(self.values(one[0]))]
+        solution = min(possible or found, key=lambda one: one[1])[0]
         criterion, trial = math.inf, solution
         for variant in self.model.variants:
             more = self.free(variant)
