@@ -23,6 +23,8 @@ STUDIES = {
     "limits": "how far the estimators are from the accuracy that noise allows",
     "controller": "what the choice of the controller's parameters does to accuracy",
     "decomposition": "what decomposition buys: direct, decomposed and all joints at once",
+    "truth": "whether what is valid is true, on recordings of a rig that is not ours",
+    "ideal": "whether each check leaves ideal runs alone",
     "growth": "accuracy, time and record length from two to seven joints",
 }
 """What each module of this package finds out; a new one is a module with `investigate`."""
@@ -39,6 +41,9 @@ def study(
         str | None, typer.Option(help="Seeds, as in 77 or 0:10; default: those of NAME.")
     ] = None,
     workers: Annotated[int | None, typer.Option(help="Threads; default: one per core.")] = None,
+    only: Annotated[
+        str, typer.Option(help="Cases of truth (a pattern) or ideal (friction=3) to run.")
+    ] = "",
     json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
 ) -> int:
     """Answer one question by Monte Carlo simulation; the pages of this folder have the answers."""
@@ -48,7 +53,9 @@ def study(
         display.phase("starting")
         on_compiling(cli.tell_of_compiling)
         directory = out or Path("results") / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
-        options = InvestigationOptions(out=directory, seeds=seeds, workers=workers, json=json)
+        options = InvestigationOptions(
+            out=directory, seeds=seeds, workers=workers, json=json, only=only
+        )
         prepare_directory(directory)
         investigate: Callable[[InvestigationOptions], int] = import_module(
             f"research.{name}"

@@ -18,6 +18,7 @@ class InvestigationOptions:
     seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`; None: those of the
         investigation, which say how many runs its numbers come from
     workers : number of threads; None: one per core
+    only : pattern of the cases to run; empty: all
     json : whether to print the result as JSON instead of a table
 
     Raises
@@ -30,6 +31,7 @@ class InvestigationOptions:
     seeds: str | None = None
     workers: int | None = None
     json: bool = False
+    only: str = ""
 
     def __post_init__(self) -> None:
         if self.seeds is not None:

@@ -1,6 +1,6 @@
 """A result that says valid is right: recordings of a rig that isn't the project's.
 
-A small part of ``tests/truth_campaign.py``, with fixed seeds.
+A small part of ``research/truth.py``, with fixed seeds.
 """
 
 from dataclasses import replace
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from armimp_bringup.offline_estimate import estimate_bags
-from independent_rig import NAMES, Mismatch, arm_of, simulate, write_bag
-from truth_campaign import NOISE, cases, outcome
+from research.independent_rig import NAMES, Mismatch, arm_of, simulate, write_bag
+from research.truth import NOISE, cases, outcome
 
 CASES = cases()
 QUICK = (
@@ -29,6 +29,8 @@ QUICK = (
     "position degrees",
     "torque swapped, no commands",
     "clipped 0.02",
+    "sticking 1 N·m, 6e-05 rad",
+    "cross-talk 3 %",
     "reflex 0.3, 40 ms",
     "cuff 30 kN·m/rad",
     "voluntary 0.3 N·m",

@@ -1,12 +1,11 @@
 """Verdicts on ideal runs of the project's own rig, which each check has to leave alone.
 
-``python tests/ideal_campaign.py [--seeds 0:4]`` prints false refusals, the largest value of each
-measure, and the coverage of the 95 % intervals of M, B and K, over the 48 conditions of the study.
+Prints false refusals, the largest value of each measure, and the coverage of the 95 % intervals of
+M, B and K, over the 48 conditions of the study.
 """
 
 from __future__ import annotations
 
-import argparse
 import collections
 
 import numpy as np
@@ -16,18 +15,16 @@ from armimp_bringup.simulated import simulate
 from armimp_bringup.study.conditions import select_conditions
 from armimp_bringup.study.engine import condition_config
 from armimp_estimation.robot_balance import transducer_gains
+from research.options import InvestigationOptions
 
 NAMES = "MBK"
+ESTIMATOR = "lpm_full"
 
 
-def main() -> None:
-    """Print the distributions."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--seeds", default="0:1")
-    parser.add_argument("--only", action="append", default=[])
-    parser.add_argument("--estimator", default="lpm_full")
-    options = parser.parse_args()
-    conditions = select_conditions(options.only, options.seeds)
+def investigate(options: InvestigationOptions) -> int:
+    """Print the distributions; returns exit status 0: this is a measurement."""
+    only = [options.only] if options.only else []
+    conditions = select_conditions(only, options.seeds or "0:1")
     base = ExperimentConfig()
     refused: collections.Counter[str] = collections.Counter()
     covered: dict[tuple[int, int, int], list[np.ndarray]] = collections.defaultdict(list)
@@ -38,8 +35,8 @@ def main() -> None:
             some, simulate([condition_config(base, one) for one in some]), strict=True
         ):
             runs += 1
-            found = experiment.identify([options.estimator])
-            result = found.estimators[options.estimator]
+            found = experiment.identify([ESTIMATOR])
+            result = found.estimators[ESTIMATOR]
             truth = experiment.truth
             errors = [
                 (getattr(result.fit.mbk, n) - getattr(truth, n)) / getattr(result.fit, f"{n}_se")
@@ -77,7 +74,4 @@ def main() -> None:
         shares = [(np.abs(np.array(errors)[:, row]) < 1.96).mean() for row in range(3)]
         if min(shares) < 0.8:
             print(key, "covers", [f"{100 * one:.0f} %" for one in shares])
-
-
-if __name__ == "__main__":
-    main()
+    return 0

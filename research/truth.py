@@ -1,26 +1,28 @@
-"""Verdicts on recordings of a rig that is not the project's: valid and wrong, refused and right.
-
-``python tests/truth_campaign.py [--seeds 0:4] [--only PATTERN]`` prints the table.
-"""
+"""Verdicts on recordings of a rig that is not the project's: valid and wrong, refused and right."""
 
 from __future__ import annotations
 
-import argparse
+import itertools
 import re
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.terminal import leave_terminal
 from armimp_common import topics
-from armimp_common.errors import ArmimpError
+from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.alignment.streams import Stream, Streams
 from armimp_estimation.result import Result, conclude
-from independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
+from research.independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
+from research.options import InvestigationOptions
+from research.writing import print_table, to_json, write_tables
 
 FloatArray = NDArray[np.float64]
 Stamps = NDArray[np.int64]
@@ -128,6 +130,8 @@ def _shifted(by: int) -> Callable[[Recording], Recording]:
     return changed(command=lambda command: np.roll(command, by, axis=1))
 
 
+LIMIT = 3.5
+"""Standard errors by which a valid element may be off."""
 NOISE, RIGHT, MUST = "noise", "right", ""
 """Noise must come out valid; what is right may; other classes may be valid only if right."""
 
@@ -319,39 +323,66 @@ def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str
     return summary.valid, worst, 100 * relative, [str(one) for one in summary.problems]
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--seeds", default="0:2")
-    parser.add_argument("--only", default="")
-    parser.add_argument("--why", action="store_true")
-    options = parser.parse_args()
-    seeds = range(*(int(one) for one in options.seeds.split(":")))
-    print(f"{'class':38s} kind  valid false-valid false-refusal  worst/se  worst %")
-    totals = [0, 0, 0]
-    began = time.monotonic()
-    for name, (kind, mismatch) in cases().items():
-        if not re.search(options.only, name):
-            continue
-        outcomes = [outcome(mismatch, seed) for seed in seeds]
-        valid = sum(one[0] for one in outcomes)
-        wrong = sum(one[0] and not one[1] <= 3.5 for one in outcomes)
-        refused = len(outcomes) - valid if kind == NOISE else 0
-        totals = [totals[0] + len(outcomes), totals[1] + wrong, totals[2] + refused]
-        worst = max(one[1] for one in outcomes)
-        percent = max(one[2] for one in outcomes)
-        reasons = [one[3][0] for one in outcomes if one[3]]
-        print(
-            f"{name:38s} {kind or 'must':5s} {valid:2d}/{len(outcomes)} {wrong:6d} {refused:9d}"
-            f" {worst:12.3g} {percent:9.3g}  {reasons[0][:110] if reasons else ''}",
-            flush=True,
-        )
-        if options.why:
-            for one in outcomes:
-                print("     ", *one[3], sep="\n      ")
-    print(f"runs {totals[0]}, false valid {totals[1]}, false refusals {totals[2]}", end=" ")
-    print(f"({time.monotonic() - began:.0f} s)")
+def judge(name: str, seeds: Sequence[int]) -> dict[str, Any]:
+    """Row of the table: one class at one magnitude, over all seeds."""
+    kind, mismatch = cases()[name]
+    outcomes = [outcome(mismatch, seed) for seed in seeds]
+    valid = sum(one[0] for one in outcomes)
+    return {
+        "class": name,
+        "kind": kind or "must",
+        "runs": len(outcomes),
+        "valid": valid,
+        "false_valid": sum(one[0] and not one[1] <= LIMIT for one in outcomes),
+        "false_refusals": len(outcomes) - valid if kind == NOISE else 0,
+        "worst_in_errors": max(one[1] for one in outcomes),
+        "worst_percent": max(one[2] for one in outcomes),
+        "reason": next((one[3][0] for one in outcomes if one[3]), ""),
+    }
 
 
-if __name__ == "__main__":
-    main()
+def investigate(options: InvestigationOptions) -> int:
+    """Judge every class of mismatch, write ``truth.*`` and print the table.
+
+    Returns
+    -------
+    int
+        Exit status 0, whatever the table says: this is a measurement.
+
+    Raises
+    ------
+    ConfigurationError
+        If no class has the name that was asked for.
+    """
+    seeds = parse_seeds(options.seeds or "0:4")
+    names = [name for name in cases() if re.search(options.only, name)]
+    if not names:
+        raise ConfigurationError(f"--only {options.only}: no class is of that name")
+    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
+        rows = list(pool.map(judge, names, itertools.repeat(seeds)))
+    totals = {key: sum(row[key] for row in rows) for key in ("runs", "false_valid")}
+    totals["false_refusals"] = sum(row["false_refusals"] for row in rows)
+    result = {"schema": 1, "seeds": options.seeds or "0:4", **totals, "classes": rows}
+    write_tables(options.out, "truth", result, rows)
+    leave_terminal()
+    if options.json:
+        print(to_json(result))
+        return 0
+    shown = ("valid", "false_valid", "false_refusals")
+    print_table(
+        f"recordings of a rig that isn't the project's, {len(seeds)} seeds",
+        ("class", "kind", *shown, "worst/s.e.", "worst %", "reason"),
+        [
+            (
+                row["class"],
+                row["kind"],
+                *(str(row[key]) for key in shown),
+                f"{row['worst_in_errors']:.3g}",
+                f"{row['worst_percent']:.3g}",
+                row["reason"][:70],
+            )
+            for row in rows
+        ],
+        ", ".join(f"{key.replace('_', ' ')}: {value}" for key, value in totals.items()),
+    )
+    return 0

@@ -1,0 +1,88 @@
+"""Ankle records of a person: M, B, K and a reflex from arrays, and whether intervals hold.
+
+``python -m research.ankle RECORD.npz...`` estimates each record as a whole and by quarters. A record
+has ``angle`` (rad) and ``torque`` (N·m, applied to the foot) under random position perturbation,
+and ``rate`` (Hz). Public ones of that kind, of a healthy subject, are in
+``stiffnessID/experimental_data.mat`` of github.com/reklab/reklab_public (GPL-2); their torque is that
+on the device, so `--reverse` turns it.
+
+The rig holds the angle, whatever the person does, so the angle is the input and nothing is in a
+loop: ``direct`` is unbiased. Its scatter between quarters over its stated error is to be about 1.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from numpy.typing import NDArray
+
+import armimp
+from armimp_bringup import cli
+from armimp_common.errors import DataError
+from armimp_estimation.arm_models import ModelFit
+from research.writing import print_table
+
+FloatArray = NDArray[np.float64]
+PARTS = 4
+SHOWN = ("M", "B", "K", "velocity_gain", "stretch_gain", "delay", "muscle")
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+def reflex_of(angle: FloatArray, torque: FloatArray, rate: float) -> ModelFit:
+    """Fit the reflex model to the response from angle to torque."""
+    recording = armimp.Recording.from_arrays(
+        [(angle - angle.mean())[None]],
+        [angle[None]],
+        [torque[None]],
+        rate=rate,
+        timing="simultaneous",
+    )
+    return armimp.identify(recording, "direct", model="reflex").models["reflex"]
+
+
+def honesty(parts: list[ModelFit], name: str) -> float:
+    """Scatter of a parameter between parts over its stated error."""
+    values = np.array([float(np.ravel(one.values[name])[0]) for one in parts])
+    errors = np.array([float(np.ravel(one.errors[name])[0]) for one in parts])
+    return float(np.std(values, ddof=1) / np.sqrt(np.mean(errors**2)))
+
+
+@app.command()
+def ankle(
+    records: Annotated[list[Path], typer.Argument(metavar="RECORD.npz...", help="Records.")],
+    reverse: Annotated[
+        bool, typer.Option("--reverse", help="The torque is on the device.")
+    ] = False,
+) -> int:
+    """Estimate the reflex model from ankle records, and compare quarters of each."""
+    for path in records:
+        try:
+            with np.load(path) as content:
+                angle, torque = (np.ravel(content[n]).astype(float) for n in ("angle", "torque"))
+                rate = float(content["rate"])
+        except (OSError, KeyError, ValueError) as error:
+            raise DataError(f"{path}: {error}") from None
+        torque = -torque if reverse else torque
+        size = angle.size // PARTS
+        spans = [slice(k * size, (k + 1) * size) for k in range(PARTS)]
+        fits = [reflex_of(angle[span], torque[span], rate) for span in (slice(None), *spans)]
+        rows = []
+        for name in SHOWN:
+            cells = []
+            for fit in fits:
+                value, error = (float(np.ravel(one[name])[0]) for one in (fit.values, fit.errors))
+                cells.append(f"{value:.4g} ± {error:.2g}" if error >= 0.0 else "–")
+            ratio = honesty(fits[1:], name)
+            rows.append((name, *cells, f"{ratio:.2f}" if np.isfinite(ratio) else "–"))
+        parts = [f"quarter {k + 1}" for k in range(PARTS)]
+        print_table(path.name, ("SI units", "whole", *parts, "scatter/error"), rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(cli.main(sys.argv[1:], app, "research.ankle"))
