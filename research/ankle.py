@@ -1,10 +1,10 @@
 """Ankle records of a person: M, B, K and a reflex from arrays, and whether intervals hold.
 
-``python -m research.ankle RECORD.npz...`` estimates each record as a whole and by quarters. A record
-has ``angle`` (rad) and ``torque`` (N·m, applied to the foot) under random position perturbation,
-and ``rate`` (Hz). Public ones of that kind, of a healthy subject, are in
-``stiffnessID/experimental_data.mat`` of github.com/reklab/reklab_public (GPL-2); their torque is that
-on the device, so `--reverse` turns it.
+``python -m research.ankle RECORD.npz...`` estimates each record as a whole and by quarters. A
+record has ``angle`` (rad) and ``torque`` (N·m, applied to the foot) under random position
+perturbation, and ``rate`` (Hz). Public ones of that kind, of a healthy subject, are in
+``stiffnessID/experimental_data.mat`` of github.com/reklab/reklab_public (GPL-2); their torque is
+that on the device, so ``--reverse`` turns it.
 
 The rig holds the angle, whatever the person does, so the angle is the input and nothing is in a
 loop: ``direct`` is unbiased. Its scatter between quarters over its stated error is to be about 1.
@@ -35,12 +35,9 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 
 def reflex_of(angle: FloatArray, torque: FloatArray, rate: float) -> ModelFit:
     """Fit the reflex model to the response from angle to torque."""
+    moved = [(angle - angle.mean())[None]]
     recording = armimp.Recording.from_arrays(
-        [(angle - angle.mean())[None]],
-        [angle[None]],
-        [torque[None]],
-        rate=rate,
-        timing="simultaneous",
+        moved, [angle[None]], [torque[None]], rate=rate, timing="simultaneous"
     )
     return armimp.identify(recording, "direct", model="reflex").models["reflex"]
 
@@ -55,9 +52,7 @@ def honesty(parts: list[ModelFit], name: str) -> float:
 @app.command()
 def ankle(
     records: Annotated[list[Path], typer.Argument(metavar="RECORD.npz...", help="Records.")],
-    reverse: Annotated[
-        bool, typer.Option("--reverse", help="The torque is on the device.")
-    ] = False,
+    reverse: Annotated[bool, typer.Option("--reverse", help="Torque is on the device.")] = False,
 ) -> int:
     """Estimate the reflex model from ankle records, and compare quarters of each."""
     for path in records:
@@ -65,8 +60,8 @@ def ankle(
             with np.load(path) as content:
                 angle, torque = (np.ravel(content[n]).astype(float) for n in ("angle", "torque"))
                 rate = float(content["rate"])
-        except (OSError, KeyError, ValueError) as error:
-            raise DataError(f"{path}: {error}") from None
+        except (OSError, KeyError, ValueError) as cause:
+            raise DataError(f"{path}: {cause}") from None
         torque = -torque if reverse else torque
         size = angle.size // PARTS
         spans = [slice(k * size, (k + 1) * size) for k in range(PARTS)]

@@ -100,7 +100,7 @@ def arm_of(mismatch: Mismatch) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @njit(cache=True)
-def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0917 (one compiled loop)
+def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR0915, PLR0917 (a loop)
     A,
     G,
     torque_of,

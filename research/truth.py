@@ -136,7 +136,7 @@ NOISE, RIGHT, MUST = "noise", "right", ""
 """Noise must come out valid; what is right may; other classes may be valid only if right."""
 
 
-def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912 (a table)
+def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 (a table)
     """Everything that is tried: kind and mismatch by name (class, magnitude)."""
     found: dict[str, tuple[str, Mismatch]] = {"ideal": (NOISE, Mismatch())}
 
