@@ -28,7 +28,7 @@ from armimp_common.lifecycle import LifecycleManager, ask
 from armimp_common.parameters import as_parameters
 from armimp_common.process import ParentWatchdog
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
-from armimp_estimation.conclusion import CALIBRATION_KEYS
+from armimp_estimation.metadata import CALIBRATION_KEYS
 
 NODES = (ESTIMATOR_NODE, CONTROLLER_NODE, SIM_NODE)
 """In the order of activation: whoever listens comes before whoever speaks."""
