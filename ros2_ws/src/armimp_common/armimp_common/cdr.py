@@ -198,12 +198,12 @@ class _Layout:
     def __init__(
         self, data: Buffer, parsed: CdrReader, first: str, numbers: Span, order: Sequence[int]
     ) -> None:
-        self.length, self._byte_order = len(data), parsed.byte_order
+        self.length = len(data)
         self._constants = [
             (start, end, np.frombuffer(bytes(data[start:end]), np.uint8))
             for start, end in parsed.constants
         ]
-        self._start, self._order = numbers[0], list(order)
+        self._order = list(order)
         mask = bytearray(self.length)
         for start, end in parsed.constants:
             mask[start:end] = b"\xff" * (end - start)
@@ -211,8 +211,17 @@ class _Layout:
         self._constant = int.from_bytes(data, "little") & self._mask
         self.before, self.after = bytes(data[12 : numbers[0]]), bytes(data[numbers[1] :])
         count = (numbers[1] - numbers[0]) // 8
+        byte_order = parsed.byte_order
+        self._dtype = np.dtype(
+            {
+                "names": ["sec", "nanosec", "values"],
+                "formats": [f"{byte_order}i4", f"{byte_order}u4", (f"{byte_order}f8", (count,))],
+                "offsets": [4, 8, numbers[0]],
+                "itemsize": self.length,
+            }
+        )
         self.unpack: Callable[[Buffer], tuple[Any, ...]] = struct.Struct(
-            f"{parsed.byte_order}{first}{len(self.before)}s{count}d{len(self.after)}s"
+            f"{byte_order}{first}{len(self.before)}s{count}d{len(self.after)}s"
         ).unpack
         self.head = self.unpack(data)[0]
         self.values = _picker([4 + index for index in self._order])
@@ -230,26 +239,14 @@ class _Layout:
         """Stamps (N,) and values (n, N) of many messages at once; None if the layouts differ."""
         if set(map(len, messages)) - {self.length}:
             return None
-        table = np.frombuffer(b"".join(messages), np.uint8).reshape(len(messages), self.length)
+        data = b"".join(messages)
+        table = np.frombuffer(data, np.uint8).reshape(len(messages), self.length)
         for start, end, expected in self._constants:
             if not (table[:, start:end] == expected).all():
                 return None
-        seconds, nanoseconds = self._column(table, 4, "i4"), self._column(table, 8, "u4")
-        stamps = seconds.astype(np.int64) * NS_PER_S + nanoseconds.astype(np.int64)
-        values = np.empty((len(self._order), len(messages)))
-        for row, index in enumerate(self._order):
-            values[row] = self._column(table, self._start + 8 * index, "f8")
-        return stamps, values
-
-    def _column(self, table: NDArray[np.uint8], start: int, kind: str) -> NDArray[Any]:
-        column: NDArray[Any] = np.ndarray(
-            (len(table),),
-            np.dtype(self._byte_order + kind),
-            buffer=table.data,
-            offset=start,
-            strides=(self.length,),
-        )
-        return column
+        rows = np.frombuffer(data, self._dtype)
+        stamps = rows["sec"].astype(np.int64) * NS_PER_S + rows["nanosec"]
+        return stamps, np.ascontiguousarray(rows["values"][:, self._order].T, np.float64)
 
 
 def _picker(indices: Sequence[int]) -> Callable[[tuple[Any, ...]], tuple[float, ...]]:
@@ -404,12 +401,9 @@ class JointStateDecoder(_Decoder):
     def decode_many(
         self, messages: Sequence[Buffer]
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Decode many messages into stamps (N,), ns, and a C-contiguous array (n, N) of numbers.
+        """As `decode` of many messages: stamps (N,), ns, and C-contiguous values (n, N).
 
-        Raises
-        ------
-        MalformedMessageError
-            As `decode`, with the index of the message.
+        The message of a `MalformedMessageError` names the index.
         """
         return self._many(messages)
 
@@ -549,12 +543,9 @@ class CommandDecoder(_Decoder):
         return 0 if any(items[0][4:]) else items[1], layout.values(items)
 
     def decode_many(self, messages: Sequence[Buffer]) -> NDArray[np.float64]:
-        """Decode many messages into a C-contiguous array (n, N), N·m.
+        """As `decode` of many messages: a C-contiguous array (n, N), N·m.
 
-        Raises
-        ------
-        MalformedMessageError
-            As `decode`, with the index of the message.
+        The message of a `MalformedMessageError` names the index.
         """
         return self._many(messages)[1]
 

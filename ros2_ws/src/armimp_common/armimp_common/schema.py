@@ -19,7 +19,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeAlias, TypeVar, get_args, get_origin
 
-import annotated_types
 import numpy as np
 import yaml
 from numpy.typing import NDArray
@@ -331,9 +330,7 @@ def _yaml(value: Value) -> str:
 
 def _leaf(key: str, field: FieldInfo, model: type[BaseModel]) -> Leaf:
     item, array = _item_type(field.annotation, f"{model.__name__}.{key}")
-    bounds = [_bounds(constraint) for constraint in field.metadata]
-    minima = [low for low, _ in bounds if low is not None]
-    maxima = [high for _, high in bounds if high is not None]
+    minima, maxima = _limits(field, "ge", "gt"), _limits(field, "le", "lt")
     return Leaf(
         name=key,
         item=item,
@@ -363,24 +360,10 @@ def _item_type(annotation: Any, where: str) -> tuple[ItemType, bool]:
     raise TypeError(f"{where}: ROS parameters cannot have type {annotation}")
 
 
-def _bounds(constraint: object) -> tuple[float | None, float | None]:
-    if isinstance(constraint, annotated_types.Interval):
-        low = constraint.ge if constraint.ge is not None else constraint.gt
-        high = constraint.le if constraint.le is not None else constraint.lt
-        return _number(low), _number(high)
-    if isinstance(constraint, annotated_types.Ge):
-        return _number(constraint.ge), None
-    if isinstance(constraint, annotated_types.Gt):
-        return _number(constraint.gt), None
-    if isinstance(constraint, annotated_types.Le):
-        return None, _number(constraint.le)
-    if isinstance(constraint, annotated_types.Lt):
-        return None, _number(constraint.lt)
-    return None, None
-
-
-def _number(bound: object) -> float | None:
-    return float(bound) if isinstance(bound, int | float) else None
+def _limits(field: FieldInfo, *names: str) -> list[float]:
+    """Values of constraints such as ``ge``, of whatever kind they are."""
+    found = [getattr(one, name, None) for one in field.metadata for name in names]
+    return [float(limit) for limit in found if isinstance(limit, int | float)]
 
 
 def _sub_model(field: FieldInfo) -> type[BaseModel] | None:

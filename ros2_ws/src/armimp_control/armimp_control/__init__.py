@@ -1,1 +1,1 @@
-"""IMBIC controller: law, perturbation, trial sequence, safety gate, and the node that runs them."""
+"""IMBIC controller: laws, perturbation, trial sequencer, safety limiter, and the node with them."""

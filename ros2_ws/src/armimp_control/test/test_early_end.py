@@ -96,7 +96,7 @@ def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: Bench) -> No
     assert {one.ticks for one in (settle, perturb, rest, done)} == {PERTURB}
 
 
-def test_a_judgement_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench) -> None:
+def test_a_decision_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench) -> None:
     bench.run_into_perturbation(END + 100)
     bench.experiment.decide(ENOUGH)
     bench.run(PERTURB)
@@ -107,7 +107,7 @@ def test_a_judgement_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench
 
 
 @pytest.mark.parametrize(
-    ("ticks", "judgement"),
+    ("ticks", "decision"),
     [
         (JUDGED, replace(ENOUGH, trial=2)),
         (JUDGED - 1, ENOUGH),
@@ -117,11 +117,11 @@ def test_a_judgement_that_comes_late_leaves_time_to_hear_of_the_end(bench: Bench
     ],
     ids=["another trial", "samples that were not there", "at the end", "at rest", "settling"],
 )
-def test_when_a_judgement_does_not_fit_expect_it_ignored(
-    bench: Bench, ticks: int, judgement: StoppingDecision
+def test_when_a_decision_does_not_fit_expect_it_ignored(
+    bench: Bench, ticks: int, decision: StoppingDecision
 ) -> None:
     bench.run_into_perturbation(ticks)
-    bench.experiment.decide(judgement)
+    bench.experiment.decide(decision)
     bench.run(PERTURB + REST - ticks)
 
     assert [one.ticks for one in bench.said(Phase.PERTURB, 1)] == [PERTURB]
@@ -129,7 +129,7 @@ def test_when_a_judgement_does_not_fit_expect_it_ignored(
 
 
 class TestWaiting:
-    def test_the_sample_on_which_a_judgement_decides_waits_for_it(self, bench: Bench) -> None:
+    def test_the_sample_on_which_a_decision_decides_waits_for_it(self, bench: Bench) -> None:
         bench.run_into_perturbation(1)
         bench.experiment.decide(ANNOUNCED)
         for place in range(1, END):

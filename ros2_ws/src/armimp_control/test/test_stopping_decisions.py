@@ -1,4 +1,4 @@
-"""The controller node and judgements: in lockstep samples wait for them, on a rig they do not."""
+"""The controller node and decisions: in lockstep samples wait for them, on a rig they do not."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -71,7 +71,7 @@ def judge(node: Node) -> Publisher:
 def start(
     context: Context, spinner: Spinner, driver: ScriptedDriver, judge: Publisher
 ) -> Iterator[Start]:
-    """Makes a controller which is in its first perturbation and knows of a judgement to come."""
+    """Makes a controller which is in its first perturbation and knows of a decision to come."""
     made: list[ImbicControllerNode] = []
 
     def factory(changes: Mapping[str, Value] | None = None, **kwargs: Any) -> ImbicControllerNode:
@@ -107,13 +107,13 @@ def feed_up_to_the_decision(driver: ScriptedDriver, spinner: Spinner) -> None:
     eventually(spinner, lambda: len(driver.commands) == SETTLE + END, "answers up to the decision")
 
 
-@pytest.mark.parametrize(("judgement", "ticks"), [(ENOUGH, END), (NOT_YET, PERTURB)])
-def test_in_lockstep_the_sample_on_which_a_judgement_decides_is_answered_after_it(
+@pytest.mark.parametrize(("decision", "ticks"), [(ENOUGH, END), (NOT_YET, PERTURB)])
+def test_in_lockstep_the_sample_on_which_a_decision_decides_is_answered_after_it(
     start: Start,
     driver: ScriptedDriver,
     spinner: Spinner,
     judge: Publisher,
-    judgement: StoppingDecision,
+    decision: StoppingDecision,
     ticks: int,
 ) -> None:
     start()
@@ -122,7 +122,7 @@ def test_in_lockstep_the_sample_on_which_a_judgement_decides_is_answered_after_i
     a_moment(spinner)
     assert len(driver.commands) == len(driver.perturbations) == SETTLE + END
 
-    judge.publish(status_message(judgement))
+    judge.publish(status_message(decision))
     eventually(spinner, lambda: len(driver.commands) == SETTLE + END + 1, "the answer")
     feed(driver, PERTURB)
     eventually(spinner, lambda: driver.has_said(Phase.REST), "the end of the perturbation")
@@ -132,7 +132,7 @@ def test_in_lockstep_the_sample_on_which_a_judgement_decides_is_answered_after_i
     assert (rest.tick, rest.ticks, rest.valid) == (SETTLE + ticks, ticks, True)
 
 
-def test_on_a_rig_nothing_waits_and_a_late_judgement_ends_the_trial_later(
+def test_on_a_rig_nothing_waits_and_a_late_decision_ends_the_trial_later(
     start: Start,
     driver: ScriptedDriver,
     spinner: Spinner,
@@ -157,7 +157,7 @@ def test_on_a_rig_nothing_waits_and_a_late_judgement_ends_the_trial_later(
     ]
 
 
-def test_when_an_announced_judgement_does_not_come_expect_the_end_with_that_reason(
+def test_when_an_announced_decision_does_not_come_expect_the_end_with_that_reason(
     start: Start, driver: ScriptedDriver, spinner: Spinner
 ) -> None:
     start(IMPATIENT)
