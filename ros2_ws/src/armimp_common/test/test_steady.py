@@ -47,7 +47,7 @@ PERMITTED = {
     ("armimp_common/executor.py", "time.time"): "to find out that it was set",
     ("armimp_common/driver_base.py", "get_clock"): "stamps of reports, for people",
     ("armimp_bringup/cli.py", "datetime.now"): "name of the output directory",
-    ("armimp_estimation/results.py", "datetime.now"): "date of a result, for people",
+    ("armimp_estimation/summary.py", "datetime.now"): "date of a result, for people",
 }
 
 
