@@ -24,9 +24,10 @@ def _reproduce(directory: Path, *options: str) -> int:
     return main(["reproduce", "--out", str(directory), *options])
 
 
-def test_study_that_misses_a_target_exits_with_1_and_names_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_study_that_misses_targets_exits_with_1_and_names_the_first_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("armimp_bringup.study.study._MOST_FAILURES", 2)
     # Ten seconds are too short for targets that are meant for fifty.
     assert _reproduce(tmp_path / "out", *SHORT) == 1
     told = capsys.readouterr()
@@ -34,8 +35,9 @@ def test_study_that_misses_a_target_exits_with_1_and_names_it(
     assert f"study in {tmp_path / 'out'}" in told.out
     complaints = [line for line in told.err.splitlines() if line.startswith("armimp: ")]
     verdict = StudyVerdict.model_validate_json((tmp_path / "out" / "verdict.json").read_bytes())
-    assert complaints == [f"armimp: {failure}" for failure in verdict.failures()]
-    assert any("welch_siso: M, K error" in complaint for complaint in complaints)
+    first, second, *others = verdict.failures()
+    more = f"and {len(others)} more, see {tmp_path / 'out' / 'verdict.json'}"
+    assert complaints == [f"armimp: {line}" for line in (first, second, more)]
     (entry,) = read_study(tmp_path / "out" / "study.json")
     assert list(entry.estimators) == ["welch_siso", "lpm_full"]
     assert entry.condition.name == "friction0-resolution0-perturbation3-seed0"
@@ -51,19 +53,6 @@ def test_interrupted_study_says_how_it_goes_on(tmp_path: Path) -> None:
         assert study.wait(10.0) == 130  # without waiting for the batch at work
         told = study.stderr.read().splitlines()
     assert told == ["armimp: interrupted; the same command goes on from here"]
-
-
-def test_complaints_are_limited_in_number_and_say_where_the_others_are(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("armimp_bringup.study.study._MOST_FAILURES", 1)
-    assert _reproduce(tmp_path / "out", *SHORT) == 1
-    complaints = [x for x in capsys.readouterr().err.splitlines() if x.startswith("armimp: ")]
-    verdict = StudyVerdict.model_validate_json((tmp_path / "out" / "verdict.json").read_bytes())
-    assert complaints == [
-        f"armimp: {verdict.failures()[0]}",
-        f"armimp: and {len(verdict.failures()) - 1} more, see {tmp_path / 'out' / 'verdict.json'}",
-    ]
 
 
 def test_law_that_lets_locked_joints_give_way_fails_the_study(
@@ -87,14 +76,6 @@ def test_estimator_without_targets_exits_with_0_and_prints_json_alone(
     assert {one["estimator"] for one in printed["worst"]} == {"welch_full"}
     assert {one["met"] for one in printed["worst"]} == {None}
     assert "2 of 2 conditions" in told.err
-
-
-@pytest.mark.slow
-def test_three_joints_are_studied_in_the_same_way(tmp_path: Path) -> None:
-    _reproduce(tmp_path / "out", *SHORT, "--joints", "3", "--estimator", "lpm_full")
-    (entry,) = read_study(tmp_path / "out" / "study.json")
-    assert entry.joints == 3
-    assert len(entry.trials) == 3
 
 
 def test_configuration_file_decides_what_options_leave_open(

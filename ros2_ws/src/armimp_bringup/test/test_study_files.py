@@ -26,7 +26,7 @@ from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 
 BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=0+3,perturbation=2"], "1")
-TABLES = ("study.json", "results.csv", "verdict.json", "verdict.csv", "report.html")
+TABLES = ("study.json", "results.csv", "verdict.json", "report.html")
 
 
 class Recorded(Threads):

@@ -17,11 +17,16 @@ from armimp_bringup.study.backends import Threads
 from armimp_bringup.study.conditions import select_conditions
 from armimp_bringup.study.engine import software
 from armimp_bringup.study.figures import impedance_figure, levels_figure, write_figures
-from armimp_bringup.study.levels import COHERENCE_SCORES, FIT_SCORES, statistics
 from armimp_bringup.study.report_accuracy import element_errors
 from armimp_bringup.study.store import StudyEntry, open_study, read_study
 from armimp_bringup.study.study import run_study
-from armimp_bringup.study.table import Table, results_table
+from armimp_bringup.study.table import (
+    COHERENCE_SCORES,
+    FIT_SCORES,
+    Table,
+    results_table,
+    statistics,
+)
 from armimp_bringup.study.verdict import judge
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
@@ -109,11 +114,11 @@ def test_errors_of_elements_are_the_largest_of_all_conditions(
 
 def test_statistics_by_level_count_every_condition_once(table: Table) -> None:
     values = FIT_SCORES[0].subjects(table[:, 1])["Z", "11"]
-    by_friction = statistics(table[:, 1], "friction", values)
-    assert by_friction.levels.tolist() == [0, 3]
+    levels, mean, low, high = statistics(table[:, 1], "friction", values)
+    assert levels == [0, 3]
     of_3 = values[table["friction"][:, 1, 0, 0] == 3]
-    assert by_friction.mean[1] == pytest.approx(np.mean(of_3))
-    assert (by_friction.low[1], by_friction.high[1]) == (of_3.min(), of_3.max())
+    assert mean[1] == pytest.approx(np.mean(of_3))
+    assert (low[1], high[1]) == (of_3.min(), of_3.max())
 
 
 # --- figures -----------------------------------------------------------------------------------

@@ -291,15 +291,6 @@ def test_table_of_results_has_a_row_for_each_condition_element_and_estimator() -
     assert {r["valid"] for r in rows} == {"True"}
 
 
-def test_table_of_the_verdict_has_what_the_verdict_has() -> None:
-    bad = _with(_entry(), "welch_siso", r2=[[0.5, 0.999], [0.999, 0.999]])
-    verdict = judge([bad])
-    rows = list(csv.DictReader(io.StringIO(verdict.to_csv())))
-    for row, one in zip(rows, verdict.worst, strict=True):
-        expected = {k: "" if v is None else str(v) for k, v in one.model_dump().items()}
-        assert row == expected
-
-
 def test_verdict_is_read_back_as_it_was_written() -> None:
     bad = _with(_entry(), "welch_siso", r2=[[math.nan, 0.999], [0.999, 0.999]])
     verdict = judge([bad])

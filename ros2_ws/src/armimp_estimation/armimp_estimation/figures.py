@@ -44,9 +44,8 @@ from armimp_estimation.summary import Summary
 # Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
-ONE_COLUMN = 3.5
-"""Width of a column, inches."""
 TWO_COLUMNS = 7.16
+"""Width of a figure of two columns, inches."""
 STYLE: Any = {
     "font.size": 8,
     "axes.titlesize": 8,
@@ -86,9 +85,7 @@ _TRUE: dict[str, Any] = {"color": TRUTH_COLOUR, "linestyle": DASHES["dot"], "lin
 
 
 @rc_context(STYLE)
-def impedance_figure(
-    summary: Summary, curves: Mapping[str, ImpedanceCurve], *, width: float = TWO_COLUMNS
-) -> Figure:
+def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> Figure:
     """Bode plot of every element of Z_h with 95 % confidence bands, and how far the curves part.
 
     Parameters
@@ -97,8 +94,6 @@ def impedance_figure(
         Of the result.
     curves : mapping of str to ImpedanceCurve
         By name of the estimator; at least one.
-    width : float
-        Of the figure, inches.
 
     Returns
     -------
@@ -112,8 +107,7 @@ def impedance_figure(
     keys.append(Patch(color="#c9cdd2", label="95 % confidence"))
     if truth is not None:
         keys.append(line_key("truth (simulation)", TRUTH_COLOUR, "dot"))
-    height = 1.9 + 0.8 * width / TWO_COLUMNS
-    figure, cells = element_matrix(n, width, cell_height=height, rows=(3, 2, 2), keys=keys)
+    figure, cells = element_matrix(n, TWO_COLUMNS, cell_height=2.7, rows=(3, 2, 2), keys=keys)
     grids = [curve.f for curve in curves.values()]
     for (i, k), (magnitude, phase, distance) in cells.items():
         every = []
@@ -144,7 +138,7 @@ def impedance_figure(
         phase.yaxis.set_major_locator(MultipleLocator(phase_step(ends, most=3)))
         title(magnitude, f"$Z_{{{i + 1}{k + 1}}}$")
         if k == 0:
-            magnitude.set_ylabel("magnitude (N·m/rad)" if width > ONE_COLUMN else "N·m/rad")
+            magnitude.set_ylabel("magnitude (N·m/rad)")
             phase.set_ylabel("phase (°)")
             distance.set_ylabel("distance (%)")
         frequency_axis(distance, grids, last=i == n - 1)
@@ -152,15 +146,13 @@ def impedance_figure(
 
 
 @rc_context(STYLE)
-def coherence_figure(curves: Mapping[str, ImpedanceCurve], *, width: float = TWO_COLUMNS) -> Figure:
+def coherence_figure(curves: Mapping[str, ImpedanceCurve]) -> Figure:
     """Coherences behind every element of Z_h.
 
     Parameters
     ----------
     curves : mapping of str to ImpedanceCurve
         By name of the estimator; at least one.
-    width : float
-        Of the figure, inches.
     """
     names, common = looks(curves), next(iter(curves.values())).coherence
     keys = [
@@ -172,9 +164,8 @@ def coherence_figure(curves: Mapping[str, ImpedanceCurve], *, width: float = TWO
     lowest = min(lowest, np.nanmin(common.motion), np.nanmin(common.torque))
     # One axis for all, so that they can be compared.
     floor = next((floor for floor in (0.8, 0.5) if lowest >= floor), 0.0)
-    height = 0.8 + 0.4 * width / TWO_COLUMNS
     n = len(common.motion)
-    figure, cells = element_matrix(n, width, cell_height=height, rows=(1,), keys=keys)
+    figure, cells = element_matrix(n, TWO_COLUMNS, cell_height=1.2, rows=(1,), keys=keys)
     for (i, k), (axes,) in cells.items():
         axes.plot(common.f, common.motion[k], color=MOTION_COLOUR)
         axes.plot(common.f, common.torque[i, k], color=TORQUE_COLOUR)
@@ -190,9 +181,7 @@ def coherence_figure(curves: Mapping[str, ImpedanceCurve], *, width: float = TWO
 
 
 @rc_context(STYLE)
-def trace_figure(
-    trials: Sequence[Trial], *, seconds: float = 5.0, width: float = TWO_COLUMNS
-) -> Figure:
+def trace_figure(trials: Sequence[Trial], *, seconds: float = 5.0) -> Figure:
     """Signals of the trials over time: one column for each trial.
 
     Parameters
@@ -201,8 +190,6 @@ def trace_figure(
         At least one, each with a segment.
     seconds : float
         From the beginning of the perturbation.
-    width : float
-        Of the figure, inches.
     """
     stop = max(round(seconds / PERIOD), 2)
     shown = [rows_of(one.segments, one.window.start_ns) for one in trials]
@@ -210,7 +197,7 @@ def trace_figure(
     keys = [line_key(name, joint_colour(joint)) for joint, name in enumerate(names)]
     count = max(len(rows) for rows in shown)
     figure, grid = _frame(
-        (count, len(trials)), width, cell_height=0.72, left=0.82, gap=(0.5, 0.12), keys=keys
+        (count, len(trials)), TWO_COLUMNS, cell_height=0.72, left=0.82, gap=(0.5, 0.12), keys=keys
     )
     labelled: list[Axes] = []
     for column, (one, rows) in enumerate(zip(trials, shown, strict=True)):
@@ -327,7 +314,7 @@ def _frame(
     """Figure with a grid and a legend; all measures in inches, so that they hold for any grid."""
     rows, columns = shape
     right, top, tick_labels, legend_row = 0.1, 0.22, 0.42, 0.17
-    entries = min(len(keys), 4 if width > ONE_COLUMN else 2)
+    entries = min(len(keys), 4)
     across, down = gap
     cell = (width - left - right - across * (columns - 1)) / columns
     bottom = tick_labels + legend_row * math.ceil(len(keys) / entries) + 0.06

@@ -14,8 +14,13 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.levels import COHERENCE_SCORES, FIT_SCORES, LevelScore, statistics
-from armimp_bringup.study.table import Table
+from armimp_bringup.study.table import (
+    COHERENCE_SCORES,
+    FIT_SCORES,
+    LevelScore,
+    Table,
+    statistics,
+)
 from armimp_bringup.study.verdict import targets
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.figures import DASHES as MPL_DASHES
@@ -187,11 +192,11 @@ def levels_figure(table: Table, scores: Sequence[LevelScore]) -> Figure:
         for panel, factor in zip(row, LEVELS, strict=True):
             for number, (subject, values) in enumerate(found.items()):
                 look = subjects.index(subject)
-                one = statistics(table, factor, values)
-                reach = np.array([one.mean - one.low, one.high - one.mean])
+                levels, mean, low, high = statistics(table, factor, values)
+                reach = np.array([mean - low, high - mean])
                 keys[_label(*subject)] = panel.errorbar(
-                    one.levels + spread * ((number + 0.5) / len(found) - 0.5),
-                    one.mean,
+                    np.add(levels, spread * ((number + 0.5) / len(found) - 0.5)),
+                    mean,
                     # Rounding may leave the mean of equal values beside them.
                     yerr=np.maximum(reach, 0.0),
                     color=ELEMENT_COLOURS[look % len(ELEMENT_COLOURS)],
@@ -201,9 +206,9 @@ def levels_figure(table: Table, scores: Sequence[LevelScore]) -> Figure:
                 )
             if limit is not None:
                 keys["target"] = panel.axhline(limit, **_TARGET)
-            levels = np.unique(table[factor])
-            panel.set_xticks(levels)
-            panel.set_xlim(levels[0] - 0.5, levels[-1] + 0.5)
+            ticks = np.unique(table[factor])
+            panel.set_xticks(ticks)
+            panel.set_xlim(ticks[0] - 0.5, ticks[-1] + 0.5)
             panel.grid(visible=False, axis="x")
             panel.ticklabel_format(axis="y", useOffset=False)
             if score is scores[-1]:

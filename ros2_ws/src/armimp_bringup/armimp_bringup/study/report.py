@@ -10,11 +10,16 @@ from typing import Any, Final
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.levels import COHERENCE_SCORES, FIT_SCORES, MOST_JOINTS, LevelScore
 from armimp_bringup.study.report_accuracy import accuracy_content
 from armimp_bringup.study.report_plots import Panel, heat_map, levels_view, overlay_plot
 from armimp_bringup.study.store import StudyEntry
-from armimp_bringup.study.table import FloatArray
+from armimp_bringup.study.table import (
+    COHERENCE_SCORES,
+    FIT_SCORES,
+    MOST_JOINTS,
+    FloatArray,
+    LevelScore,
+)
 from armimp_bringup.study.table import Table as Results
 from armimp_bringup.study.verdict import (
     QUANTITIES,

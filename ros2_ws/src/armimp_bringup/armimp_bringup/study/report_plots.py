@@ -10,8 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.levels import LevelScore, statistics
-from armimp_bringup.study.table import FloatArray, Table
+from armimp_bringup.study.table import FloatArray, LevelScore, Table, statistics
 from armimp_bringup.study.verdict import Scale, targets
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
@@ -286,22 +285,21 @@ def _marks(
     shift: float,
 ) -> Trace:
     """Mean and range at every level of every factor."""
-    x, mean, low, high, notes = [], [], [], [], []
+    x, notes, found = [], [], []
     for factor, place in places.items():
-        found = statistics(table, factor, values)
-        x += [place[int(level)] + shift for level in found.levels]
-        mean += found.mean.tolist()
-        low += found.low.tolist()
-        high += found.high.tolist()
-        notes += [f"{factor} {level}" for level in found.levels]
+        levels, *of_factor = statistics(table, factor, values)
+        x += [place[level] + shift for level in levels]
+        notes += [f"{factor} {level}" for level in levels]
+        found.append(of_factor)
+    mean, low, high = np.concatenate(found, axis=1)
     return {
         "x": packed(x),
         "y": packed(mean),
         "error_y": {
             "type": "data",
             "symmetric": False,
-            "array": packed(np.maximum(np.subtract(high, mean), 0.0)),
-            "arrayminus": packed(np.maximum(np.subtract(mean, low), 0.0)),
+            "array": packed(np.maximum(high - mean, 0.0)),
+            "arrayminus": packed(np.maximum(mean - low, 0.0)),
             "thickness": 1.4,
             "width": 0,
         },

@@ -34,7 +34,6 @@ _FILES: Final = {
     STUDY_FILE: "all results",
     "results.csv": "one row for each condition, element and estimator",
     VERDICT_FILE: "worst values and targets",
-    "verdict.csv": "the same as a table",
     CONFIG_FILE: "what the results were made with",
     RESULTS_DIRECTORY + "/": "result and curves of each condition",
 }
@@ -174,7 +173,6 @@ def run_study(
         verdict = judge(entries, table)
         write_text(directory / STUDY_FILE, study_text(entries))
         write_text(directory / "results.csv", results_csv(table))
-        write_text(directory / "verdict.csv", verdict.to_csv())
         text = verdict.model_dump_json(indent=1, by_alias=True)
         write_text(directory / VERDICT_FILE, f"{text}\n")
         drawn: dict[str, str] = {}

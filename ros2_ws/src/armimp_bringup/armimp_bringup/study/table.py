@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -159,3 +160,62 @@ def results_csv(table: Table) -> str:
             "" if isinstance(value, float) and math.isnan(value) else value for value in row.item()
         )
     return text.getvalue()
+
+
+# --- levels, as Figures 3 and 4 of the paper show them ------------------------------------------
+
+MOST_JOINTS: Final = 3
+"""With more of them, elements are drawn by the row; there would be too many marks."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelScore:
+    """A score of Figure 3 or 4: its field of the results, name, unit, and quantity with targets."""
+
+    field: str
+    name: str
+    unit: str = ""
+    quantity: str = ""
+
+    def subjects(self, table: Table) -> Mapping[tuple[str, str], FloatArray]:
+        """Values, shape (n_conditions, n_elements), by symbol and 1-based indices of their marks.
+
+        Parameters
+        ----------
+        table : ndarray, shape (n_conditions, n, n)
+            Results of one estimator.
+        """
+        values, n = table[self.field], table.shape[-1]
+        if self.field == "coherence_motion":
+            return {("θ", f"{k + 1}"): values[:, 0, k, np.newaxis] for k in range(n)}
+        if n > MOST_JOINTS:
+            return {("Z", f"{i + 1}·"): values[:, i] for i in range(n)}
+        return {
+            ("Z", f"{i + 1}{k + 1}"): values[:, i, k, np.newaxis]
+            for i in range(n)
+            for k in range(n)
+        }
+
+
+FIT_SCORES: Final = (
+    LevelScore(field="vaf_percent", name="VAF", unit="%", quantity="VAF"),
+    LevelScore(field="r2", name="R²", quantity="R²"),
+)
+"""Those of Figure 3."""
+COHERENCE_SCORES: Final = (
+    LevelScore(field="coherence_derived", name="derived coherence", quantity="derived coherence"),
+    LevelScore(field="coherence_torque", name="coherence τΔ → τ"),
+    LevelScore(field="coherence_motion", name="coherence τΔ → θ"),
+)
+"""Band means, those of Figure 4."""
+
+
+def statistics(
+    table: Table, factor: str, values: FloatArray
+) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
+    """Levels of a factor; mean, smallest and largest of (n_conditions, n_elements) values there."""
+    levels = table[factor][:, 0, 0]
+    present = np.unique(levels)
+    groups = [values[levels == level] for level in present]
+    mean, low, high = (np.array([of(one) for one in groups]) for of in (np.mean, np.min, np.max))
+    return present.tolist(), mean, low, high

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -172,14 +170,6 @@ class StudyVerdict(BaseModel):
             *(_missed(one) for one in self.worst if one.met is False),
             *(sentence for _, sentence in self.problems),
         ]
-
-    def to_csv(self) -> str:
-        """The worst values as a table."""
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(WorstValue.model_fields), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(one.model_dump() for one in self.worst)
-        return text.getvalue()
 
 
 def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
