@@ -46,7 +46,7 @@ class Recipe:
     study: tuple[str, ...] = ()
 
     def digest(self) -> str:
-        """Digest of the sources without comments and docstrings, and of the configuration."""
+        """Digest of what the sources do, and of the default configuration."""
         from armimp_bringup.config import ExperimentConfig
 
         made = hashlib.sha256(" ".join(self.study).encode())
@@ -97,16 +97,23 @@ RECIPES = {
 
 
 def _code(path: Path) -> bytes:
-    """What a module does: its syntax tree, without docstrings."""
+    """What a module does: its syntax tree without docstrings, imports and types."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
-        if (body := getattr(node, "body", None)) and isinstance(body, list):
-            node.body = [  # type: ignore[attr-defined]
-                one
-                for one in body
-                if not (isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant))
-            ]
+        if isinstance(body := getattr(node, "body", None), list):
+            body[:] = [one for one in body if not _is_said(one)]
+        if isinstance(node, ast.arg):
+            node.annotation = None
+        elif isinstance(node, (ast.FunctionDef, ast.AnnAssign)):
+            node.returns = node.annotation = None  # type: ignore[union-attr, assignment]
     return ast.dump(tree).encode()
+
+
+def _is_said(statement: ast.stmt) -> bool:
+    """Whether a statement is for readers and types alone."""
+    if isinstance(statement, ast.Expr):
+        return isinstance(statement.value, ast.Constant)
+    return isinstance(statement, (ast.Import, ast.ImportFrom))
 
 
 def _photograph(page: Path, picture: Path) -> None:

@@ -52,7 +52,8 @@ def test_a_change_of_code_changes_the_digest_and_one_of_words_does_not(
     recipe = SCRIPT.Recipe(pictures=("one.png",), sources=("draw.py",), study=("one",))
     source = tmp_path / "draw.py"
     digests = []
-    for text in ('"""Old."""\nWIDTH = 3\n', '"""New."""\n# Wide.\nWIDTH = 3\n', "WIDTH = 4\n"):
+    words = '"""New."""\nimport this\n\n# Wide.\ndef draw(width: int) -> None: plot(width, 3)\n'
+    for text in ("def draw(width): plot(width, 3)\n", words, "def draw(width): plot(width, 4)\n"):
         source.write_text(text)
         digests.append(recipe.digest())
     assert digests[0] == digests[1] != digests[2]
