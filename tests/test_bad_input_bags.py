@@ -421,14 +421,3 @@ def test_a_cut_bag_is_refused_by_replay_with_the_same_reason(good: Path, tmp_pat
     for size in (5, 100, 3000):
         file.write_bytes(whole[:size])
         both_refuse(file)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-class TestAtLength:
-    def test_cut_at_two_thousand_places(self, good: Path, tmp_path: Path) -> None:
-        cut(good, tmp_path, 2000)
-
-    @pytest.mark.parametrize("seed", range(10))
-    def test_changed_bytes(self, seed: int, good: Path, tmp_path: Path) -> None:
-        flip(good, tmp_path, 500, seed=100 + seed)

@@ -22,12 +22,7 @@ _PATIENCE = 5.0
 
 
 def state_of(name: str, patience: float = _PATIENCE) -> str:
-    """Return the lifecycle state of a node.
-
-    Parameters
-    ----------
-    name : str
-    patience : how long to wait for node and answer, each (s)
+    """Return the lifecycle state of a node, waiting for node and answer that long each, s.
 
     Raises
     ------
@@ -38,15 +33,12 @@ def state_of(name: str, patience: float = _PATIENCE) -> str:
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = Node("armimp_health", context=context, use_global_arguments=False)
-        try:
-            with Spinner([node]) as spinner:
-                manager = LifecycleManager(
-                    node, [name], spin_until=spinner.spin_until, timeout=patience
-                )
-                manager.wait_for_nodes()
-                return manager.state(name)
-        finally:
-            node.destroy_node()
+        with Spinner([node]) as spinner:
+            manager = LifecycleManager(
+                node, [name], spin_until=spinner.spin_until, timeout=patience
+            )
+            manager.wait_for_nodes()
+            return manager.state(name)
     finally:
         context.try_shutdown()
 
