@@ -33,12 +33,15 @@ def state_of(name: str, patience: float = _PATIENCE) -> str:
     rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
     try:
         node = Node("armimp_health", context=context, use_global_arguments=False)
-        with Spinner([node]) as spinner:
-            manager = LifecycleManager(
-                node, [name], spin_until=spinner.spin_until, timeout=patience
-            )
-            manager.wait_for_nodes()
-            return manager.state(name)
+        try:
+            with Spinner([node]) as spinner:
+                manager = LifecycleManager(
+                    node, [name], spin_until=spinner.spin_until, timeout=patience
+                )
+                manager.wait_for_nodes()
+                return manager.state(name)
+        finally:
+            node.destroy_node()
     finally:
         context.try_shutdown()
 
