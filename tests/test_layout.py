@@ -4,12 +4,14 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = ROOT / "ros2_ws" / "src"
 PACKAGES = sorted(path.name for path in SOURCES.iterdir() if (path / "package.xml").exists())
 MESSAGE_PACKAGES = {
     "builtin_interfaces",
@@ -56,6 +58,27 @@ def modules(package: str) -> Iterator[tuple[str, Path]]:
     for path in sorted((root / package).rglob("*.py")):
         name = ".".join(path.relative_to(root).with_suffix("").parts)
         yield name.removesuffix(".__init__"), path
+
+
+def arrows() -> dict[str, set[str]]:
+    """Modules of this project that each module imports, for types alone included."""
+    files = {name: path for package in PACKAGES for name, path in modules(package)}
+    for folder in ("research", "benchmarks"):
+        for path in (ROOT / folder).glob("*.py"):
+            files[f"{folder}.{path.stem}"] = path
+    found: dict[str, set[str]] = {}
+    for name, path in files.items():
+        found[name] = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names = {f"{node.module}.{alias.name}" for alias in node.names}
+                found[name] |= {one if one in files else node.module for one in names}
+        found[name] &= files.keys() - {name}
+    return found
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    assert list(TopologicalSorter(arrows()).static_order())
 
 
 def imported(path: Path) -> set[str]:

@@ -22,12 +22,12 @@ from armimp_bringup.study.backends import Dask, Threads
 from armimp_bringup.study.conditions import Condition, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
-    ConditionResult,
     condition_config,
     run_batch,
     software,
     split_evenly,
 )
+from armimp_bringup.study.store import ConditionResult
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.dynamics import WIDTH

@@ -9,7 +9,8 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeAlias, TypeVar
 
-from armimp_bringup.study.engine import Batch, ConditionResult, run_batch
+from armimp_bringup.study.engine import Batch, run_batch
+from armimp_bringup.study.store import ConditionResult
 from armimp_common.errors import ConfigurationError, DataError
 
 Results = list[ConditionResult]

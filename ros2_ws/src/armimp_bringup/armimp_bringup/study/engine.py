@@ -13,10 +13,9 @@ from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.conditions import Condition
-from armimp_bringup.study.store import StudyEntry
+from armimp_bringup.study.store import ConditionResult, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
-from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.result import summarise
 from armimp_estimation.summary import TrialSummary
 from armimp_sim.dynamics import WIDTH
@@ -45,14 +44,6 @@ class Batch:
     base: ExperimentConfig
     conditions: tuple[Condition, ...]
     software: Mapping[str, Any] = field(default_factory=software)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ConditionResult:
-    """The result of one condition, and its curves by name of the estimator."""
-
-    entry: StudyEntry
-    results: dict[str, EstimatorResult]
 
 
 def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Condition, ...]]:

@@ -10,8 +10,9 @@ import fcntl
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 from pydantic import TypeAdapter, ValidationError, model_validator
 
@@ -20,11 +21,9 @@ from armimp_bringup.study.conditions import Condition
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.atomic_write import is_part, open_lock, read_bytes, read_text, write_text
 from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
+from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.json_model import first_complaint
 from armimp_estimation.summary import Summary, write_summary
-
-if TYPE_CHECKING:
-    from armimp_bringup.study.engine import ConditionResult
 
 CONFIG_FILE = "config.json"
 RESULTS_DIRECTORY = "conditions"
@@ -65,6 +64,14 @@ class StudyEntry(Summary):
             resolution=self.resolution,
             perturbation=self.perturbation,
         )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConditionResult:
+    """The result of one condition, and its curves by name of the estimator."""
+
+    entry: StudyEntry
+    results: dict[str, EstimatorResult]
 
 
 _ENTRY = TypeAdapter(StudyEntry)
