@@ -16,6 +16,7 @@ from support.hostile_bags import ATTACKS, QUICK, REPLAY
 
 _MOST_MEMORY: Final = 1.5e9
 _MOST_TIME: Final = 30.0
+_NOTES = ("note: ", "armimp: note: ", "trial ")
 _LONGEST_LINE: Final = 1300
 NAMED: Final = ("/dev/zero", "parameter '", "not valid: ")
 """What a line may name in the place of the file: a device, a parameter, a verdict."""
@@ -35,7 +36,7 @@ def outcomes(names: Sequence[str], directory: Path) -> Iterator[dict[str, Any]]:
 def faults_of(outcome: dict[str, Any], directory: Path) -> list[str]:
     """What is wrong with an outcome, in words; time is that of the processor."""
     said = outcome["err"]
-    complaints = [line for line in said.splitlines() if not line.startswith(("note: ", "trial "))]
+    complaints = [line for line in said.splitlines() if not line.startswith(_NOTES)]
     found = [
         (outcome["status"] not in (0, 1, 2), f"ended with {outcome['status']}"),
         ("Traceback" in said, "traceback"),

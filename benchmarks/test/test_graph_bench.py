@@ -79,7 +79,7 @@ def test_lost_samples_are_a_figure_and_whatever_else_spoils_a_run_is_an_error(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=5.0)]
-    summary = SimpleNamespace(valid=False, problems=["something"], trials=trials)
+    summary = SimpleNamespace(valid=False, faults=["something"], trials=trials)
     monkeypatch.setattr(graph, "run_experiment", lambda *_: summary)
     experiment = graph_tick("composed")
     assert experiment.ticks == pytest.approx([1e-4, 2e-4])
