@@ -73,6 +73,8 @@ class Mismatch:
     voluntary: float = 0.0
     preload: float = 0.0
     """Angle between the posture held and the arm's rest, rad."""
+    calibrated: bool = True
+    """Whether the transducers are declared exact."""
     readings: Callable[[Recording], Recording] | None = field(default=None, compare=False)
     """What is done to the arrays afterwards."""
 

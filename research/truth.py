@@ -19,6 +19,7 @@ from armimp_common import topics
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_estimation.alignment.assemble import assemble_trials
 from armimp_estimation.alignment.streams import Stream, Streams
+from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.result import Result, conclude
 from research.independent_rig import NAMES, Mismatch, Recording, arm_of, changed, simulate
 from research.options import InvestigationOptions
@@ -252,7 +253,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         sticky = {"friction": friction, "stick": 0.005 * friction, "angle_step": step}
         kind = NOISE if friction < 2.0 else MUST
         add(kind, "sticking", (f"{friction:g} N·m, {step:g} rad", sticky))
-    add(MUST, "cross-talk", ("3 %", {"readings": changed(torque=_cross(0.03))}))
+    add(
+        MUST, "cross-talk", ("3 %", {"readings": changed(torque=_cross(0.03)), "calibrated": False})
+    )
     return found
 
 
@@ -300,16 +303,17 @@ def streams_of(recordings: list[Recording]) -> Streams:
     )
 
 
-def verdict_on(recordings: list[Recording]) -> Result:
-    """What the estimator says of trials without trial status and metadata."""
+def verdict_on(recordings: list[Recording], *, calibrated: bool = True) -> Result:
+    """What the estimator says of trials without trial status, and with exact transducers or not."""
     trials = assemble_trials(streams_of(recordings), ())
-    return conclude(trials, metadata={}, joint_names=NAMES, estimators=("lpm_full",))
+    metadata = dict.fromkeys(CALIBRATION_KEYS, "0") if calibrated else {}
+    return conclude(trials, metadata=metadata, joint_names=NAMES, estimators=("lpm_full",))
 
 
 def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str]]:
     """Valid or not; worst error in standard errors, and in per cent; problems."""
     try:
-        summary = verdict_on(simulate(mismatch, seed)).summary
+        summary = verdict_on(simulate(mismatch, seed), calibrated=mismatch.calibrated).summary
     except ArmimpError as error:
         return False, np.nan, np.nan, [str(error)]
     if "lpm_full" not in summary.estimators:
