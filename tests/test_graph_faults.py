@@ -20,7 +20,7 @@ from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary
 from support.runs import FinishedRun
 
-SHORT: dict[str, Any] = {"duration": 3.0}
+SHORT: dict[str, Any] = {"duration": 10.0}
 pytestmark = pytest.mark.usefixtures("environment")
 
 
@@ -70,7 +70,7 @@ def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
     assert len(finished.bags) == trial
     assert all((bag / "metadata.yaml").exists() for bag in finished.bags)
     assert whole_samples(finished.bags[-1]) > 2000
-    assert [whole_samples(bag) for bag in finished.bags[:-1]] == [3_000] * (trial - 1)
+    assert [whole_samples(bag) for bag in finished.bags[:-1]] == [10_000] * (trial - 1)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Sequence
+from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,10 @@ def test_two_experiments_at_once_do_not_hear_each_other(
     alone = {1: composed, 2: other_seed}
     processes = {1: "composed", 2: "separate"}
     others = {
-        seed: start(tmp_path / str(seed), "--seed", str(seed), "--processes", processes[seed])
+        seed: start(
+            *(tmp_path / str(seed), "--seed", str(seed), "--processes", processes[seed]),
+            *("--duration", "3"),
+        )
         for seed in alone
     }
 
@@ -129,15 +133,10 @@ def test_nothing_of_an_experiment_can_be_reached_from_other_machines(
         experiment.terminate()
         experiment.communicate(timeout=PATIENCE)
 
-    # The process that draws the figures has no socket at all.
-    silent = [number for number, found in graph.items() if not found]
-    assert len(silent) == 1
-    del graph[silent[0]]
     assert len(graph) == (1 if processes == "composed" else 1 + len(NODES))
     # Each has two ports at least, for discovery and for data, on the loopback interface.
     assert all(len(found) >= 2 for found in graph.values())
-    assert [one for found in graph.values() for one in found if not one.address.is_loopback] == []
-    assert {one.protocol for found in graph.values() for one in found} == {"udp"}
+    assert all(ip_address(one.ip).is_loopback for found in graph.values() for one in found)
     # From the outside, as opposed to from the inside, the machine itself says so.
     assert not any(inside)
     assert all(outside)
@@ -152,4 +151,4 @@ def test_when_the_user_asks_for_the_network_expect_it_open(tmp_path: Path) -> No
         experiment.terminate()
         experiment.communicate(timeout=PATIENCE)
 
-    assert any(not one.address.is_loopback for found in graph.values() for one in found)
+    assert any(not ip_address(one.ip).is_loopback for found in graph.values() for one in found)
