@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
+from research.decomposition_outcomes import Cell
 from research.decomposition_statistics import OCTAVES, root_mean_square
 from research.writing import COLOURS, MARKERS, WIDTH
-
-if TYPE_CHECKING:
-    from research.decomposition import Cell
 
 LOOKS: Final[dict[str, Any]] = {
     name: {"color": COLOURS[number], "marker": MARKERS[number]}

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from research.decomposition_outcomes import Cell
 from research.decomposition_statistics import LEVEL, root_mean_square
 from research.decomposition_trials import ESTIMATORS, MIMO
 from research.writing import print_table
-
-if TYPE_CHECKING:
-    from research.decomposition import Cell
 
 FloatArray = NDArray[np.float64]
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from research.decomposition_figures import LOOKS
+from research.growth_outcomes import Cell
 from research.writing import WIDTH
-
-if TYPE_CHECKING:
-    from research.growth import Cell
 
 _LINES: Final[tuple[Any, ...]] = ("-", "--", ":", "-.")
 

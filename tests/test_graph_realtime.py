@@ -153,7 +153,7 @@ def run_on_own_clock(directory: Path, latency: Callable[[int], float]) -> Timed:
     """Run an experiment in which the answer to the sample of each tick takes so long (s)."""
     clock = OwnClock(latency)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("armimp_sim.node.PacedRig", clock.rig)
+        patch.setattr("armimp_sim.node.RealtimeSimulator", clock.rig)
         # Samples need time of the machine on their way, of which the rig's clock knows nothing.
         patch.setattr("armimp_control.node.time", SimpleNamespace(monotonic=lambda: 0.0))
         summary = run_experiment(config(processes="composed"), directory)

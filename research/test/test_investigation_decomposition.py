@@ -15,11 +15,11 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK
 from research.decomposition import (
-    Cell,
     DecompositionPlan,
     investigate,
     run_decomposition,
 )
+from research.decomposition_outcomes import Cell
 from research.decomposition_statistics import (
     OCTAVES,
     Mean,

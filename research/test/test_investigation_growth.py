@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from research.growth import Cell, GrowthPlan, Outcome, investigate, run_growth
+from research.growth import GrowthPlan, investigate, run_growth
+from research.growth_outcomes import Cell, Outcome
 from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
