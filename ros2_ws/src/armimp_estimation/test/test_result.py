@@ -22,6 +22,7 @@ from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
+from armimp_estimation.messages import result_message
 from armimp_estimation.metadata import Metadata, reading_of
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
@@ -158,6 +159,14 @@ def test_live_trials_and_those_read_from_bags_give_equal_results_to_the_bit(
     other = result_of(read[::-1], dict(contents[0].metadata), allow_gaps=True)
     assert one.summary == other.summary
     assert bits(one) == bits(other) != []
+
+
+def test_a_trial_without_any_sample_is_named_and_its_result_has_a_reason() -> None:
+    empty = replace(LIVE[1], segments=())
+    result = result_of([LIVE[0], empty])
+    (missing,) = result.summary.faults
+    assert (missing.code, missing.trial) == (ProblemCode.NOTHING_RECORDED, empty.trial)
+    assert str(missing) in result_message(result).message
 
 
 @pytest.mark.parametrize("trials", [LIVE[:1], LIVE[1:], [], [LIVE[0], LIVE[0]]])

@@ -225,6 +225,8 @@ class Trial:
             one.model_copy(update={"severity": Severity.NOTE}) if one.code in healed else one
             for one in self.problems
         ]
+        if not self.problems:
+            found += self.refusals(allow_gaps=allow_gaps)
         share = self.statistics.excluded_share
         if self.segments and not share <= most_excluded:
             values = {"percent": 100.0 * share, "limit": 100.0 * most_excluded}
