@@ -161,7 +161,9 @@ class LpmFull:
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
         systematics = (systematic, *unresolved(records, impedance, inverse))
-        if jump is None and self._delay_uncertainty(jump, records[0].rate) == 0.5 / records[0].rate:
+        half_period = 0.5 / records[0].rate
+        delay_uncertainty = self._delay_uncertainty(jump, records[0].rate)
+        if jump is None and delay_uncertainty == half_period:
             systematics += untold_friction(records, impedance, f)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for k, column in enumerate(columns):
@@ -179,8 +181,8 @@ class LpmFull:
             R=R,
             systematics=systematics,
             weight_floor=options.weight_floor,
-            delay_uncertainty=self._delay_uncertainty(jump, records[0].rate),
-            delay_unknown=0.5 / records[0].rate,
+            delay_uncertainty=delay_uncertainty,
+            delay_unknown=half_period,
             unbiased=True,
             hold=jump,
             covariance=_covariance(columns, _angles_and(skew, n)),
