@@ -201,8 +201,8 @@ class TestStamps:
 def test_trust_lifts_the_limits_and_changes_no_number(
     good: Path, told_of_good: Told, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("armimp_estimation.bags.budget._FREE", 0)
-    monkeypatch.setattr("armimp_estimation.bags.budget._RATIO", 1)
+    monkeypatch.setattr("armimp_estimation.bags.raw._FREE", 0)
+    monkeypatch.setattr("armimp_estimation.bags.raw._RATIO", 1)
     assert "--trust lifts the limits" in both_refuse(good)
     assert numbers(behaved("estimate", str(good), "--trust", "--json")) == numbers(told_of_good)
 

@@ -18,9 +18,9 @@ from armimp_bringup.supervisor import Progress
 from armimp_common.errors import ArmimpError, BagError
 from armimp_common.topics import TRIAL
 from armimp_estimation.bags import BagWriter, iterate_messages
+from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import Message, synthetic_recording
 

@@ -7,8 +7,8 @@ import pytest
 
 from armimp_bringup.cli import main
 from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS, TRIAL
+from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.curves import FRF_FILE
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.summary import SUMMARY_FILE, read_summary

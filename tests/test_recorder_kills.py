@@ -21,8 +21,8 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.supervisor import Progress
 from armimp_estimation.bags import iterate_messages, read_bag
+from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
-from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.problems import ProblemCode
 from support.fault_figures import Figures
 from support.recordings import recorded_arm

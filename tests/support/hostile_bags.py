@@ -41,8 +41,8 @@ from armimp_common.topics import (
     TORQUE_SENSORS,
     TRIAL,
 )
-from armimp_estimation.bags.mcap_file import LIBRARY, MAGIC
-from armimp_estimation.bags.metadata import BagSummary, bag_information, dump
+from armimp_estimation.bags.mcap_writer import MAGIC
+from armimp_estimation.bags.metadata import bag_information, dump
 from armimp_estimation.bags.statuses import encode_trial_status
 from support.recordings import recorded_arm
 
@@ -634,9 +634,8 @@ def provisional(directory: Path, *content: bytes) -> Path:
     """A bag whose recorder was killed: whoever reads it finishes it."""
     bag = directory / "bag"
     bag.mkdir()
-    (bag / "bag.mcap").write_bytes(b"".join((head(LIBRARY), *content)))
-    summary = BagSummary(file_name="bag.mcap", topics={}, start_ns=0, duration_ns=0, custom={})
-    information = {"rosbag2_bagfile_information": bag_information(summary)}
+    (bag / "bag_0.mcap").write_bytes(b"".join((head("armimp"), *content)))
+    information = {"rosbag2_bagfile_information": bag_information("bag_0.mcap", {}, (0, 0), {})}
     (bag / "metadata.yaml").write_text(dump(information))
     return bag
 

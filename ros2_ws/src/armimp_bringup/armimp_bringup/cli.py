@@ -151,7 +151,7 @@ def estimate(
         from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
         from armimp_bringup.resources import prepare_directory
-        from armimp_estimation.bags.storage import find_bags
+        from armimp_estimation.bags.files import find_bags
 
         declared = checked(Declared, options)
         bags = find_bags(bags)
@@ -190,7 +190,7 @@ def replay(
         from armimp_bringup.presentation import present
         from armimp_bringup.replay import replay_bags
         from armimp_common.executor import stop_on_signals
-        from armimp_estimation.bags.storage import find_bags
+        from armimp_estimation.bags.files import find_bags
 
         bags = find_bags(bags)
         with stop_on_signals() as stopped:

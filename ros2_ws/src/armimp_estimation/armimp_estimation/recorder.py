@@ -14,8 +14,8 @@ from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.alignment.trial_segmenter import TrialSegmenter
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
+from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.statuses import encode_trial_status
-from armimp_estimation.bags.storage import BAGS
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.progress import RunningTrial

@@ -23,7 +23,7 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
-from armimp_estimation.bags.definitions import message_definition
+from armimp_estimation.bags.metadata import message_definition
 from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import Message, SyntheticRecording, synthetic_recording
 

@@ -1,4 +1,3 @@
-import json
 import os
 import resource
 import signal
@@ -28,7 +27,6 @@ from armimp_common.topics import (
     MESSAGE_TYPES,
     PERIOD_NS,
     TORQUE_SENSORS,
-    TRIAL,
 )
 from armimp_estimation.bags import (
     BagWriter,
@@ -37,9 +35,8 @@ from armimp_estimation.bags import (
     read_bag,
     require_free_space,
 )
-from armimp_estimation.bags.definitions import message_definition
-from armimp_estimation.bags.mcap_file import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
-from armimp_estimation.bags.metadata import qos_profiles
+from armimp_estimation.bags.mcap_writer import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
+from armimp_estimation.bags.metadata import message_definition, qos_profiles
 from support.synthetic_bags import Message, synthetic_recording
 
 METADATA = {"schema": "1", "seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
@@ -86,11 +83,10 @@ class TestFormat:
         path = write(tmp_path / "bag", synthetic_recording(ticks=2).messages)
         with AnyReader([path]) as reader:
             connections = {c.topic: c for c in reader.connections}
-        states = connections["/joint_states"]
+        states, trial = connections["/joint_states"], connections["/imbic_controller/trial"]
         assert states.digest == message_definition("sensor_msgs/msg/JointState").type_hash
         assert isinstance(states.ext, ConnectionExtRosbag2)
         assert states.ext.offered_qos_profiles[0].reliability is QosReliability.RELIABLE
-        trial = connections["/imbic_controller/trial"]
         assert isinstance(trial.ext, ConnectionExtRosbag2)
         assert trial.ext.offered_qos_profiles[0].durability is QosDurability.TRANSIENT_LOCAL
 
@@ -172,14 +168,9 @@ class TestFormat:
         assert inner["message_count"] == len(messages)
         assert indexed == [("/" + topic, time, raw) for topic, time, raw in messages]
         assert only == [raw for topic, _, raw in messages if topic == TORQUE_SENSORS]
-
-    def test_mcap_file_passes_all_checksums(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "bag", synthetic_recording(ticks=100).messages)
         with (path / "bag_0.mcap").open("rb") as file:
             chunks = list(StreamReader(file, emit_chunks=True).records)
         assert all(r.uncompressed_crc for r in chunks if isinstance(r, Chunk))
-        with (path / "bag_0.mcap").open("rb") as file:
-            assert sum(1 for _ in StreamReader(file, validate_crcs=True).records) > 400
 
     def test_equal_messages_give_equal_files(self, tmp_path: Path) -> None:
         messages = synthetic_recording(ticks=50).messages
@@ -202,11 +193,6 @@ class TestFormat:
         topics = document["rosbag2_bagfile_information"]["topics_with_message_count"]
         assert [topic["topic_metadata"]["name"] for topic in topics] == ["/clock"]
 
-    def test_bag_without_messages_is_a_valid_bag(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "bag", ())
-        with AnyReader([path]) as reader:
-            assert reader.message_count == 0
-
     def test_qos_is_that_of_the_nodes(self) -> None:
         qos = pytest.importorskip("armimp_common.qos")
         for topic in MESSAGE_TYPES:
@@ -223,31 +209,20 @@ class TestRefusals:
         path = tmp_path / "bag"
         path.mkdir()
         (path / "precious").write_text("data")
-        with pytest.raises(BagError) as error:
-            BagWriter(path, metadata={})
-        assert one_line(error) == f"{path}: exists already, nothing is overwritten"
-        assert [entry.name for entry in path.iterdir()] == ["precious"]
-
-    def test_existing_file_and_dangling_link_are_refused(self, tmp_path: Path) -> None:
         (tmp_path / "file").write_text("")
         (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-        for name in ("file", "link"):
-            with pytest.raises(BagError, match="exists already"):
-                BagWriter(tmp_path / name, metadata={})
+        for existing in (path, tmp_path / "file", tmp_path / "link"):
+            with pytest.raises(BagError) as error:
+                BagWriter(existing, metadata={})
+            assert one_line(error) == f"{existing}: exists already, nothing is overwritten"
+        assert [entry.name for entry in path.iterdir()] == ["precious"]
 
-    def test_missing_parents_are_made(self, tmp_path: Path) -> None:
-        path = write(tmp_path / "a" / "b" / "bag", synthetic_recording(ticks=2).messages)
-        assert (path / "bag_0.mcap").is_file()
-
-    def test_parent_that_is_a_file_is_named(self, tmp_path: Path) -> None:
+    def test_path_that_cannot_be_made_is_named(self, tmp_path: Path) -> None:
         (tmp_path / "file").write_text("")
-        with pytest.raises(BagError) as error:
-            BagWriter(tmp_path / "file" / "bag", metadata={})
-        assert str(tmp_path / "file" / "bag") in one_line(error)
-
-    def test_path_with_a_zero_byte_is_refused(self) -> None:
-        with pytest.raises(BagError, match="cannot be made"):
-            BagWriter(Path("/tmp/\0bag"), metadata={})
+        for path in (tmp_path / "file" / "bag", Path("/tmp/\0bag")):
+            with pytest.raises(BagError) as error:
+                BagWriter(path, metadata={})
+            assert one_line(error).startswith(f"{path}: cannot be made: ")
 
     def test_metadata_that_is_not_text_is_refused_before_anything_is_made(
         self, tmp_path: Path
@@ -255,12 +230,6 @@ class TestRefusals:
         with pytest.raises(ConfigurationError, match="seed"):
             BagWriter(tmp_path / "bag", metadata={"seed": 1})  # type: ignore[dict-item]
         assert not (tmp_path / "bag").exists()
-
-    def test_unknown_topic_is_refused(self, tmp_path: Path) -> None:
-        writer = BagWriter(tmp_path / "bag", metadata={})
-        with pytest.raises(BagError, match="'/rosout'"):
-            writer.write("/rosout", b"", 0)
-        writer.close()
 
     @pytest.mark.parametrize("time", [-1, 2**64])
     def test_impossible_log_time_is_refused_and_harmless(self, tmp_path: Path, time: int) -> None:
@@ -272,15 +241,21 @@ class TestRefusals:
                     writer.write(topic, raw, time)
         assert list(iterate_messages(tmp_path / "bag")) == list(messages)
 
-    def test_writing_after_close_is_refused(self, tmp_path: Path) -> None:
+    def test_unknown_topics_and_writing_after_close_are_refused(self, tmp_path: Path) -> None:
         writer = BagWriter(tmp_path / "bag", metadata={})
-        writer.write(CLOCK, b"\0\1\0\0", 0)
+        attempts = (
+            lambda: writer.write("/rosout", b"", 0),
+            lambda: writer.write_block([0], {"/rosout": [bytes(4)]}),
+        )
+        for attempt in attempts:
+            with pytest.raises(BagError, match="not part of the contract: '/rosout'"):
+                attempt()
         writer.close()
         writer.close()
-        with pytest.raises(BagError, match="the bag is closed"):
-            writer.write(CLOCK, b"\0\1\0\0", 0)
-        with pytest.raises(BagError, match="the bag is closed"):
-            writer.write(TRIAL, b"\0\1\0\0", 0)
+        for attempt in attempts:
+            with pytest.raises(BagError, match="the bag is closed") as error:
+                attempt()
+            one_line(error)
 
 
 class TestFullDisk:
@@ -350,7 +325,7 @@ class TestBlocks:
             part = slice(start, start + size)
             writer.write_block(times[part], {topic: raws[part] for topic, raws in topics.items()})
 
-    @pytest.mark.parametrize("size", [1, 10, 50, 500])
+    @pytest.mark.parametrize("size", [1, 50, 500])
     def test_messages_and_times_are_those_of_messages_written_one_by_one(
         self, tmp_path: Path, recording: dict[str, list[bytes]], size: int
     ) -> None:
@@ -372,7 +347,7 @@ class TestBlocks:
         with AnyReader([tmp_path / "blocks"]) as reader:
             assert [raw for _, _, raw in reader.messages()] == [raw for _, _, raw in one]
 
-    @pytest.mark.parametrize("size", [1, 7, 10, 50])
+    @pytest.mark.parametrize("size", [7, 50])
     def test_what_is_not_yet_in_the_file_is_bounded(
         self, tmp_path: Path, recording: dict[str, list[bytes]], size: int
     ) -> None:
@@ -402,18 +377,6 @@ class TestBlocks:
         written = [(topic, raw) for topic, _, raw in iterate_messages(tmp_path / "bag")]
         for topic, raws in recording.items():
             assert [raw for name, raw in written if name == topic] == raws
-
-    def test_when_the_bag_is_closed_or_the_topic_unknown_expect_one_line(
-        self, tmp_path: Path, recording: dict[str, list[bytes]]
-    ) -> None:
-        writer = BagWriter(tmp_path / "bag", metadata={})
-        with pytest.raises(BagError, match="not part of the contract") as error:
-            writer.write_block([0], {"other": [bytes(4)]})
-        one_line(error)
-        writer.close()
-        with pytest.raises(BagError, match="the bag is closed") as error:
-            self.write_blocks(writer, recording, 50)
-        one_line(error)
 
     def test_messages_of_unequal_length_are_refused_and_harmless(
         self, tmp_path: Path, recording: dict[str, list[bytes]]
@@ -508,10 +471,18 @@ class TestKilledWriter:
         writer.close()
         assert {entry.name for entry in writer.path.iterdir()} == {"bag_0.mcap", "metadata.yaml"}
 
-    def test_metadata_survives_as_json(self, tmp_path: Path) -> None:
-        truth = {"M": [[0.187, 0.084], [0.079, 0.060]]}
-        metadata = {"truth": json.dumps(truth)}
-        with BagWriter(tmp_path / "bag", metadata=metadata) as writer:
-            for topic, log_time_ns, raw in synthetic_recording(ticks=3).messages:
-                writer.write(topic, raw, log_time_ns)
-        assert json.loads(read_bag(tmp_path / "bag").metadata["truth"]) == truth
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6))
+def test_a_bag_gives_back_what_was_written_whatever_the_order_of_its_streams(
+    tmp_path_factory: pytest.TempPathFactory, seed: int
+) -> None:
+    """Few chunks have the layout of one before, and those of equal size may have another one."""
+    messages = list(synthetic_recording(ticks=500).messages)
+    rng = np.random.default_rng(seed)
+    for start in range(0, len(messages), 4):
+        part = messages[start : start + 4]
+        messages[start : start + 4] = [part[i] for i in rng.permutation(len(part))]
+    written = [(topic, k * 250_000, raw) for k, (topic, _, raw) in enumerate(messages)]
+    path = write(tmp_path_factory.mktemp("bag") / "bag", tuple(written))
+    assert list(iterate_messages(path)) == written

@@ -1,44 +1,26 @@
 """Finishing of bags whose recorder was killed, so that every reader of bags opens them."""
 
 import fcntl
-import os
-import shutil
 import tempfile
-from collections.abc import Iterator
-from contextlib import suppress
-from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO
-
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Channel, Header, Metadata, Schema
 
 from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular
-from armimp_estimation.bags.budget import MESSAGE_COST, RECORD_COST, Budget
-from armimp_estimation.bags.mcap_file import LIBRARY, MAGIC, McapFile
-from armimp_estimation.bags.mcap_reading import DAMAGE, RECORD_HEAD, chunk_messages
-from armimp_estimation.bags.metadata import (
-    FILE_NAME,
-    BagSummary,
-    bag_information,
-    dump,
-    is_provisional,
-    read_metadata,
-    write_metadata,
-)
-from armimp_estimation.bags.topics import contract_topic
-from armimp_estimation.bags.writer import why_not_written
+from armimp_estimation.bags.files import BAGS, read_storage
+from armimp_estimation.bags.mcap_writer import HEAD
+from armimp_estimation.bags.metadata import FILE_NAME, is_provisional, read_metadata
+from armimp_estimation.bags.raw import RawMessages
+from armimp_estimation.bags.topics import contract_topic, namespace_of
+from armimp_estimation.bags.writer import BagWriter, storage_name
 
 
 def finish_bag(path: Path, *, trust: bool = False) -> str:
     """Finish a bag which a killed `BagWriter` left behind; any other is left alone.
 
-    A finished copy takes the place of the storage file at once, then ``metadata.yaml`` is
-    replaced. All complete chunks are kept, byte for byte. A bag that is still being recorded is
-    known by its lock, one that is complete by its metadata. A bag behind a link stays as it is,
-    since that may lead anywhere.
+    Its messages are written into a new bag, which takes the place of the storage file at once and
+    then that of ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
+    that is complete by its metadata. A bag behind a link stays as it is, since that may lead
+    anywhere.
 
     Parameters
     ----------
@@ -54,25 +36,22 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
     """
     if path.is_symlink() or path.parent.is_symlink() or not is_provisional(path / FILE_NAME):
         return ""
+    unfinished = f"{path}: its recorder did not finish it"
     try:
-        files, custom = read_metadata(path / FILE_NAME)
+        files, _ = read_metadata(path / FILE_NAME)
         with open_regular(files[0]) as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if files[0].name != storage_name(path) or file.read(len(HEAD)) != HEAD:
+                return ""
+            messages = read_storage(path, lambda _: True, trust=trust)
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return ""
-            if _library(file) != LIBRARY:
-                return ""
-            budget = Budget(str(path), os.fstat(file.fileno()).st_size, trust=trust)
-            count = _finish(path, file, files[0].name, custom, budget)
-    except OSError as error:
-        return (
-            f"{path}: its recorder did not finish it, and it cannot be finished now: "
-            f"{why_not_written(error)}"
-        )
-    except (BagError, *DAMAGE):
-        return ""  # Whoever reads it will say what is wrong.
-    return f"{path}: its recorder did not finish it: finished now, with {count} messages"
+                if not _write_anew(path, messages):
+                    return ""
+            except (BagError, OSError) as error:
+                return f"{unfinished}, and it cannot be finished now: {error}"
+    except (BagError, OSError):
+        return ""  # It is being recorded, or whoever reads it will say what is wrong.
+    return f"{unfinished}: finished now, with {len(messages.payloads)} messages"
 
 
 def finish_bags(directory: Path) -> list[str]:
@@ -88,84 +67,22 @@ def finish_bags(directory: Path) -> list[str]:
     list of str
         As of `finish_bag`, for each bag that needed it.
     """
-    bags = sorted((directory / "bags").glob("*/" + FILE_NAME))
+    bags = sorted((directory / BAGS).glob("*/" + FILE_NAME))
     return [note for bag in bags if (note := finish_bag(bag.parent, trust=True))]
 
 
-def _finish(path: Path, source: BinaryIO, name: str, custom: dict[str, str], budget: Budget) -> int:
-    work = Path(tempfile.mkdtemp(prefix=".finishing.", dir=path))
-    try:
-        copy = McapFile(work / name, library=LIBRARY)
-        try:
-            topics = _copy(source, copy, budget)
-            first_ns, last_ns = copy.time_range
-            information = bag_information(
-                BagSummary(
-                    file_name=name,
-                    topics={
-                        full: (topic, copy.counts[channel])
-                        for full, (topic, channel) in topics.items()
-                    },
-                    start_ns=first_ns,
-                    duration_ns=last_ns - first_ns,
-                    custom=custom,
-                )
-            )
-            copy.add_metadata("rosbag2", {"serialized_metadata": dump(information)})
-            copy.finish()
-        finally:
-            copy.abandon()
-        (work / name).replace(path / name)
-        write_metadata(path, information)
-    finally:
-        with suppress(OSError):
-            shutil.rmtree(work)
-    return sum(copy.counts.values())
-
-
-def _copy(source: BinaryIO, copy: McapFile, budget: Budget) -> dict[str, tuple[str, int]]:
-    """Copy all complete records; return topic of the contract and channel of each topic."""
-    topics: dict[str, tuple[str, int]] = {}
-    for opcode, content in _complete_records(source):
-        budget.spend(RECORD_COST)
-        stream = ReadDataStream(BytesIO(content))
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream)
-            copy.add_schema(schema.name, schema.data.decode())
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream)
-            topic = contract_topic(channel.topic)
-            if topic is None:
-                raise ValueError(f"topic is not part of the contract: {channel.topic!r}")
-            number = copy.add_channel(channel.topic, channel.schema_id, channel.metadata)
-            topics[channel.topic] = (topic, number)
-        elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(stream)
-            if metadata.name != "rosbag2":
-                copy.add_metadata(metadata.name, metadata.metadata)
-        elif opcode == Opcode.CHUNK:
-            for number, log_time_ns, payload in chunk_messages(content, budget):
-                budget.spend(MESSAGE_COST)
-                copy.append(number, log_time_ns, payload)
-            copy.flush()
-    return topics
-
-
-def _complete_records(source: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    source.seek(len(MAGIC))
-    while len(head := source.read(RECORD_HEAD.size)) == RECORD_HEAD.size:
-        opcode, length = RECORD_HEAD.unpack(head)
-        if opcode == Opcode.DATA_END or length > os.fstat(source.fileno()).st_size:
-            return
-        content = source.read(length)
-        if len(content) < length:
-            return
-        yield opcode, content
-
-
-def _library(source: BinaryIO) -> str:
-    for opcode, content in _complete_records(source):
-        if opcode == Opcode.HEADER:
-            return str(Header.read(ReadDataStream(BytesIO(content))).library)
-        break
-    return ""
+def _write_anew(path: Path, messages: RawMessages) -> bool:
+    """Replace the files of a bag by new ones; false if it has topics of no recorder of ours."""
+    names = [contract_topic(name) for name, _ in messages.topics]
+    spaces = {namespace_of(name) for name, _ in messages.topics} - {None}
+    if None in names or len(spaces) > 1:
+        return False
+    with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
+        copy = Path(work) / path.name
+        namespace = "".join(space or "" for space in spaces)
+        with BagWriter(copy, metadata=messages.metadata, namespace=namespace) as writer:
+            for topic, log_time_ns, payload in messages:
+                writer.write(names[topic] or "", payload, log_time_ns)
+        for name in (storage_name(path), FILE_NAME):
+            (copy / name).replace(path / name)
+    return True

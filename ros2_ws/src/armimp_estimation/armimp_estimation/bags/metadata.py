@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,7 +22,6 @@ from armimp_common.topics import (
     TRIAL,
 )
 from armimp_estimation.atomic_write import read_text, replace_atomically
-from armimp_estimation.bags.definitions import message_definition
 
 FILE_NAME: Final = "metadata.yaml"
 VERSION: Final = 9
@@ -50,26 +50,44 @@ _QOS: Final[dict[str, tuple[int, str, str]]] = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class BagSummary:
-    """What ``metadata.yaml`` says about the recorded messages.
+class MessageDefinition:
+    """What a bag says about a message type.
 
     Parameters
     ----------
-    file_name : str
-        The storage file within the directory.
-    topics : mapping of str to tuple of str and int
-        Name of each topic in the bag, to its name in the contract and its number of messages.
-    start_ns, duration_ns : int
-        Log time of the first message, and from there to the last one (ns).
-    custom : mapping of str to str
-        The ``custom_data``.
+    type : str
+        Full name, e.g. ``sensor_msgs/msg/JointState``.
+    text : str
+        The definition followed by those of all types it is made of (encoding ``ros2msg``).
+    type_hash : str
+        RIHS01 hash of the type description, by which ROS 2 compares types.
     """
 
-    file_name: str
-    topics: Mapping[str, tuple[str, int]]
-    start_ns: int
-    duration_ns: int
-    custom: Mapping[str, str]
+    type: str
+    text: str
+    type_hash: str
+
+
+@cache
+def message_definition(type_name: str) -> MessageDefinition:
+    """Definition of a message type of ROS 2 Jazzy.
+
+    Parameters
+    ----------
+    type_name : str
+        Full name, e.g. ``sensor_msgs/msg/JointState``.
+
+    Raises
+    ------
+    KeyError
+        If the type is not part of the standard messages.
+    """
+    # Reading needs no definitions, and no time for loading them.
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_JAZZY)
+    text, _ = store.generate_msgdef(type_name, ros_version=2)
+    return MessageDefinition(type=type_name, text=text, type_hash=store.hash_rihs01(type_name))
 
 
 def qos_profiles(topic: str) -> list[dict[str, Any]]:
@@ -103,11 +121,28 @@ def dump(value: object) -> str:
     return text
 
 
-def bag_information(summary: BagSummary) -> dict[str, Any]:
-    """Return the content of ``metadata.yaml`` below its root, in the order of rosbag2."""
-    count = sum(messages for _, messages in summary.topics.values())
-    start = {"nanoseconds_since_epoch": summary.start_ns}
-    duration = {"nanoseconds": summary.duration_ns}
+def bag_information(
+    file_name: str,
+    topics: Mapping[str, tuple[str, int]],
+    time_range: tuple[int, int],
+    custom: Mapping[str, str],
+) -> dict[str, Any]:
+    """Return the content of ``metadata.yaml`` below its root, in the order of rosbag2.
+
+    Parameters
+    ----------
+    file_name : str
+        The storage file within the directory.
+    topics : mapping of str to tuple of str and int
+        Name of each topic in the bag, to its name in the contract and its number of messages.
+    time_range : tuple of int
+        Log times of the first and of the last message (ns).
+    custom : mapping of str to str
+        The ``custom_data``.
+    """
+    count = sum(messages for _, messages in topics.values())
+    start = {"nanoseconds_since_epoch": time_range[0]}
+    duration = {"nanoseconds": time_range[1] - time_range[0]}
     return {
         "version": VERSION,
         "storage_identifier": "mcap",
@@ -125,20 +160,20 @@ def bag_information(summary: BagSummary) -> dict[str, Any]:
                 },
                 "message_count": messages,
             }
-            for name, (topic, messages) in summary.topics.items()
+            for name, (topic, messages) in topics.items()
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [summary.file_name],
+        "relative_file_paths": [file_name],
         "files": [
             {
-                "path": summary.file_name,
+                "path": file_name,
                 "starting_time": dict(start),
                 "duration": dict(duration),
                 "message_count": count,
             }
         ],
-        "custom_data": dict(summary.custom),
+        "custom_data": dict(custom),
         "ros_distro": "jazzy",
     }
 
@@ -206,11 +241,7 @@ def is_provisional(file: Path) -> bool:
     except (OSError, *_BROKEN):
         return False
     information = document.get(_ROOT) if isinstance(document, dict) else None
-    return (
-        isinstance(information, dict)
-        and information.get("storage_identifier") == "mcap"
-        and information.get("message_count") == "0"
-    )
+    return isinstance(information, dict) and information.get("message_count") == "0"
 
 
 def parse_custom_data(text: str) -> dict[str, str]:

@@ -12,10 +12,10 @@ from armimp_common.errors import BagError, ConfigurationError, DataError, Malfor
 from armimp_common.status import TrialStatus
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import decode_streams
+from armimp_estimation.bags.files import read_storage
 from armimp_estimation.bags.raw import RawMessages, one_line
 from armimp_estimation.bags.statuses import decode_trial_statuses
-from armimp_estimation.bags.storage import read_storage
-from armimp_estimation.bags.topics import is_contract_topic, require_topics, resolve_topics
+from armimp_estimation.bags.topics import contract_topic, require_topics, resolve_topics
 from armimp_estimation.record import TrialRecord
 
 _MOST_JOINTS: Final = 100
@@ -166,7 +166,7 @@ def iterate_messages(
 
 
 def _read(path: Path, namespace: str | None, *, trust: bool) -> tuple[RawMessages, dict[str, int]]:
-    raw = read_storage(path, is_contract_topic, trust=trust)
+    raw = read_storage(path, contract_topic, trust=trust)
     if not raw.payloads:
         cut = f"; the file {raw.cut}" if raw.cut else ""
         raise BagError(f"{path}: no messages of an experiment in it{cut}")

@@ -16,17 +16,15 @@ _SHOWN: Final = 5
 """Names that a message lists."""
 
 
-def is_contract_topic(name: str) -> bool:
-    """Tell whether a topic name could be that of a topic of the contract."""
-    return contract_topic(name) is not None
-
-
 def contract_topic(name: str) -> str | None:
     """Topic of the contract of which this may be the name in a bag; None if there is none."""
-    for topic in MESSAGE_TYPES:
-        if _prefix(name, topic) is not None:
-            return topic
-    return None
+    return next((topic for topic in MESSAGE_TYPES if _prefix(name, topic) is not None), None)
+
+
+def namespace_of(name: str) -> str | None:
+    """Namespace of the name of a topic in a bag; None if that is never under one."""
+    topic = contract_topic(name)
+    return None if topic is None or topic.startswith("/") else _prefix(name, topic)
 
 
 def resolve_topics(

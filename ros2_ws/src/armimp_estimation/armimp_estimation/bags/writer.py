@@ -3,19 +3,19 @@
 import errno
 import shutil
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Any, Final
 
 from armimp_common.errors import BagError, ConfigurationError
 from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES
-from armimp_estimation.bags.definitions import message_definition
-from armimp_estimation.bags.mcap_file import LIBRARY, McapFile
+from armimp_estimation.bags.mcap_writer import McapFile
 from armimp_estimation.bags.metadata import (
-    BagSummary,
     bag_information,
     dump,
+    message_definition,
     qos_profiles,
     topic_names,
     write_metadata,
@@ -64,21 +64,17 @@ class BagWriter:
         self._channels: dict[str, int] = {}
         self._closed = False
         self._failed = False
-        self._file_name = f"{path.name}_0.mcap"
         _make_directory(path)
-        try:
-            self._file = McapFile(path / self._file_name, library=LIBRARY)
-        except OSError as error:
-            raise self._error(error) from None
-        try:
-            self._file.add_metadata(METADATA_RECORD, self._custom)
-            # A killed recording keeps this one; it lists all topics, since players make their
-            # publishers from the list.
-            write_metadata(path, bag_information(self._summary(provisional=True)))
-        except OSError as error:
-            self._file.abandon()
-            raise self._error(error) from None
-        self._add_message = self._file.add_message
+        with self._one_line():
+            self._file = McapFile(path / storage_name(path))
+            try:
+                self._file.add_metadata(METADATA_RECORD, self._custom)
+                # A killed recording keeps this one; it lists all topics, since players make their
+                # publishers from the list.
+                write_metadata(path, self._information(self._names))
+            except OSError:
+                self._file.abandon()
+                raise
 
     @property
     def path(self) -> Path:
@@ -102,17 +98,13 @@ class BagWriter:
         BagError
             If the message cannot be written: disk full, bag closed, unknown topic, bad time.
         """
-        if self._closed:
-            raise BagError(f"{self._path}: cannot be written: the bag is closed")
-        channel = self._channel(topic)
-        try:
-            self._add_message(channel, log_time_ns, raw)
-        except (OSError, ValueError) as error:
-            raise self._error(error) from None
-        except struct.error:
-            raise BagError(
-                f"{self._path}: log time of {topic} is out of range: {log_time_ns}"
-            ) from None
+        with self._one_line():
+            try:
+                self._file.add_message(self._channel(topic), log_time_ns, raw)
+            except struct.error:
+                raise BagError(
+                    f"{self._path}: log time of {topic} is out of range: {log_time_ns}"
+                ) from None
 
     def write_block(
         self, log_times: Sequence[int], messages: Mapping[str, Sequence[bytes]]
@@ -132,13 +124,9 @@ class BagWriter:
         BagError
             As `write`.
         """
-        if self._closed:
-            raise BagError(f"{self._path}: cannot be written: the bag is closed")
-        channels = {self._channel(topic): raws for topic, raws in messages.items()}
-        try:
+        with self._one_line():
+            channels = {self._channel(topic): raws for topic, raws in messages.items()}
             self._file.add_block(log_times, channels)
-        except (OSError, ValueError) as error:
-            raise self._error(error) from None
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
         """Add to the metadata what is known only after recording.
@@ -149,10 +137,8 @@ class BagWriter:
             If it cannot be written.
         """
         self._custom.update(values)
-        try:
+        with self._one_line():
             self._file.add_metadata(METADATA_RECORD, values)
-        except (OSError, ValueError) as error:
-            raise self._error(error) from None
 
     def flush(self) -> None:
         """Hand everything written so far to the operating system.
@@ -164,10 +150,8 @@ class BagWriter:
         BagError
             If that fails.
         """
-        try:
+        with self._one_line():
             self._file.flush()
-        except (OSError, ValueError) as error:
-            raise self._error(error) from None
 
     def close(self) -> None:
         """Finish the file and replace the provisional ``metadata.yaml``; harmless if repeated.
@@ -181,22 +165,24 @@ class BagWriter:
         """
         if self._closed:
             return
-        self._closed = True
         reported = self._failed
         problem: BagError | None = None
         try:
-            self._file.flush()
-        except (OSError, ValueError) as error:
-            problem = self._error(error)
+            with self._one_line():
+                self._file.flush()
+        except BagError as error:
+            problem = error
             self._file.discard()
         try:
-            information = bag_information(self._summary(provisional=False))
-            self._file.add_metadata("rosbag2", {"serialized_metadata": dump(information)})
-            self._file.finish()
-            write_metadata(self._path, information)
-        except (OSError, ValueError) as error:
-            problem = problem or self._error(error)
+            with self._one_line():
+                information = self._information(self._channels)
+                self._file.add_metadata("rosbag2", {"serialized_metadata": dump(information)})
+                self._file.finish()
+                write_metadata(self._path, information)
+        except BagError as error:
+            problem = problem or error
         finally:
+            self._closed = True
             self._file.abandon()
         if problem is not None and not reported:
             raise problem
@@ -220,42 +206,41 @@ class BagWriter:
         if topic not in self._names:
             raise BagError(f"{self._path}: topic is not part of the contract: {topic!r}")
         definition = message_definition(MESSAGE_TYPES[topic])
-        try:
-            if definition.type not in self._schemas:
-                self._schemas[definition.type] = self._file.add_schema(
-                    definition.type, definition.text
-                )
-            channel = self._file.add_channel(
-                self._names[topic],
-                self._schemas[definition.type],
-                {
-                    "offered_qos_profiles": dump(qos_profiles(topic)),
-                    "topic_type_hash": definition.type_hash,
-                },
-            )
-        except (OSError, ValueError) as error:
-            raise self._error(error) from None
+        if definition.type not in self._schemas:
+            self._schemas[definition.type] = self._file.add_schema(definition.type, definition.text)
+        channel = self._file.add_channel(
+            self._names[topic],
+            self._schemas[definition.type],
+            {
+                "offered_qos_profiles": dump(qos_profiles(topic)),
+                "topic_type_hash": definition.type_hash,
+            },
+        )
         self._channels[topic] = channel
         return channel
 
-    def _summary(self, *, provisional: bool) -> BagSummary:
-        topics = self._names if provisional else self._channels
-        first_ns, last_ns = self._file.time_range
-        return BagSummary(
-            file_name=self._file_name,
-            topics={self._names[topic]: (topic, self._count(topic)) for topic in topics},
-            start_ns=first_ns,
-            duration_ns=last_ns - first_ns,
-            custom=self._custom,
-        )
+    def _information(self, topics: Iterable[str]) -> dict[str, Any]:
+        """Content of ``metadata.yaml`` with some topics."""
+        counts = {t: self._file.counts.get(self._channels.get(t, 0), 0) for t in topics}
+        named = {self._names[topic]: (topic, count) for topic, count in counts.items()}
+        return bag_information(storage_name(self._path), named, self._file.time_range, self._custom)
 
-    def _count(self, topic: str) -> int:
-        return self._file.counts[self._channels[topic]] if topic in self._channels else 0
+    @contextmanager
+    def _one_line(self) -> Iterator[None]:
+        """Say in one line why something cannot be written."""
+        if self._closed:
+            raise BagError(f"{self._path}: cannot be written: the bag is closed")
+        try:
+            yield
+        except (OSError, ValueError) as error:
+            self._failed = True
+            reason = _reason(error) if isinstance(error, OSError) else "the bag is closed"
+            raise BagError(f"{self._path}: cannot be written: {reason}") from None
 
-    def _error(self, error: Exception) -> BagError:
-        self._failed = True
-        reason = why_not_written(error) if isinstance(error, OSError) else "the bag is closed"
-        return BagError(f"{self._path}: cannot be written: {reason}")
+
+def storage_name(path: Path) -> str:
+    """Name of the MCAP file in the directory of a bag."""
+    return f"{path.name}_0.mcap"
 
 
 def expected_bytes(ticks: int, joints: int) -> int:
@@ -271,8 +256,7 @@ def expected_bytes(ticks: int, joints: int) -> int:
     return _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
 
 
-def why_not_written(error: OSError) -> str:
-    """Say in a few words why something could not be written."""
+def _reason(error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return "disk full"
     return error.strerror or "unknown reason"

@@ -12,11 +12,10 @@ import zstandard
 from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular, require_text
 from armimp_estimation.bags import metadata
-from armimp_estimation.bags.budget import Budget
-from armimp_estimation.bags.mcap_file import MAGIC
-from armimp_estimation.bags.mcap_reading import read_mcap
-from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
-from armimp_estimation.bags.sqlite_reading import read_sqlite
+from armimp_estimation.bags.mcap_reader import read_mcap
+from armimp_estimation.bags.mcap_writer import MAGIC
+from armimp_estimation.bags.raw import Budget, RawMessages, TopicFilter, one_line
+from armimp_estimation.bags.sqlite_reader import read_sqlite
 
 BAGS: Final = "bags"
 """Where the directory of a run has its bags."""

@@ -7,10 +7,10 @@ mcap package; messages are cut out of their chunk directly.
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Sequence
 from io import BytesIO
 from itertools import compress
-from typing import BinaryIO, Final, cast
+from typing import BinaryIO, Final, TypeAlias, cast
 
 import numpy as np
 import zstandard
@@ -21,29 +21,41 @@ from mcap.records import Channel, Metadata, Schema
 from numpy.typing import NDArray
 
 from armimp_common.errors import BagError
-from armimp_estimation.bags.budget import MESSAGE_COST, NODE_COST, RECORD_COST, Budget
-from armimp_estimation.bags.chunk_layout import ChunkLayouts
-from armimp_estimation.bags.mcap_file import MAGIC
-from armimp_estimation.bags.message_records import MESSAGE_HEAD
+from armimp_estimation.bags.mcap_writer import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
 from armimp_estimation.bags.metadata import parse_custom_data
-from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
+from armimp_estimation.bags.raw import (
+    MESSAGE_COST,
+    NODE_COST,
+    RECORD_COST,
+    RawMessages,
+    TopicFilter,
+    one_line,
+)
 
-RECORD_HEAD: Final = struct.Struct("<BQ")
+Messages: TypeAlias = tuple[NDArray[np.uint16], list[int], tuple[bytes, ...]]
+
+_RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and length, with which every record begins."""
-
-_COMPRESSIONS: Final = ("", "lz4", "zstd")
-
-DAMAGE: Final = (
-    struct.error,
-    ValueError,
-    EOFError,
-    RuntimeError,
-    OverflowError,
-    MemoryError,
-    McapError,
-    zstandard.ZstdError,
+_CHUNK_HEAD: Final = struct.Struct("<QQQII")
+"""Earliest and latest log time, size and checksum, both uncompressed, length of the next text."""
+_SIZE: Final = struct.Struct("<Q")
+_HEADS: Final = np.dtype(
+    [
+        *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2")),
+        *(("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8")),
+    ]
+)
+"""Heads of messages, as an array."""
+_USED: Final = frozenset(
+    {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.METADATA}
+)
+_DAMAGE: Final = (
+    *(struct.error, ValueError, EOFError, RuntimeError, OverflowError, MemoryError),
+    *(McapError, zstandard.ZstdError),
 )
 """What parsing can raise on bytes that are not what they claim to be."""
+_MOST_LAYOUTS, _LONGEST_LAYOUT = 10, 10_000
+"""Layouts of chunks that are remembered, and messages in each of them: 300 bytes for one."""
 
 
 def read_mcap(
@@ -70,14 +82,14 @@ def read_mcap(
         If a record is damaged, a wanted topic is not CDR, or the file holds more than `into` has
         a budget for.
     """
-    reader = _McapReading(name, wanted, into)
+    reading = _McapReading(name, wanted, into)
     position = len(file.read(len(MAGIC)))
     while True:
-        head = file.read(RECORD_HEAD.size)
-        if len(head) < RECORD_HEAD.size:
+        head = file.read(_RECORD_HEAD.size)
+        if len(head) < _RECORD_HEAD.size:
             into.cut = f"ends at byte {size} without the end of the data"
             return
-        opcode, length = RECORD_HEAD.unpack(head)
+        opcode, length = _RECORD_HEAD.unpack(head)
         end = position + len(head) + length
         if end > size:
             into.cut = f"is cut within the record at byte {position}"
@@ -86,19 +98,14 @@ def read_mcap(
             return
         if opcode in _USED:
             try:
-                reader.record(opcode, file.read(length), position)
-            except DAMAGE as error:
+                reading.record(opcode, file.read(length))
+            except _DAMAGE as error:
                 raise BagError(
                     f"{name}: damaged record at byte {position}: {one_line(error)}"
                 ) from None
         else:
             file.seek(length, 1)
         position = end
-
-
-_USED: Final = frozenset(
-    {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.METADATA}
-)
 
 
 class _McapReading:
@@ -112,30 +119,34 @@ class _McapReading:
         self._types: dict[int, str] = {}
         # Index of the topic of each channel whose messages are wanted.
         self._channels: dict[int, int] = {}
-        self._layouts = ChunkLayouts()
+        self._layouts: dict[int, _ChunkLayout] = {}
+        """Of the chunks walked through so far, by their size."""
         # Topics of the messages of a chunk, by the channels of these.
         self._topics: dict[bytes, list[int | None]] = {}
         # Making one takes longer than the decompression of a chunk.
         self._decompressor = zstandard.ZstdDecompressor()
 
-    def record(self, opcode: int, content: bytes, position: int) -> None:
-        if opcode == Opcode.MESSAGE:
-            self._messages(RECORD_HEAD.pack(opcode, len(content)) + content)
+    def record(self, opcode: int, content: bytes) -> None:
+        if opcode == MESSAGE:
+            self._messages(_RECORD_HEAD.pack(opcode, len(content)) + content)
             return
         self._spend(RECORD_COST)
+        stream = ReadDataStream(BytesIO(content))
         if opcode == Opcode.CHUNK:
-            records = _chunk_records(content, self._into.budget, self._decompressor)
-            if (found := self._layouts.split(records)) is None:
+            records = self._uncompressed(content)
+            layout = self._layouts.get(len(records))
+            found = None if layout is None else layout.split(records)
+            if found is None:
                 self._messages(records)
             else:
                 self._take(*found)
         elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(_stream(content))
+            schema = Schema.read(stream)
             self._types[schema.id] = schema.name
         elif opcode == Opcode.CHANNEL:
-            self._channel(Channel.read(_stream(content)))
+            self._channel(Channel.read(stream))
         elif opcode == Opcode.METADATA:
-            self._metadata(Metadata.read(_stream(content)))
+            self._metadata(Metadata.read(stream))
 
     def _channel(self, channel: Channel) -> None:
         topic = self._into.topic_index(channel.topic, self._types.get(channel.schema_id, ""))
@@ -155,6 +166,26 @@ class _McapReading:
             self._into.metadata = {**parse_custom_data(text), **self._into.metadata}
         elif metadata.name == "armimp":
             self._into.metadata.update(metadata.metadata)
+
+    def _uncompressed(self, content: bytes) -> bytes:
+        """Records of a chunk."""
+        _, _, size, checksum, text = _CHUNK_HEAD.unpack_from(content)
+        start = _CHUNK_HEAD.size + text
+        compression = content[_CHUNK_HEAD.size : start].decode()
+        (length,) = _SIZE.unpack_from(content, start)
+        start += _SIZE.size
+        records = content[start : start + length]
+        if compression == "zstd":
+            records = self._into.budget.unzstd(records, size, self._decompressor)
+        elif compression == "lz4":
+            records = self._into.budget.unlz4(records, size)
+        elif compression:
+            raise ValueError(f"unknown compression {compression!r}")
+        if len(records) != size:
+            raise ValueError(f"chunk of {len(records)} bytes instead of {size}")
+        if checksum not in (0, zlib.crc32(records)):
+            raise ValueError(f"checksum of a chunk is {zlib.crc32(records):#x}, not {checksum:#x}")
+        return records
 
     def _take(
         self, channels: NDArray[np.uint16], log_times: list[int], payloads: tuple[bytes, ...]
@@ -176,7 +207,7 @@ class _McapReading:
 
     def _messages(self, records: bytes) -> None:
         """Walk through a chunk, or what stands outside of chunks, record by record."""
-        lengths: list[int] | None = []
+        lengths: list[int] = []
         unpack = MESSAGE_HEAD.unpack_from
         head_size = MESSAGE_HEAD.size
         topic_of = self._channels.get
@@ -189,11 +220,10 @@ class _McapReading:
         while position + head_size <= end:
             opcode, length, channel, _, log_time, _ = unpack(records, position)
             after = position + 9 + length
-            if opcode == 5:
-                if after > end or length < 22:
+            if opcode == MESSAGE:
+                if after > end or length < BEYOND_LENGTH:
                     raise ValueError(f"message of {length} bytes")
-                if lengths is not None:
-                    lengths.append(length)
+                lengths.append(length)
                 topic = topic_of(channel)
                 if topic is None:
                     unwanted += 1
@@ -203,73 +233,48 @@ class _McapReading:
                     payloads.append(records[position + head_size : after])
                 position = after
             else:
-                lengths = None
                 position = self._other(records, position)
-        if lengths and len(lengths) > 1 and position == end:
-            self._layouts.learn(lengths)
+        if 1 < len(lengths) <= _LONGEST_LAYOUT and sum(lengths) + 9 * len(lengths) == end:
+            if len(self._layouts) >= _MOST_LAYOUTS:
+                self._layouts.clear()
+            self._layouts[end] = _ChunkLayout(lengths)
         while position < end:
             position = self._other(records, position)
         self._spend(MESSAGE_COST * unwanted)
         self._into.extend(topics, log_times, payloads)
 
     def _other(self, records: bytes, position: int) -> int:
-        opcode, length = RECORD_HEAD.unpack_from(records, position)
+        opcode, length = _RECORD_HEAD.unpack_from(records, position)
         self._spend(MESSAGE_COST)
-        start = position + RECORD_HEAD.size
+        start = position + _RECORD_HEAD.size
         if start + length > len(records):
             raise ValueError(f"record of {length} bytes in a chunk")
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self.record(opcode, records[start : start + length], position)
+            self.record(opcode, records[start : start + length])
         return int(start + length)
 
 
-def chunk_messages(content: bytes, budget: Budget) -> Iterator[tuple[int, int, bytes]]:
-    """Channel, log time (ns) and bytes of the messages of a chunk that holds nothing else.
+class _ChunkLayout:
+    """Where the messages are in chunks of nothing else, whose lengths are in the same order.
 
-    Raises
-    ------
-    BagError
-        If the chunk is beyond the budget.
-    ValueError, or whatever parsing raises; see `DAMAGE`
-        If the chunk is damaged.
+    A recorder of regular streams writes few kinds of chunks. Walking from record to record, where
+    each has to be looked at before the next is found, takes longer than everything else in reading
+    a bag; so it is done once for each kind, and what it found is checked at once in all others.
     """
-    records = _chunk_records(content, budget)
-    position = 0
-    while position < len(records):
-        opcode, length, channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(records, position)
-        after = position + RECORD_HEAD.size + length
-        if opcode != Opcode.MESSAGE or length < 22 or after > len(records):
-            raise ValueError(f"record {opcode} of {length} bytes in a chunk")
-        yield channel, log_time, records[position + MESSAGE_HEAD.size : after]
-        position = after
 
+    def __init__(self, lengths: Sequence[int]) -> None:
+        self._lengths = np.array(lengths, np.uint64)
+        sizes = np.array(lengths, np.int64) + _RECORD_HEAD.size
+        starts = np.cumsum(sizes) - sizes
+        self._heads = (starts[:, None] + np.arange(MESSAGE_HEAD.size)).ravel()
+        self._payloads = struct.Struct(
+            "".join(f"{MESSAGE_HEAD.size}x{length - BEYOND_LENGTH}s" for length in lengths)
+        ).unpack
 
-_CHUNK_HEAD: Final = struct.Struct("<QQQII")
-"""Earliest and latest log time, size and checksum, both uncompressed, length of the next text."""
-_SIZE: Final = struct.Struct("<Q")
-
-
-def _chunk_records(
-    content: bytes, budget: Budget, decompressor: zstandard.ZstdDecompressor | None = None
-) -> bytes:
-    _, _, size, checksum, text = _CHUNK_HEAD.unpack_from(content)
-    start = _CHUNK_HEAD.size + text
-    compression = content[_CHUNK_HEAD.size : start].decode()
-    if compression not in _COMPRESSIONS:
-        raise ValueError(f"unknown compression {compression!r}")
-    (length,) = _SIZE.unpack_from(content, start)
-    start += _SIZE.size
-    records = content[start : start + length]
-    if compression == "zstd":
-        records = budget.unzstd(records, size, decompressor)
-    elif compression == "lz4":
-        records = budget.unlz4(records, size)
-    if len(records) != size:
-        raise ValueError(f"chunk of {len(records)} bytes instead of {size}")
-    if checksum not in (0, zlib.crc32(records)):
-        raise ValueError(f"checksum of a chunk is {zlib.crc32(records):#x}, not {checksum:#x}")
-    return records
-
-
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(BytesIO(content))
+    def split(self, records: bytes) -> Messages | None:
+        """Channels, log times (ns) and contents of a chunk; None if it has another layout."""
+        heads = np.frombuffer(records, np.uint8)[self._heads].view(_HEADS)
+        # If each record is of the length that was expected, the next one is where it was expected.
+        if not ((heads["opcode"] == MESSAGE) & (heads["length"] == self._lengths)).all():
+            return None
+        return heads["channel"].copy(), heads["log_time"].tolist(), self._payloads(records)

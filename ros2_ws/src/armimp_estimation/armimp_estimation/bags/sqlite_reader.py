@@ -10,9 +10,14 @@ from urllib.parse import quote
 
 from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular
-from armimp_estimation.bags.budget import NODE_COST, RECORD_COST
 from armimp_estimation.bags.metadata import parse_custom_data
-from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
+from armimp_estimation.bags.raw import (
+    NODE_COST,
+    RECORD_COST,
+    RawMessages,
+    TopicFilter,
+    one_line,
+)
 
 # Of a damaged file even the text of an error need not be UTF-8.
 _DAMAGE: Final = (sqlite3.Error, UnicodeDecodeError)

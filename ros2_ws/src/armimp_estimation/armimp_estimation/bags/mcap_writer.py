@@ -8,10 +8,11 @@ well, so that a killed process loses little. All other records are those of the 
 import fcntl
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import repeat
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -26,22 +27,22 @@ from mcap.records import (
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 
-from armimp_estimation.bags.message_records import BEYOND_LENGTH, MESSAGE, MESSAGE_HEAD, TickRecords
+from armimp_common.errors import BagError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 
-LIBRARY: Final = "armimp"
-"""Name of the writing software in the header of bags that are recorded here."""
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""Head of a message record: opcode, length, channel, sequence, log time, publish time."""
+BEYOND_LENGTH: Final = 22
+"""Bytes of it that the length counts."""
+MESSAGE: Final = int(Opcode.MESSAGE)
 
 FLUSH_INTERVAL_NS: Final = 50_000_000
 """A chunk is closed when it spans this much log time (ns)."""
-
 FLUSH_MESSAGES: Final = 256
 """A chunk is closed at this many messages: 64 ticks of four streams, whatever the log times."""
-
 FLUSH_BYTES: Final = 1 << 18
 """A chunk is closed when its messages take more bytes than this."""
 
@@ -49,13 +50,12 @@ _COMPRESSION: Final = b"zstd"
 _CHUNK_HEAD: Final = struct.Struct(f"<BQQQQII{len(_COMPRESSION)}sQ")
 """Head of a chunk record: opcode, length, first and last time, size and checksum of what it holds
 without compression; compression, and size with it."""
-
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
-"""Head of a message index: opcode, length, channel, bytes of the entries."""
-_INDEX_BEYOND: Final = 6
-"""Bytes of it that the length counts."""
+"""Head of a message index: opcode, length (of which 6 bytes here), channel, bytes of entries."""
 _ENTRY: Final = struct.Struct("<QQ")
 """Entry of a message index: log time, offset in the chunk."""
+_SAME: Final = 15
+"""Bytes of the head before the times, which all messages of a stream share."""
 
 # Level 1: on these streams it compresses as well as level 3 in less than half of the time.
 _LEVEL: Final = 1
@@ -63,6 +63,18 @@ _LEVEL: Final = 1
 
 class _Record(Protocol):
     def write(self, stream: RecordBuilder) -> None: ...
+
+
+def _encoded(*records: _Record) -> bytes:
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()
+    return data
+
+
+HEAD: Final = MAGIC + _encoded(Header(profile="ros2", library="armimp"))
+"""First bytes of all files that are written here."""
 
 
 class McapFile:
@@ -76,8 +88,6 @@ class McapFile:
     ----------
     path : Path
         The file, which must not exist.
-    library : str
-        Name of the writing software, for the header.
 
     Raises
     ------
@@ -85,7 +95,7 @@ class McapFile:
         From every method, if the file cannot be written.
     """
 
-    def __init__(self, path: Path, *, library: str) -> None:
+    def __init__(self, path: Path) -> None:
         self._file = path.open("xb", buffering=0)
         with suppress(OSError):  # Not every file system has locks.
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -107,9 +117,9 @@ class McapFile:
         self._start_ns = self._end_ns = 0
         # Log time and offset of each message of the chunk, by channel, as they are written.
         self._index: dict[int, bytearray] = {}
-        self._records = TickRecords(())
+        self._ticks = _TickRecords(())
         try:
-            self._write(MAGIC + _encoded(Header(profile="ros2", library=library)))
+            self._write(HEAD)
         except OSError:
             self._file.close()
             raise
@@ -163,33 +173,19 @@ class McapFile:
         struct.error
             If the log time is negative or beyond 64 bits; nothing is written then.
         """
-        self.append(channel, log_time_ns, data)
+        head = self._pack(MESSAGE, BEYOND_LENGTH + len(data), channel, 0, log_time_ns, log_time_ns)
+        entry = _ENTRY.pack(log_time_ns, len(self._chunk))
+        self._span(log_time_ns, log_time_ns)
+        self._chunk += head
+        self._chunk += data
+        self._index[channel] += entry
+        self._pending += 1
         if (
             log_time_ns >= self._deadline_ns
             or self._pending >= FLUSH_MESSAGES
             or len(self._chunk) > FLUSH_BYTES
         ):
             self.flush()
-
-    def append(self, channel: int, log_time_ns: int, data: bytes) -> None:
-        """Append a message to the current chunk, however long it gets; see `add_message`."""
-        chunk = self._chunk
-        head = self._pack(MESSAGE, BEYOND_LENGTH + len(data), channel, 0, log_time_ns, log_time_ns)
-        offset = len(chunk)
-        self._span(log_time_ns, log_time_ns)
-        chunk += head
-        chunk += data
-        self._index[channel] += _ENTRY.pack(log_time_ns, offset)
-        self._pending += 1
-
-    def _span(self, first_ns: int, last_ns: int) -> None:
-        """Take account of the log times of messages that are about to be appended."""
-        if not self._chunk:
-            self._deadline_ns = first_ns + FLUSH_INTERVAL_NS
-            self._start_ns, self._end_ns = first_ns, last_ns
-        else:
-            self._start_ns = min(self._start_ns, first_ns)
-            self._end_ns = max(self._end_ns, last_ns)
 
     def add_block(self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]) -> None:
         """Append messages of several channels for each of some times, and flush as is due.
@@ -208,14 +204,14 @@ class McapFile:
             If they are not; nothing is appended then.
         """
         lengths = tuple((channel, len(raws[0])) for channel, raws in channels.items())
-        if lengths != self._records.lengths:
-            self._records = TickRecords(lengths)
-        records = self._records.encode(log_times, channels)
+        if lengths != self._ticks.lengths:
+            self._ticks = _TickRecords(lengths)
+        records = self._ticks.encode(log_times, channels)
         start = len(self._chunk)
         first_ns, last_ns = log_times[0], log_times[-1]
         self._span(first_ns, last_ns)
         self._chunk += records
-        for channel, entries in self._records.index(log_times, start):
+        for channel, entries in self._ticks.index(log_times, start):
             self._index[channel] += entries
         self._pending += len(channels) * len(log_times)
         # Another block like this must not lead beyond what may be lost.
@@ -226,6 +222,15 @@ class McapFile:
         ):
             self.flush()
 
+    def _span(self, first_ns: int, last_ns: int) -> None:
+        """Take account of the log times of messages that are about to be appended."""
+        if not self._chunk:
+            self._deadline_ns = first_ns + FLUSH_INTERVAL_NS
+            self._start_ns, self._end_ns = first_ns, last_ns
+        else:
+            self._start_ns = min(self._start_ns, first_ns)
+            self._end_ns = max(self._end_ns, last_ns)
+
     def flush(self) -> None:
         """Hand everything added so far to the operating system, where a kill cannot reach it.
 
@@ -233,21 +238,20 @@ class McapFile:
         """
         if not self._pending:
             return
-        messages = self._chunk
-        start_ns, end_ns = self._start_ns, self._end_ns
-        compressed = self._compress(messages)
-        head = _CHUNK_HEAD.pack(
-            Opcode.CHUNK,
-            _CHUNK_HEAD.size - 9 + len(compressed),
-            start_ns,
-            end_ns,
-            len(messages),
-            zlib.crc32(messages),
-            len(_COMPRESSION),
-            _COMPRESSION,
-            len(compressed),
+        compressed = self._compress(self._chunk)
+        output = bytearray(
+            _CHUNK_HEAD.pack(
+                Opcode.CHUNK,
+                _CHUNK_HEAD.size - 9 + len(compressed),
+                self._start_ns,
+                self._end_ns,
+                len(self._chunk),
+                zlib.crc32(self._chunk),
+                len(_COMPRESSION),
+                _COMPRESSION,
+                len(compressed),
+            )
         )
-        output = bytearray(head)
         output += compressed
         length = len(output)
         offsets: dict[int, int] = {}
@@ -255,26 +259,27 @@ class McapFile:
             if entries:
                 offsets[channel] = self._position + len(output)
                 output += _INDEX_HEAD.pack(
-                    Opcode.MESSAGE_INDEX, _INDEX_BEYOND + len(entries), channel, len(entries)
+                    Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)
                 )
                 output += entries
-        entry = ChunkIndex(
+        chunk = ChunkIndex(
             chunk_start_offset=self._position,
             chunk_length=length,
             compression=_COMPRESSION.decode(),
             compressed_size=len(compressed),
-            uncompressed_size=len(messages),
-            message_start_time=start_ns,
-            message_end_time=end_ns,
+            uncompressed_size=len(self._chunk),
+            message_start_time=self._start_ns,
+            message_end_time=self._end_ns,
             message_index_offsets=offsets,
             message_index_length=len(output) - length,
         )
         self._write(output)
-        self._chunks.append(entry)
+        self._chunks.append(chunk)
         for channel, entries in self._index.items():
             self._counts[channel] += len(entries) // _ENTRY.size
-        self._first_ns = start_ns if self._first_ns is None else min(self._first_ns, start_ns)
-        self._last_ns = max(self._last_ns, end_ns)
+        first_ns = self._start_ns if self._first_ns is None else self._first_ns
+        self._first_ns = min(first_ns, self._start_ns)
+        self._last_ns = max(self._last_ns, self._end_ns)
         self.discard()
 
     def discard(self) -> None:
@@ -288,57 +293,32 @@ class McapFile:
         """Write the summary and close the file."""
         try:
             self.flush()
+            first_ns, last_ns = self.time_range
+            statistics = Statistics(
+                attachment_count=0,
+                channel_count=len(self._channels),
+                channel_message_counts=dict(self._counts),
+                chunk_count=len(self._chunks),
+                message_count=sum(self._counts.values()),
+                message_start_time=first_ns,
+                message_end_time=last_ns,
+                metadata_count=len(self._metadata),
+                schema_count=len(self._schemas),
+            )
             end = _encoded(DataEnd(data_section_crc=0))
-            self._write(end + self._summary(self._position + len(end)))
+            summary: Iterable[_Record] = (
+                *(*self._schemas, *self._channels, statistics),
+                *(*self._chunks, *self._metadata),
+            )
+            start = self._position + len(end)
+            footer = Footer(summary_start=start, summary_offset_start=0, summary_crc=0)
+            self._write(end + _encoded(*summary, footer) + MAGIC)
         finally:
             self.abandon()
 
     def abandon(self) -> None:
         """Close the file as it is, without a summary."""
         self._file.close()
-
-    def _summary(self, start: int) -> bytes:
-        first_ns, last_ns = self.time_range
-        statistics = Statistics(
-            attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()),
-            message_start_time=first_ns,
-            message_end_time=last_ns,
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
-        )
-        groups: list[tuple[Opcode, list[_Record]]] = [
-            (Opcode.SCHEMA, list(self._schemas)),
-            (Opcode.CHANNEL, list(self._channels)),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, list(self._chunks)),
-            (Opcode.METADATA_INDEX, list(self._metadata)),
-        ]
-        summary = bytearray()
-        offsets = bytearray()
-        for opcode, records in groups:
-            data = b"".join(_encoded(record) for record in records)
-            if data:
-                offsets += _encoded(
-                    SummaryOffset(
-                        group_opcode=opcode,
-                        group_start=start + len(summary),
-                        group_length=len(data),
-                    )
-                )
-            summary += data
-        offsets_start = start + len(summary)
-        summary += offsets
-        # The checksum covers the footer, too, up to itself.
-        summary += struct.pack("<BQQQ", Opcode.FOOTER, 20, start, offsets_start)
-        crc = zlib.crc32(summary)
-        footer = _encoded(
-            Footer(summary_start=start, summary_offset_start=offsets_start, summary_crc=crc)
-        )
-        return bytes(summary[:-25]) + footer + MAGIC
 
     def _write(self, data: bytes | bytearray) -> None:
         view = memoryview(data)
@@ -359,8 +339,42 @@ class McapFile:
             raise
 
 
-def _encoded(record: _Record) -> bytes:
-    builder = RecordBuilder()
-    record.write(builder)
-    data: bytes = builder.end()
-    return data
+class _TickRecords:
+    """Message records of some channels, one of each, tick after tick.
+
+    `lengths` has the number of each channel and the length of its messages, in the order within a
+    tick.
+    """
+
+    def __init__(self, lengths: tuple[tuple[int, int], ...]) -> None:
+        self.lengths = lengths
+        self._heads: list[bytes] = []
+        self._offsets: list[int] = []
+        layout, size = "<", 0
+        for channel, length in lengths:
+            head = MESSAGE_HEAD.pack(MESSAGE, BEYOND_LENGTH + length, channel, 0, 0, 0)
+            self._heads.append(head[:_SAME])
+            self._offsets.append(size)
+            layout += f"{_SAME}sQQ{length}s"
+            size += MESSAGE_HEAD.size + length
+        self._pack, self._size = struct.Struct(layout).pack, size
+
+    def encode(self, log_times: Sequence[int], messages: Mapping[int, Sequence[bytes]]) -> bytes:
+        """Encode as many messages of each channel as there are log times (ns)."""
+        columns: list[Any] = []
+        for head, (channel, length) in zip(self._heads, self.lengths, strict=True):
+            if set(map(len, messages[channel])) != {length}:
+                raise BagError(f"messages of channel {channel} are not all of {length} bytes")
+            columns += [repeat(head), log_times, log_times, messages[channel]]
+        pack = self._pack
+        return b"".join([pack(*row) for row in zip(*columns, strict=False)])
+
+    def index(self, log_times: Sequence[int], start: int) -> Iterator[tuple[int, bytes]]:
+        """Index entries of each channel, if the first record is at `start` in its chunk."""
+        entries = [0] * (2 * len(log_times))
+        entries[::2] = log_times
+        pack = struct.Struct(f"<{len(entries)}Q").pack
+        stop = start + self._size * len(log_times)
+        for offset, (channel, _) in zip(self._offsets, self.lengths, strict=True):
+            entries[1::2] = range(start + offset, stop, self._size)
+            yield channel, pack(*entries)
