@@ -169,3 +169,13 @@ def _interleaved(
                 yield TRIAL, log_time, encode_trial_status(status)
         if tick < length:
             yield from samples[tick]
+
+
+def assert_same(record: TrialRecord, expected: TrialRecord) -> None:
+    """Check that a record holds the samples of another one, without what only a node knows."""
+    for name in ("position", "torque", "perturbation"):
+        values = getattr(record, name)
+        assert values.flags.c_contiguous
+        np.testing.assert_array_equal(values, getattr(expected, name))
+    for name in ("start_ns", "perturbed_joint", "joint_names", "rate", "trial"):
+        assert getattr(record, name) == getattr(expected, name)

@@ -97,14 +97,6 @@ class TestTruncation:
         assert len(steps) > TICKS // 51
         assert max(np.diff(steps)) <= 51
 
-    def test_every_cut_of_the_first_and_the_last_bytes(self, own: Path, tmp_path: Path) -> None:
-        whole = storage_file(own).read_bytes()
-        file = tmp_path / "bag.mcap"
-        for size in (*range(0, 200, 5), *range(len(whole) - 400, len(whole), 5)):
-            file.write_bytes(whole[:size])
-            expected = 0 if size < 200 else TICKS
-            assert samples_or_refusal(file) == expected
-
     def test_same_messages_as_the_stream_reader_of_mcap(self, own: Path, tmp_path: Path) -> None:
         whole = storage_file(own).read_bytes()
         file = tmp_path / "bag.mcap"
@@ -179,21 +171,6 @@ class TestTruncation:
             samples.append(samples_or_refusal(file))
         assert samples == sorted(samples)
         assert len(set(samples)) > 20
-
-    def test_metadata_cut_at_any_byte_is_used_or_refused(self, own: Path, tmp_path: Path) -> None:
-        bag = tmp_path / "bag"
-        shutil.copytree(own, bag)
-        file = bag / "metadata.yaml"
-        whole = file.read_bytes()
-        refused = 0
-        for size in range(0, len(whole), 13):
-            file.write_bytes(whole[:size])
-            samples = samples_or_refusal(bag)
-            assert samples in (0, TICKS)
-            refused += samples == 0
-        assert refused > 100
-        file.write_bytes(whole)
-        assert samples_or_refusal(bag) == TICKS
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@ import sqlite3
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
@@ -24,8 +23,12 @@ from armimp_common.topics import (
 )
 from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
 from armimp_estimation.bags.metadata import message_definition
-from armimp_estimation.record import TrialRecord
-from support.synthetic_bags import Message, SyntheticRecording, synthetic_recording
+from support.synthetic_bags import (
+    Message,
+    SyntheticRecording,
+    assert_same,
+    synthetic_recording,
+)
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)
@@ -97,18 +100,6 @@ def write_mcap(
             writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)
         writer.finish()
     return path
-
-
-def assert_same(record: TrialRecord, expected: TrialRecord) -> None:
-    for name in ("position", "torque", "perturbation"):
-        values = getattr(record, name)
-        assert values.flags.c_contiguous
-        np.testing.assert_array_equal(values, getattr(expected, name))
-    assert record.start_ns == expected.start_ns
-    assert record.perturbed_joint == expected.perturbed_joint
-    assert record.joint_names == expected.joint_names
-    assert record.rate == expected.rate
-    assert record.trial == expected.trial
 
 
 def assert_reads(path: Path, expected: SyntheticRecording = RECORDING) -> None:
