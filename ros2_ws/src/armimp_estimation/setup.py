@@ -14,7 +14,12 @@ setup(
     maintainer="armimp developers",
     maintainer_email="armimp@example.org",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/*.css", "report/*.js", "report/templates/*.html"]},
+    package_data={
+        NAME: [
+            *("py.typed", "problems.yaml"),
+            *("report/*.css", "report/*.js", "report/templates/*.html"),
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

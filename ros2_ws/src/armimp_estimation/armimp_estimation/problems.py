@@ -1,14 +1,17 @@
-"""What is wrong with a result, as data: a code with values. Words are made here alone."""
+"""What is wrong with a result, as data: a code with values. Its words are in ``problems.yaml``."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from functools import cache
+from importlib.resources import files
 
 from pydantic import Field, computed_field
 
 from armimp_common.errors import ArmimpError
+from armimp_common.schema import TextLoader, load_yaml
 from armimp_estimation.json_model import JsonModel, Number
 
 
@@ -98,162 +101,43 @@ class ProblemCode(str, Enum):
     NO_RESPONSE = "no_response"
 
 
-_WHERE = "{count:d}, between {first:.3f} s and {last:.3f} s"
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """Problems about which there is the same thing to do.
 
-SENTENCES: Final[Mapping[ProblemCode, str]] = {
-    ProblemCode.SAMPLES_MISSING: f"samples of {{stream}} are missing: {_WHERE}",
-    ProblemCode.SAMPLES_MALFORMED: (
-        "messages of {stream} are malformed: {count:d}, the first: {reason}"
-    ),
-    ProblemCode.SAMPLES_NOT_FINITE: f"samples of {{stream}} are not finite: {_WHERE}",
-    ProblemCode.SAMPLES_CONTRADICTORY: f"samples of {{stream}} contradict themselves: {_WHERE}",
-    ProblemCode.SAMPLES_REPEATED: "samples of {stream} came more than once: {count:d}",
-    ProblemCode.SAMPLES_REORDERED: "samples of {stream} came out of order: {count:d}",
-    ProblemCode.SAMPLES_LOST: "{reason}",
-    ProblemCode.STAMPS_DISAGREE: (
-        "stamps of the streams do not agree: {count:d}, the first {apart_ns:d} ns from its "
-        "neighbour"
-    ),
-    ProblemCode.COMMANDS_MISSING: "there are {count:d} commands fewer than samples",
-    ProblemCode.COMMANDS_FOREIGN: (
-        "{count:d} commands are too many or out of turn: somebody else commanded"
-    ),
-    ProblemCode.PERTURBATIONS_FOREIGN: (
-        "{count:d} perturbations are out of turn outside the trial, so that commands cannot be "
-        "matched: somebody else published"
-    ),
-    ProblemCode.NOTHING_RECORDED: "no samples of it were recorded",
-    ProblemCode.JOINT_UNKNOWN: "the perturbed joint {name} is none of {known}",
-    ProblemCode.NO_PERTURBATION: "the perturbation is zero throughout",
-    ProblemCode.MUCH_EXCLUDED: (
-        "{percent:.3g} % of its samples are excluded (limit {limit:.3g} %)"
-    ),
-    ProblemCode.CLIPPED_UNKNOWN: "{count:d} commands were clipped, and it is not known when",
-    ProblemCode.TRIAL_ABORTED: "aborted: {reason}",
-    ProblemCode.TRIAL_SPOILED: "not valid: {reason}",
-    ProblemCode.MESSAGE_REFUSED: "{stream}: {reason}",
-    ProblemCode.RECORDING_FAILED: "{reason}",
-    ProblemCode.RECORDING_STOPPED: "{reason}",
-    ProblemCode.INTERRUPTED: "interrupted by the user",
-    ProblemCode.STALLED: "nothing happened for {seconds:g} s",
-    ProblemCode.NODE_FAILED: "{reason}",
-    ProblemCode.NODE_FAULT: "{source}: {reason}",
-    ProblemCode.PARAMETERS_DIFFER: "{reason}",
-    ProblemCode.SAMPLES_LATE: (
-        "real time: {count:d} of {ticks:d} samples were sent more than {late_ms:g} ms late, "
-        "{percent:.3g} % (limit {limit:.3g} %)"
-    ),
-    ProblemCode.COMMANDS_LATE: (
-        "real time: {count:d} of {ticks:d} commands did not come in time, {percent:.3g} % "
-        "(limit {limit:.3g} %)"
-    ),
-    ProblemCode.LATENCY: (
-        "real time: the 99 % quantile of the time from a sample to its command is {ms:.3g} ms "
-        "(limit {limit:.3g} ms)"
-    ),
-    ProblemCode.NOT_ESTIMATED: "{reason}",
-    ProblemCode.RECORD_TOO_SHORT: "{reason}",
-    ProblemCode.TRIALS_INCOMPLETE: "{reason}",
-    ProblemCode.JOINT_DOES_NOT_MOVE: "{reason}",
-    ProblemCode.RATE_UNCUSTOMARY: (
-        "stamps give a sampling rate of {rate:.7g} Hz, which is not a customary one: "
-        "if it is right, declare it with --rate {rate:.7g}"
-    ),
-    ProblemCode.RATE_UNPLANNED: (
-        "stamps give a sampling rate of {rate:.7g} Hz, but {planned:.7g} Hz were expected"
-    ),
-    ProblemCode.RATE_DRIFTS: (
-        "the sampling rate drifts: stamps give {first:.7g} Hz in the first half, "
-        "{second:.7g} Hz in the second"
-    ),
-    ProblemCode.STAMPS_IRREGULAR: (
-        "stamps are irregular: they scatter by {scatter:.3g} periods (rms) and up to "
-        "{largest:.3g} periods about a rate of {rate:.7g} Hz"
-    ),
-    ProblemCode.STREAM_RATES_DIFFER: (
-        "stamps of {stream} give {rate:.7g} Hz, those of the others {other:.7g} Hz"
-    ),
-    ProblemCode.COMMANDS_PERMUTED: (
-        "commands are in another order than the joints: {order}; they were put in order"
-    ),
-    ProblemCode.DELAY_CORRECTED: (
-        "torques are late against angles by {delay_ms:.4g} ± {error_ms:.2g} ms; this was corrected"
-    ),
-    ProblemCode.TIMING_REFUTED: (
-        "the declared instant of the torque readings ({declared}) is refuted by the records: "
-        "torques are late by a further {delay_ms:.4g} ± {error_ms:.2g} ms, which was corrected"
-    ),
-    ProblemCode.LACK_OF_FIT: (
-        "{estimator}: element {element} is not of the form M s² + B s + K: its lack of fit is "
-        "{lack:.3g} times what noise explains (limit {limit:.3g})"
-    ),
-    ProblemCode.MODEL_OFFERED: (
-        "{estimator}: the data support the model {model}, Z = {equation}, with a lack of fit of "
-        "{lack:.3g}: {text}; its M, B and K stand beside the others"
-    ),
-    ProblemCode.NO_MODEL: ("{estimator}: noise doesn't explain what these models leave: {models}"),
-    ProblemCode.CALIBRATION_ASSUMED: (
-        "nobody declared how well the torque transducers are calibrated: standard errors assume "
-        "{gain:.3g} % of gain and {cross_talk:.3g} % of cross-talk (--gain-uncertainty, "
-        "--cross-talk-uncertainty)"
-    ),
-    ProblemCode.IMPLAUSIBLE_INERTIA: (
-        "{estimator}: {matrix} is not that of a passive arm: its symmetric part has the eigenvalue "
-        "{value:.3g} ± {error:.2g} {unit}; {suspect}"
-    ),
-    ProblemCode.IMPLAUSIBLE_VALUE: (
-        "{estimator}: {matrix} of {name} is {value:.3g} {unit}, outside of what an arm may have "
-        "({low:g} to {high:g}); check sign and unit of its torque and angle"
-    ),
-    ProblemCode.IMPLAUSIBLE_ANGLE: (
-        "angles of {name} {what} {value:.3g}: they can't be radians; are they degrees?"
-    ),
-    ProblemCode.TORQUE_UNBALANCED: (
-        "torque of {name} and its command disagree: the transducer shows {share:.3g} ± {error:.2g} "
-        "times the stiffness that the command feels; check sign, unit, gain and order of both"
-    ),
-    ProblemCode.ROBOT_INERTIA_IMPOSSIBLE: (
-        "commands less torques move a robot of the inertia {inertia}, which is impossible: "
-        "check sign, unit, gain and order of commands, torques and angles of {name}"
-    ),
-    ProblemCode.CLIPPED: (
-        "{stream} of {name} is clipped at {value:.4g} {unit} in {count:d} samples"
-    ),
-    ProblemCode.STUCK: (
-        "{stream} of {name} is stuck: it keeps one value for {longest:.3g} s, "
-        "{count:d} times for longer than {limit:.2g} s"
-    ),
-    ProblemCode.UNRESOLVED: (
-        "{stream} of {name} moves by {counts:.2g} counts of its resolution only: "
-        "what depends on it isn't resolved"
-    ),
-    ProblemCode.DEPENDS_ON_AMPLITUDE: (
-        "the stiffness of {name} depends on the amplitude: it changes by {percent:.3g} ± "
-        "{error:.2g} % from rest to the rms angle; the estimate is the best linear one there"
-    ),
-    ProblemCode.DEPENDS_ON_SPEED: (
-        "the torque of {name} isn't in proportion to its speed, as of a spring that yields: it "
-        "changes by {percent:.3g} ± {error:.2g} % of the stiffness from rest to the rms speed; the "
-        "estimate is the best linear one there"
-    ),
-    ProblemCode.CHANGES_OVER_TIME: (
-        "the stiffness of {name} changes by {percent:.3g} ± {error:.2g} % over the trial; "
-        "the estimate is its mean"
-    ),
-    ProblemCode.LOCK_RATIO: (
-        "{estimator}: {name} was not held still while {perturbed} was perturbed: within the band "
-        "it moved by {percent:.3g} % of it (limit {limit:.3g} %)"
-    ),
-    ProblemCode.LOCK_BIAS: (
-        "{estimator}: motion of {moving} while {perturbed} was perturbed explains {percent:.3g} % "
-        "of the torque of {name} (limit {limit:.3g} %): element {element} may be biased as much"
-    ),
-    ProblemCode.NO_RESPONSE: (
-        "{stream} of {name} does not follow the perturbation of {perturbed}: mean coherence "
-        "{coherence:.3g} is not significant (level {level:.3g})"
-    ),
-}
-"""One sentence for each code, with places for its values."""
+    Attributes
+    ----------
+    title : str
+        The kind in plain words.
+    advice : str
+        What it means and what to do about it.
+    sentences : mapping of ProblemCode to str
+        One sentence for each code, with places for its values.
+    """
+
+    title: str
+    advice: str
+    sentences: Mapping[ProblemCode, str]
+
+
+@cache
+def kinds() -> tuple[Kind, ...]:
+    """All kinds of problems, as ``problems.yaml`` has them; each code belongs to one."""
+    text = files(__package__).joinpath("problems.yaml").read_text(encoding="utf-8")
+    return tuple(
+        Kind(
+            title=one["title"],
+            advice=one["advice"],
+            sentences={ProblemCode(code): text for code, text in one["sentences"].items()},
+        )
+        for one in load_yaml(text, TextLoader)
+    )
+
+
+@cache
+def kind_of(code: ProblemCode) -> Kind:
+    """The kind to which a code belongs."""
+    return next(kind for kind in kinds() if code in kind.sentences)
 
 
 class Problem(JsonModel):
@@ -288,7 +172,8 @@ class Problem(JsonModel):
         """The problem in words, one line."""
         values = {"estimator": self.estimator, **self.values}
         where = "" if self.trial is None else f"trial {self.trial}: "
-        return where + " ".join(SENTENCES[self.code].format(**values).split())
+        sentence = kind_of(self.code).sentences[self.code].format(**values)
+        return where + " ".join(sentence.split())
 
     def __str__(self) -> str:
         return self.sentence

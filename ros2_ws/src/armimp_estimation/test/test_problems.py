@@ -3,18 +3,20 @@
 import string
 
 from armimp_estimation.problems import (
-    SENTENCES,
     Concern,
     Problem,
     ProblemCode,
     Severity,
+    kinds,
     spoiled,
 )
 
 
-def test_each_code_has_a_sentence_that_its_values_fill() -> None:
-    assert set(SENTENCES) == set(ProblemCode)
-    for code, text in SENTENCES.items():
+def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:
+    sentences = [pair for kind in kinds() for pair in kind.sentences.items()]
+    assert sorted(code for code, _ in sentences) == sorted(ProblemCode)
+    assert all(kind.advice for kind in kinds())
+    for code, text in sentences:
         fields = {name: spec for _, name, spec, _ in string.Formatter().parse(text) if name}
         values = {name: 3 if spec == "d" else 1.5 if spec else "x" for name, spec in fields.items()}
         sentence = Problem(code=code, trial=2, values=values).sentence

@@ -1,4 +1,4 @@
-"""Whatever strings go into a page, they stay text."""
+"""Strings stay text whatever they hold; numbers and the origin of parameters are written."""
 
 import json
 from html.parser import HTMLParser
@@ -8,9 +8,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markupsafe import Markup, escape
 
-from armimp_estimation.report.formats import plain, symbol
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.report.formats import (
+    difference,
+    number,
+    percent,
+    plain,
+    symbol,
+    uncertain,
+)
 from armimp_estimation.report.page import Section, Table, render_page, script_json
+from armimp_estimation.report.run import advised
+from armimp_estimation.report.settings import ASSUMPTION, CHOSEN, assumptions_content, origin
+from support.results import METADATA
 
+CONFIG = json.loads(METADATA["config"])
 HOSTILE = "\"><script>alert(1)</script><img src=x onerror=alert(1)>'&amp;{{ 7 * 7 }}"
 
 
@@ -78,3 +90,57 @@ def test_json_for_a_script_comes_back_and_cannot_end_the_element(value: object) 
 def test_rows_and_columns_of_a_table_must_agree() -> None:
     with pytest.raises(ValueError, match="1 cells in 2 columns"):
         Table(caption="Title", columns=["a", "b"], groups=[(None, [["only one"]])])
+
+
+def test_problems_of_one_kind_come_together_in_their_order() -> None:
+    found = advised(
+        [
+            (ProblemCode.NODE_FAILED, "node a died"),
+            (ProblemCode.INTERRUPTED, "interrupted by the user"),
+            (ProblemCode.NODE_FAILED, "node b died"),
+        ]
+    )
+    assert [(kind.title, sentences) for kind, sentences in found] == [
+        ("A node failed", ["node a died", "node b died"]),
+        ("The run was stopped", ["interrupted by the user"]),
+    ]
+
+
+def test_parameters_say_where_they_come_from() -> None:
+    assert origin(CONFIG, "arm_sim", "arm.inertia") == "paper, Table I"
+    assert origin(CONFIG, "arm_sim", "friction.coulomb") == ASSUMPTION
+    assert origin(CONFIG, "arm_sim", "robot.masses") == ASSUMPTION
+    assert origin(CONFIG, "imbic_controller", "target.damping") == ASSUMPTION
+    assert origin(CONFIG, "imbic_controller", "law.gamma") == CHOSEN
+    assert origin(CONFIG, "arm_sim", "joints") == ""
+
+
+@pytest.mark.parametrize(("joints", "title"), [(3, "Third joint"), (5, "Arm")])
+def test_of_more_than_two_joints_the_paper_says_nothing(joints: int, title: str) -> None:
+    config = {"experiment": {"joints": joints}, "arm_sim": {}}
+    assert ASSUMPTION in origin(config, "arm_sim", "arm.inertia")
+    content = assumptions_content(config)
+    assert content is not None
+    assert content["assumptions"][0][0] == title
+
+
+@pytest.mark.parametrize("config", [{}, {"experiment": "text"}, {"experiment": None}, {"a": [1]}])
+def test_a_configuration_of_another_kind_is_taken_without_assumptions(
+    config: dict[str, object],
+) -> None:
+    assert assumptions_content(config) is None
+    assert origin(config, "arm_sim", "unheard_of") == ""
+
+
+def test_an_error_gets_two_digits_and_the_estimate_as_many_decimals() -> None:
+    assert uncertain(0.184406, 0.00069951) == "0.18441 ± 0.00070"
+    assert uncertain(-7.98196, 0.24772) == "−7.98 ± 0.25"
+    assert uncertain(1234.5, 35.8) == "1234 ± 36"
+    assert uncertain(2.0, float("nan")) == "2 ± –"
+    assert uncertain(float("nan"), 0.0) == "– ± –"
+
+
+def test_what_is_not_a_number_is_a_dash() -> None:
+    assert number(float("inf")) == percent(float("nan")) == difference(1.0, 0.0) == "–"
+    assert difference(1.1, 1.0) == "+10.00\N{NARROW NO-BREAK SPACE}%"
+    assert number(62.708, ".1f", "°") == "62.7°"

@@ -10,8 +10,7 @@ import numpy as np
 from markupsafe import Markup
 
 from armimp_estimation.atomic_write import write_text
-from armimp_estimation.problems import ProblemCode
-from armimp_estimation.report.advice import advise
+from armimp_estimation.problems import Kind, ProblemCode, kind_of
 from armimp_estimation.report.curves import reference_of
 from armimp_estimation.report.formats import (
     NAMES,
@@ -131,12 +130,17 @@ def _verdict(result: Result) -> Content:
     }
 
 
-def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[object, list[str]]]:
-    """Problems by what there is to do about them; a number and its unit stay on one line."""
-    return [
-        (advice, [sentence.replace(" %", "\N{NO-BREAK SPACE}%") for sentence in sentences])
-        for advice, sentences in advise(problems)
-    ]
+def advised(problems: Iterable[tuple[ProblemCode, str]]) -> list[tuple[Kind, list[str]]]:
+    """Sort problems, given by code and sentence, by what there is to do about them.
+
+    Kinds are in the order of the first problem of each; numbers and their units stay on one line.
+    """
+    kinds: dict[str, tuple[Kind, list[str]]] = {}
+    for code, sentence in problems:
+        kind = kind_of(code)
+        whole = sentence.replace(" %", "\N{NO-BREAK SPACE}%")
+        kinds.setdefault(kind.title, (kind, []))[1].append(whole)
+    return list(kinds.values())
 
 
 def _limits_table(result: Result) -> Table:
