@@ -50,11 +50,12 @@ def test_strings_in_cells_captions_and_titles_stay_text() -> None:
         groups=[(HOSTILE, [[HOSTILE, HOSTILE], ["none", None]])],
         spans=[(HOSTILE, 2)],
     )
-    content = {"known": False, "table": table}
+    content = {"valid": False, "title": "Title", "problems": [], "notes": [], "limits": table}
     section = Section(
-        identifier="scores", title=HOSTILE, template="report/scores.html", content=content
+        identifier="verdict", title=HOSTILE, template="report/verdict.html", content=content
     )
-    made = render_page(HOSTILE, "report/assumptions.html", [section], content={"assumptions": []})
+    assumed = {"joints": 2, "friction": "level 3", "sensors": "a resolution"}
+    made = render_page(HOSTILE, "report/assumptions.html", [section], content=assumed)
     body = made[made.index("<body>") : made.index("<script>")]
     page = Elements(body)
     assert {"script", "img"}.isdisjoint(tag for tag, _ in page.found)
@@ -119,9 +120,8 @@ def test_parameters_say_where_they_come_from() -> None:
 def test_of_more_than_two_joints_the_paper_says_nothing(joints: int, title: str) -> None:
     config = {"experiment": {"joints": joints}, "arm_sim": {}}
     assert ASSUMPTION in origin(config, "arm_sim", "arm.inertia")
-    content = assumptions_content(config)
-    assert content is not None
-    assert content["assumptions"][0][0] == title
+    made = render_page("", "report/assumptions.html", [], content=assumptions_content(config))
+    assert f"<dt>{title}</dt><dd>The paper's arm has two joints." in made
 
 
 @pytest.mark.parametrize("config", [{}, {"experiment": "text"}, {"experiment": None}, {"a": [1]}])

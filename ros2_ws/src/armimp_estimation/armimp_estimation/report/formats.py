@@ -20,7 +20,6 @@ _UNWANTED = re.compile(
 NONE = "–"
 """What stands for a number that is not there."""
 UNITS: Mapping[str, str] = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
-NAMES: Mapping[str, str] = {"M": "Inertia", "B": "Viscosity", "K": "Stiffness"}
 STREAMS: Mapping[str, str] = {
     topics.JOINT_STATES: "joint angles",
     topics.TORQUE_SENSORS: "torques on the arm",

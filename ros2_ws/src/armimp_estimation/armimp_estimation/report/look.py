@@ -47,26 +47,7 @@ MOTION_COLOUR, TORQUE_COLOUR = (light for light, _ in _PALETTES["signal"])
 """Of the coherences of the perturbation with angle and torque."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
 """As plotly names them; dotted is the truth's own, so it comes last."""
-_REMARKS = {
-    "welch_siso": (
-        "the paper's estimator, one ratio of spectra for each element. Its viscosity is biased: "
-        "by the half-sample delay of the torque readings (+3 to +6 %), by leakage, and by motion "
-        "of the locked joints."
-    ),
-    "welch_full": (
-        "like the paper's, but with all columns at once, so that small motions of locked joints "
-        "do no harm. Delay and leakage bias it all the same."
-    ),
-    "lpm_full": (
-        "local polynomials instead of windows, which removes the leakage; the half-sample delay "
-        "is corrected."
-    ),
-    "direct": "ignores the feedback loop; here for comparison, biased by voluntary torque.",
-    "mimo": "from trials that perturb all joints at once; here for comparison.",
-}
-
-
-_KNOWN = tuple(_REMARKS)
+_KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,14 +58,11 @@ class Look:
     ----------
     name : str
         Of the estimator.
-    remark : str
-        What to know about it; empty if nothing is known.
     number : int
         Of its colour.
     """
 
     name: str
-    remark: str
     number: int
 
     @property
@@ -107,12 +85,7 @@ def looks(names: Iterable[str]) -> dict[str, Look]:
     """Looks of estimators by name. Known ones always look alike, others get what is left."""
     wanted = list(names)
     order = [*_KNOWN, *(name for name in wanted if name not in _KNOWN)]
-    return {
-        name: Look(
-            name=name, remark=_REMARKS.get(name, ""), number=order.index(name) % len(COLOURS)
-        )
-        for name in wanted
-    }
+    return {name: Look(name=name, number=order.index(name) % len(COLOURS)) for name in wanted}
 
 
 def joint_colour(joint: int) -> str:

@@ -17,11 +17,24 @@ from jinja2 import Environment, PackageLoader, PrefixLoader, StrictUndefined
 from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
-from armimp_estimation.report.formats import plain, symbol
+from armimp_estimation.report.formats import (
+    NONE,
+    code,
+    difference,
+    mark,
+    number,
+    percent,
+    plain,
+    setting,
+    symbol,
+    uncertain,
+)
 from armimp_estimation.report.look import style_rules
 
 Content = dict[str, Any]
 Rows = Sequence[Sequence[object]]
+_FUNCTIONS = (symbol, code, setting, mark, uncertain, difference)
+"""Functions of all templates."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +137,8 @@ def render_page(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals["symbol"] = symbol
+    environment.globals |= {one.__name__: one for one in _FUNCTIONS} | {"NONE": NONE}
+    environment.filters |= {one.__name__: one for one in (number, percent)}
     environment.filters |= {"json": script_json, "words": lambda value: Markup(value).striptags()}
     scripts = [str(get_plotlyjs()), *map(_resource, ("plots.js", "tables.js"))]
     return environment.get_template("report/page.html").render(

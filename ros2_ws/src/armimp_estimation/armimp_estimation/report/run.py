@@ -1,4 +1,4 @@
-"""The report of one result: its sections, and what their templates are filled with."""
+"""The report of one result: its sections, and the data that their templates are filled with."""
 
 from __future__ import annotations
 
@@ -9,60 +9,66 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
+from armimp_common import topics
+from armimp_common.realtime import LATE_NS
+from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.problems import Kind, ProblemCode, kind_of
 from armimp_estimation.report.curves import reference_of
 from armimp_estimation.report.formats import (
-    NAMES,
-    NONE,
-    UNITS,
-    difference,
+    STREAMS,
+    alarming,
     mark,
     number,
-    percent,
-    setting,
     symbol,
-    uncertain,
 )
 from armimp_estimation.report.frequency_plots import (
     BANDS,
+    SIDE_BY_SIDE,
     TRUTH,
     bode_plot,
     coherence_plot,
     estimator_tag,
     plot_matrix,
 )
-from armimp_estimation.report.look import looks
+from armimp_estimation.report.look import joint_variable, looks
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
+from armimp_estimation.report.plots import Plot
 from armimp_estimation.report.settings import assumptions_content, configuration, identity
-from armimp_estimation.report.trials import (
-    locking_content,
-    samples_content,
-    signals_content,
-    timing_content,
-)
+from armimp_estimation.report.traces import BAND, PERIOD, trace_plot, trace_views
 from armimp_estimation.result import Result
-from armimp_estimation.summary import Summary
 from armimp_estimation.verdict import Limits
 
 REPORT_FILE = "report.html"
 _LIMITS = Limits()
+_FEW_BUCKETS = 250
+"""Parts of thinned signals where many trials share a plot, so that the file stays small."""
 
 
 def report_page(result: Result) -> str:
     """HTML document of a result, valid or not."""
-    summary = result.summary
+    summary, names = result.summary, result.joint_names
+    estimated: Content | None = {} if summary.estimators else None
+    known = summary.torque_reading
+    settings = {
+        "identity": identity(summary.config, summary.seed) if summary.config else None,
+        "reading": None if known is None else known.sentence,
+        "conditions": False,
+        "tables": configuration(summary.config),
+    }
+    timing = None if summary.timing is None else {"late": LATE_NS / 1e9}
+    excluded = [one for one in result.trials if one.statistics.excluded or one.statistics.clipped]
     found: list[tuple[str, str, Content | None]] = [
         ("verdict", "Verdict", _verdict(result)),
-        ("parameters", "M, B, K", _parameters(summary)),
-        ("scores", "Scores", _scores(summary)),
+        ("parameters", "M, B, K", estimated),
+        ("scores", "Scores", estimated),
         ("impedance", "Impedance", _impedance(result)),
         ("coherence", "Coherence", _coherence(result)),
-        ("locking", "Locking", locking_content(result)),
-        ("samples", "Samples", samples_content(result)),
-        ("timing", "Timing", timing_content(summary)),
-        ("signals", "Signals", signals_content(result)),
-        ("settings", "Settings", _settings(summary)),
+        ("locking", "Locking", _locking(result)),
+        ("samples", "Samples", {"excluded": excluded}),
+        ("timing", "Timing", timing),
+        ("signals", "Signals", _signals(result)),
+        ("settings", "Settings", settings),
         ("assumptions", "Assumptions", assumptions_content(summary.config)),
     ]
     state = "valid" if summary.valid else "not valid"
@@ -74,8 +80,16 @@ def report_page(result: Result) -> str:
             for name, title, content in found
         ],
         result=result,
-        introduction=_introduction(result),
-        origin=summary.origin,
+        summary=summary,
+        names=names,
+        elements=list(np.ndindex(summary.joints, summary.joints)),
+        limits=_LIMITS,
+        title_of=lambda one: _title(result, one),
+        noted=lambda count: alarming(count) if count else 0,
+        STREAMS=STREAMS,
+        COMMANDS=topics.COMMANDS,
+        PERIOD=PERIOD,
+        DEGREE=180.0 / math.pi,
     )
 
 
@@ -92,28 +106,11 @@ def write_report(directory: Path, result: Result) -> Path:
     return path
 
 
-def _introduction(result: Result) -> str:
-    summary = result.summary
-    count = len(summary.trials)
-    facts = [f"Result “{result.name}”", f"{count} trial{'' if count == 1 else 's'}"]
-    ticks = {trial.ticks for trial in summary.trials}
-    if len(ticks) == 1:
-        facts[-1] += f" of {ticks.pop() / 1000:g} s"
-    if summary.truth is not None:
-        facts.append("simulated")
-    for name in ("friction", "resolution", "perturbation"):
-        level = setting(summary.config, "experiment", name)
-        if isinstance(level, int):
-            facts.append(f"{name} level {level}")
-    law = setting(summary.config, "imbic_controller", "law.kind")
-    if law not in (None, "imbic"):
-        facts.append(f"control law {law}")
-    if summary.seed is not None:
-        facts.append(f"seed {summary.seed}")
-    return " · ".join(facts)
-
-
-# --- verdict -----------------------------------------------------------------------------------
+def _title(result: Result, one: Trial) -> str:
+    """Title of a trial; bags and summary may not agree on the joints."""
+    joint, names = one.window.joint, result.joint_names
+    name = names[joint] if joint < len(names) else f"joint {joint + 1}"
+    return f"Trial {one.trial}: {name} perturbed"
 
 
 def _verdict(result: Result) -> Content:
@@ -216,88 +213,6 @@ def _limits_table(result: Result) -> Table:
     )
 
 
-# --- estimates ---------------------------------------------------------------------------------
-
-
-def _parameters(summary: Summary) -> Content | None:
-    if not summary.estimators:
-        return None
-    found, truth = looks(summary.estimators), summary.truth
-    columns: list[object] = ["element"]
-    spans: list[tuple[object, int]] = [("", 1)]
-    if truth is not None:
-        columns.append("true value")
-        spans.append(("Simulation", 1))
-    for look in found.values():
-        columns += ["estimate ± s.e.", "95 % interval"]
-        columns.append("relative s.e." if truth is None else "error")
-        spans.append((look.name, 3))
-    groups = [
-        (
-            Markup("{} {} ({})").format(NAMES[letter], symbol(letter), UNITS[letter]),
-            [
-                _parameter_row(summary, letter, i, k)
-                for i, k in np.ndindex(summary.joints, summary.joints)
-            ],
-        )
-        for letter in ("M", "B", "K")
-    ]
-    return {
-        "table": Table(caption="Estimates", columns=columns, groups=groups, spans=spans),
-        "remarks": [look for look in found.values() if look.remark],
-    }
-
-
-def _parameter_row(summary: Summary, letter: str, i: int, k: int) -> list[object]:
-    cells: list[object] = [symbol(letter, i + 1, k + 1)]
-    true = None if summary.truth is None else float(getattr(summary.truth, letter)[i][k])
-    if true is not None:
-        cells.append(number(true, ".5g"))
-    for one in summary.estimators.values():
-        value = float(getattr(one, letter)[i][k])
-        error = float(getattr(one, f"{letter}_se")[i][k])
-        ends = getattr(one, f"{letter}_ci")[i][k]
-        cells += [uncertain(value, error), " to ".join(number(end, "#.4g") for end in ends)]
-        relative = percent(abs(error / value)) if value else NONE
-        cells.append(relative if true is None else difference(value, true))
-    return cells
-
-
-def _scores(summary: Summary) -> Content | None:
-    if not summary.estimators:
-        return None
-    derived, torque = (Markup("<var>γ</var>² {}").format(kind) for kind in ("derived", "torque"))
-    columns: list[object] = ["element"]
-    spans: list[tuple[object, int]] = [("", 1)]
-    scores = []
-    for name, one in summary.estimators.items():
-        found = [
-            ("VAF %", one.vaf, ".2f"),
-            ("R²", one.r2, ".4f"),
-            ("lack of fit", one.lack_of_fit, ".2f"),
-            (derived, one.coherence_derived, ".4f"),
-        ]
-        known = [(title, values, spec) for title, values, spec in found if values is not None]
-        scores += known
-        spans.append((name, len(known)))
-    # No matter of the estimator, so once is enough.
-    scores.append((torque, next(iter(summary.estimators.values())).coherence_torque, ".4f"))
-    spans.append(("Signals", 1))
-    columns += [title for title, _, _ in scores]
-    rows = [
-        [symbol("Z", i + 1, k + 1), *(number(values[i][k], spec) for _, values, spec in scores)]
-        for i, k in np.ndindex(summary.joints, summary.joints)
-    ]
-    caption = "Scores of the elements"
-    return {
-        "table": Table(caption=caption, columns=columns, groups=[(None, rows)], spans=spans),
-        "known": summary.truth is not None,
-    }
-
-
-# --- curves ------------------------------------------------------------------------------------
-
-
 def _switches(names: Iterable[str]) -> list[Content]:
     return [
         box(estimator_tag(look.name), look.name, look.variable, look.dash)
@@ -341,11 +256,44 @@ def _coherence(result: Result) -> Content | None:
     }
 
 
-def _settings(summary: Summary) -> Content:
-    known = summary.torque_reading
+def _locking(result: Result) -> Content | None:
+    """Trials with scores of their locking, and the rms motion of all joints in each, degrees."""
+    scored = [trial for trial in result.summary.trials if not np.isnan(trial.lock_ratio).all()]
+    if not scored or result.summary.joints == 1:
+        return None
+    records = {one.window.joint: one.record for one in reversed(result.trials)}
+    motions = []
+    for trial in scored:
+        record = records.get(trial.k - 1)
+        unknown = np.full(result.summary.joints, np.nan)
+        motion = unknown if record is None else np.degrees(np.std(record.position, axis=1))
+        motions.append(motion.tolist())
+    return {"trials": list(zip(scored, motions, strict=True))}
+
+
+def _signals(result: Result) -> Content:
+    """Time traces of all trials: of each for itself, or with many joints in one plot."""
+    shown = [one for one in result.trials if one.segments]
+    signals = "Perturbation, angles, torques and commands of"
+    plots: list[Plot | None] = [None] * len(shown)
+    together = None
+    if result.summary.joints <= SIDE_BY_SIDE:
+        plots = [
+            trace_plot(f"trace-{place}", f"{signals} trial {one.trial}.", trace_views(one))
+            for place, one in enumerate(shown, 1)
+        ]
+    elif shown:
+        views = [
+            view
+            for one in shown
+            for view in trace_views(one, f"{_title(result, one)}, ", _FEW_BUCKETS)
+        ]
+        together = trace_plot("traces-all", f"{signals} all trials.", views)
     return {
-        "identity": identity(summary.config, summary.seed) if summary.config else None,
-        "reading": None if known is None else known.sentence,
-        "conditions": False,
-        "tables": configuration(summary.config),
+        "key": [
+            box("", name, joint_variable(joint)) for joint, name in enumerate(result.joint_names)
+        ],
+        "band": f"{BAND:g}",
+        "trials": list(zip(shown, plots, strict=True)),
+        "plot": together,
     }

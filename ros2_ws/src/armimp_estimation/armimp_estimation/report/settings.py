@@ -117,36 +117,11 @@ def assumptions_content(
     """
     if setting(config, "experiment") is None or setting(config, "arm_sim") is None:
         return None
-    levels = friction or f"level {setting(config, 'experiment', 'friction')}"
-    found = [
-        (
-            "Friction",
-            f"LuGre friction of {levels}. The paper cites a source for its values but does "
-            "not state them.",
-        ),
-        (
-            "Robot inertia",
-            "Link lengths, masses and moments are chosen to give an endpoint mass of about 1 kg.",
-        ),
-        (
-            "Controller gains",
-            "Target impedance, stiffness of the locked joints, internal model and velocity "
-            "feedback gain are chosen; the paper does not state them.",
-        ),
-        (
-            "Sensors and arm",
-            f"Sensors have {_of_sensors(config)} but no other noise. The arm is linear about its "
-            "posture, relaxed, and strapped in without play.",
-        ),
-    ]
-    joints = setting(config, "experiment", "joints")
-    if joints == 3:
-        wrist = "All values of the wrist, and the couplings with it, are chosen."
-        found.insert(0, ("Third joint", f"The paper's arm has two joints. {wrist}"))
-    elif isinstance(joints, int) and joints > 3:
-        chain = "All values of this arm and its robot, and the size of its drives, are chosen."
-        found.insert(0, ("Arm", f"The paper's arm has two joints. {chain}"))
-    return {"assumptions": found}
+    return {
+        "joints": setting(config, "experiment", "joints"),
+        "friction": friction or f"level {setting(config, 'experiment', 'friction')}",
+        "sensors": _of_sensors(config),
+    }
 
 
 def _of_sensors(config: Mapping[str, Any]) -> str:
