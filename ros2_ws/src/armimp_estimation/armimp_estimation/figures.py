@@ -37,7 +37,7 @@ from armimp_estimation.report.look import (
     joint_colour,
     looks,
 )
-from armimp_estimation.report.traces import PERIOD, rows_of
+from armimp_estimation.report.result_plots import PERIOD, rows_of
 from armimp_estimation.result import Result
 from armimp_estimation.summary import Summary
 

@@ -19,7 +19,7 @@ from armimp_estimation.report.curves import (
     true_curve,
 )
 from armimp_estimation.report.look import COLOURS, looks
-from armimp_estimation.report.traces import rows_of
+from armimp_estimation.report.result_plots import rows_of
 from armimp_estimation.scores import Coherences
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 

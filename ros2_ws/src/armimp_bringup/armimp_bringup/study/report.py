@@ -31,10 +31,10 @@ from armimp_bringup.study.verdict import (
 )
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.report.formats import NONE, code, mark, setting, symbol, written
-from armimp_estimation.report.frequency_plots import TRUTH, estimator_tag, plot_matrix
 from armimp_estimation.report.look import LEVEL_DASHES
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import Plot, View
+from armimp_estimation.report.result_plots import TRUTH, estimator_tag, plot_matrix
 from armimp_estimation.report.run import advised
 from armimp_estimation.report.settings import (
     assumptions_content,

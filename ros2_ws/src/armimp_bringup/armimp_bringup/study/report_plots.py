@@ -16,7 +16,6 @@ from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.report.formats import NONE, number, symbol
-from armimp_estimation.report.frequency_plots import TRUTH, estimator_tag
 from armimp_estimation.report.look import ELEMENT_COLOURS, LEVEL_DASHES
 from armimp_estimation.report.plots import (
     Layout,
@@ -33,6 +32,7 @@ from armimp_estimation.report.plots import (
     packed,
     stacked,
 )
+from armimp_estimation.report.result_plots import TRUTH, estimator_tag
 
 # From good to bad, within the limit and beyond it; dark is bad in print as well.
 _WITHIN: Final = ("#f2f7fb", "#6baed6")

@@ -22,20 +22,23 @@ from armimp_estimation.report.formats import (
     number,
     symbol,
 )
-from armimp_estimation.report.frequency_plots import (
+from armimp_estimation.report.look import joint_variable, looks
+from armimp_estimation.report.page import Content, Section, Table, box, render_page
+from armimp_estimation.report.plots import Plot
+from armimp_estimation.report.result_plots import (
+    BAND,
     BANDS,
+    PERIOD,
     SIDE_BY_SIDE,
     TRUTH,
     bode_plot,
     coherence_plot,
     estimator_tag,
     plot_matrix,
+    trace_plot,
+    trace_views,
 )
-from armimp_estimation.report.look import joint_variable, looks
-from armimp_estimation.report.page import Content, Section, Table, box, render_page
-from armimp_estimation.report.plots import Plot
 from armimp_estimation.report.settings import assumptions_content, configuration, identity
-from armimp_estimation.report.traces import BAND, PERIOD, trace_plot, trace_views
 from armimp_estimation.result import Result
 from armimp_estimation.verdict import Limits
 
