@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,7 @@ class ImpedanceCurve:
         Variance of each complex value of Z.
     averages : float
         Effective number of averages behind it, for confidence bands.
-    correlation : ndarray, shape (lags,)
+    bin_correlation : ndarray, shape (lags,)
         Of the errors at neighbouring frequencies.
     systematics : ndarray, shape (errors, n, n, n_freq)
     covariance, disturbance, inverse : ndarray or None
@@ -66,7 +66,7 @@ class ImpedanceCurve:
     R: ComplexArray
     variance: FloatArray
     averages: float
-    correlation: FloatArray
+    bin_correlation: FloatArray
     covariance: Complex64Array | None
     disturbance: Complex64Array | None
     inverse: ComplexArray | None
@@ -77,24 +77,38 @@ class ImpedanceCurve:
     def of(cls, result: EstimatorResult) -> ImpedanceCurve:
         """That of a result, as it comes back from the file."""
         estimate = result.estimate
-        covariance, disturbance = (
-            None if values is None else values.astype(np.complex64)
-            for values in (estimate.covariance, estimate.disturbance)
-        )
-        return cls(
-            f=estimate.f,
-            Z=estimate.Z,
-            T=estimate.T,
-            R=estimate.R,
-            variance=estimate.variance,
-            averages=estimate.averages,
-            correlation=estimate.bin_correlation,
-            covariance=covariance,
-            disturbance=disturbance,
-            inverse=estimate.inverse,
-            systematics=np.array(estimate.systematics).reshape(-1, *estimate.Z.shape),
-            coherence=result.coherence,
-        )
+        kept = {one.attribute: getattr(estimate, one.attribute) for one in _STORED.values()}
+        for name in ("covariance", "disturbance"):
+            kept[name] = None if kept[name] is None else kept[name].astype(np.complex64)
+        kept["systematics"] = np.array(estimate.systematics).reshape(-1, *estimate.Z.shape)
+        return cls(f=estimate.f, coherence=result.coherence, **kept)
+
+
+class _Stored(NamedTuple):
+    """An array of a curve in the file: attribute, lengths, and kind of its numbers.
+
+    Lengths are those of joints (n), angles and torques (m) and frequencies (f), or any (-).
+    """
+
+    attribute: str
+    lengths: str
+    kind: str
+    optional: bool = False
+
+
+_STORED: Final[Mapping[str, _Stored]] = {
+    "Z": _Stored("Z", "nnf", "c"),
+    "T": _Stored("T", "nnf", "c"),
+    "R": _Stored("R", "nnf", "c"),
+    "var": _Stored("variance", "nnf", "f"),
+    "averages": _Stored("averages", "", "f"),
+    "correlation": _Stored("bin_correlation", "-", "f"),
+    "covariance": _Stored("covariance", "nmmf", "c", optional=True),
+    "disturbance": _Stored("disturbance", "nnnf", "c", optional=True),
+    "inverse": _Stored("inverse", "nnf", "c", optional=True),
+    "systematics": _Stored("systematics", "-nnf", "c"),
+}
+"""By the beginning of its name in the file, which the name of the estimator follows."""
 
 
 def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
@@ -117,20 +131,9 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
         "coherence_torque": first.coherence.torque,
     }
     for name, curve in curves.items():
-        arrays |= {
-            f"f_{name}": None if np.array_equal(curve.f, first.f) else curve.f,
-            f"Z_{name}": curve.Z,
-            f"T_{name}": curve.T,
-            f"R_{name}": curve.R,
-            f"var_{name}": curve.variance,
-            f"averages_{name}": np.array(curve.averages),
-            f"correlation_{name}": curve.correlation,
-            f"covariance_{name}": curve.covariance,
-            f"disturbance_{name}": curve.disturbance,
-            f"inverse_{name}": curve.inverse,
-            f"systematics_{name}": curve.systematics,
-            f"derived_{name}": curve.coherence.derived,
-        }
+        arrays[f"f_{name}"] = None if np.array_equal(curve.f, first.f) else curve.f
+        arrays |= {f"{key}_{name}": getattr(curve, one.attribute) for key, one in _STORED.items()}
+        arrays[f"derived_{name}"] = curve.coherence.derived
 
     def save(part: Path) -> None:
         known = {name: values for name, values in arrays.items() if values is not None}
@@ -166,29 +169,22 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
 
 
 def _curve(file: Any, name: str) -> ImpedanceCurve:
-    def optional(kind: str) -> Any:
-        key = f"{kind}_{name}"
-        return file[key] if key in file.files else None
-
-    own = optional("f")
+    found: dict[str, Any] = {
+        one.attribute: file[f"{key}_{name}"]
+        if f"{key}_{name}" in file.files or not one.optional
+        else None
+        for key, one in _STORED.items()
+    }
+    found["averages"] = float(found["averages"])
     return ImpedanceCurve(
-        f=file["f"] if own is None else own,
-        Z=file[f"Z_{name}"],
-        T=file[f"T_{name}"],
-        R=file[f"R_{name}"],
-        variance=file[f"var_{name}"],
-        averages=float(file[f"averages_{name}"]),
-        correlation=file[f"correlation_{name}"],
-        covariance=optional("covariance"),
-        disturbance=optional("disturbance"),
-        inverse=optional("inverse"),
-        systematics=file[f"systematics_{name}"],
+        f=file[f"f_{name}" if f"f_{name}" in file.files else "f"],
         coherence=Coherences(
             f=file["f_coherence"],
             motion=file["coherence_motion"],
             torque=file["coherence_torque"],
             derived=file[f"derived_{name}"],
         ),
+        **found,
     )
 
 
@@ -200,30 +196,28 @@ def _check(name: str, curve: ImpedanceCurve) -> None:
     ValueError
         If they have other shapes or types than they should, or a curve is not finite.
     """
-    n, size, spectra = len(curve.Z), curve.f.size, curve.coherence
+    n, spectra = len(curve.Z), curve.coherence
     for where, f in ((name, curve.f), ("the coherences", spectra.f)):
         if f.ndim != 1 or f.dtype.kind != "f" or not f.size or not (np.diff(f) > 0.0).all():
             raise ValueError(f"the frequencies of {where} are not an ascending row of numbers")
-    square = (n, n, size)
-    expected = {
-        f"Z_{name}": (curve.Z, square, "c"),
-        f"T_{name}": (curve.T, square, "c"),
-        f"R_{name}": (curve.R, square, "c"),
-        f"var_{name}": (curve.variance, square, "f"),
-        f"correlation_{name}": (curve.correlation, (curve.correlation.size,), "f"),
-        f"covariance_{name}": (curve.covariance, (n, 2 * n, 2 * n, size), "c"),
-        f"disturbance_{name}": (curve.disturbance, (n, n, n, size), "c"),
-        f"inverse_{name}": (curve.inverse, square, "c"),
-        f"systematics_{name}": (curve.systematics, (len(curve.systematics), *square), "c"),
-        "coherence_motion": (spectra.motion, (n, spectra.f.size), "f"),
-        "coherence_torque": (spectra.torque, (n, n, spectra.f.size), "f"),
-        f"derived_{name}": (spectra.derived, (n, n, spectra.f.size), "f"),
+    arrays = {
+        f"{key}_{name}": (np.asarray(getattr(curve, one.attribute)), one.lengths, one.kind)
+        for key, one in _STORED.items()
+        if getattr(curve, one.attribute) is not None
     }
-    for key, (values, shape, kind) in expected.items():
-        if values is not None and (values.shape != shape or values.dtype.kind != kind):
+    arrays["coherence_motion"] = (spectra.motion, "ns", "f")
+    arrays["coherence_torque"] = (spectra.torque, "nns", "f")
+    arrays[f"derived_{name}"] = (spectra.derived, "nns", "f")
+    sizes = {"n": n, "m": 2 * n, "f": curve.f.size, "s": spectra.f.size}
+    for key, (values, lengths, kind) in arrays.items():
+        fits = len(lengths) == values.ndim and all(
+            sizes.get(letter, size) == size
+            for letter, size in zip(lengths, values.shape, strict=False)
+        )
+        if not fits or values.dtype.kind != kind:
             raise ValueError(
                 f"{key} has shape {values.shape} of {values.dtype} for {n} joints, "
-                f"{size} frequencies"
+                f"{curve.f.size} frequencies"
             )
     for key in ("f", "Z", "T", "R"):
         if not np.isfinite(getattr(curve, key)).all():

@@ -39,7 +39,7 @@ def stored(
         R=none,
         variance=np.full((1, 1, F.size), deviation**2),
         averages=averages,
-        correlation=np.ones(1),
+        bin_correlation=np.ones(1),
         covariance=None,
         disturbance=None,
         inverse=None,
