@@ -9,8 +9,8 @@ from dataclasses import replace
 
 from armimp_bringup.bench import Measured, available_cores
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import Rig, run_offline
-from armimp_bringup.parameters import node_parameters
+from armimp_bringup.offline import run_offline
+from armimp_bringup.parameters import Rig, node_parameters
 from armimp_bringup.study.conditions import Condition, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
@@ -18,7 +18,6 @@ from armimp_bringup.study.engine import (
     estimate_condition,
     split_evenly,
 )
-from armimp_bringup.study.study import DEFAULT_ESTIMATORS
 from armimp_control.sequence import SequenceParameters
 from armimp_sim.dynamics import WIDTH
 
@@ -41,7 +40,7 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
     tell : callable
         Told what is being measured.
     """
-    base = ExperimentConfig(estimators=DEFAULT_ESTIMATORS, duration=TRIAL)
+    base = ExperimentConfig(duration=TRIAL)
     conditions = select_conditions([], "0")
     rigs = [node_parameters(condition_config(base, one), None).rig() for one in conditions[:WIDTH]]
     cores = available_cores()
@@ -77,7 +76,7 @@ def time_study(tell: Callable[[str], None]) -> list[Measured]:
         ),
         Measured(
             key="estimate",
-            label=f"estimates of one condition ({', '.join(DEFAULT_ESTIMATORS)})",
+            label=f"estimates of one condition ({', '.join(base.estimators)})",
             value=estimate,
             unit="s",
         ),

@@ -4,7 +4,7 @@
 """
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import simulate
+from armimp_bringup.offline import simulate
 
 # Friction, sensor resolution and perturbation are at level 3 by default, as in `armimp run`.
 config = ExperimentConfig(duration=20.0, seed=1)

@@ -6,7 +6,7 @@
 import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import simulate
+from armimp_bringup.offline import simulate
 from armimp_estimation.estimators.registry import estimator_names
 
 (experiment,) = simulate([ExperimentConfig(duration=50.0, perturbation=1)])

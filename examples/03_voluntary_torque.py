@@ -6,7 +6,7 @@
 import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import simulate
+from armimp_bringup.offline import simulate
 
 # Any parameter of a node can be set under its name; docs/interfaces.md lists them.
 configs = [

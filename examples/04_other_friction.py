@@ -11,7 +11,7 @@ from dataclasses import asdict
 import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import simulate
+from armimp_bringup.offline import simulate
 from armimp_sim.model.friction import LuGre
 
 dahl = LuGre(coulomb=1.5, static=1.5, sigma_0=1500.0, sigma_1=0.0, sigma_2=0.0)

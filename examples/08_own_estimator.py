@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.offline import simulate
 from armimp_bringup.offline_estimate import estimate_bags
-from armimp_bringup.simulated import simulate
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
 from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.trial import TrialData

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.simulated import SimulatedExperiment
+from armimp_bringup.offline import SimulatedExperiment
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import fit_mbk
 from research.decomposition_statistics import (

@@ -14,10 +14,9 @@ from pydantic import JsonValue
 
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import run_together
+from armimp_bringup.offline import SimulatedExperiment, run_together
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.simulated import SimulatedExperiment
-from armimp_bringup.study.backends import as_ready
+from armimp_bringup.study.engine import as_ready
 from armimp_bringup.terminal import progress
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores
@@ -80,7 +79,7 @@ def all_at_once(
 
     Parameters
     ----------
-    configs : as for :func:`armimp_bringup.simulated.simulate`
+    configs : as for :func:`armimp_bringup.offline.simulate`
     correlation : of the perturbations of any two joints
 
     Raises

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import SimulatedExperiment, simulate
+from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_bringup.terminal import leave_terminal, phase
 from armimp_estimation.spectra import WelchConfig

@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.simulated import SimulatedExperiment
+from armimp_bringup.offline import SimulatedExperiment
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from research.decomposition_statistics import Mean, root_mean_square
 from research.decomposition_trials import (

@@ -11,7 +11,7 @@ import collections
 import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import simulate
+from armimp_bringup.offline import simulate
 from armimp_bringup.study.conditions import select_conditions
 from armimp_bringup.study.engine import condition_config
 from armimp_estimation.robot_balance import transducer_gains

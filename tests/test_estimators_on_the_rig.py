@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_bringup.offline import OfflineTrial, Rig, run_offline, run_together
+from armimp_bringup.offline import OfflineTrial, run_offline, run_together
+from armimp_bringup.parameters import Rig
 from armimp_control import presets as control_presets
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import SequenceParameters

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import Rig, run_offline
-from armimp_bringup.parameters import node_parameters
+from armimp_bringup.offline import run_offline
+from armimp_bringup.parameters import Rig, node_parameters
 from armimp_common.errors import DataError
 
 pytestmark = pytest.mark.slow

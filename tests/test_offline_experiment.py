@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_bringup.offline import OfflineTrial, Rig, run_offline
+from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.parameters import Rig
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase
 from armimp_control import presets as control_presets

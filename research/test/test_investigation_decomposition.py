@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import simulate
+from armimp_bringup.offline import simulate
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK

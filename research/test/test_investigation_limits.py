@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.simulated import simulate
+from armimp_bringup.offline import simulate
 from armimp_common.errors import ConfigurationError
 from research.decomposition_trials import (
     with_voluntary,

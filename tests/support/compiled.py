@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from armimp_bringup.offline import Rig, run_offline
+from armimp_bringup.offline import run_offline
+from armimp_bringup.parameters import Rig
 from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
 from armimp_control.sequence import SequenceParameters

@@ -207,7 +207,7 @@ def simulate(**options: Any) -> Recording:
         If there is no such option, or its value is out of range.
     """
     from armimp_bringup.config import load_config
-    from armimp_bringup.simulated import simulate as run_without_ros
+    from armimp_bringup.offline import simulate as run_without_ros
 
     config = load_config(None, options)
     (experiment,) = run_without_ros([config])

@@ -6,24 +6,35 @@ Exit status: 0 valid result, 1 run or data invalid, 2 wrong usage, 130 interrupt
 from __future__ import annotations
 
 import atexit
+import inspect
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import typer
+from pydantic import BaseModel
 from typer.exceptions import TyperException
 
 from armimp_bringup.config import CheckOptions, Declared, ExperimentConfig
-from armimp_bringup.options import options_of
 from armimp_bringup.resources import require_open_files
 from armimp_bringup.terminal import Display, phase, repair_streams, say
 from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
 
+_FunctionT = TypeVar("_FunctionT", bound=Callable[..., Any])
+_MOST_CHOICES = 10
+_TYPES: dict[str, Any] = {
+    "integer": int,
+    "number": float,
+    "string": str,
+    "boolean": bool,
+    "array": list[str],
+}
+_FLAGS = {"estimators": "--estimator"}
 _INTERRUPTED = 130
 """What shells make of a program that SIGINT has ended; typer's own status for it, too."""
 app = typer.Typer(
@@ -65,6 +76,58 @@ _DomainId = Annotated[
         "those of others."
     ),
 ]
+
+
+def options_of(model: type[BaseModel], *names: str) -> Callable[[_FunctionT], _FunctionT]:
+    """Give a command an option for each of these fields of a model, by default for all.
+
+    Help, default and choices are those of the field; what has no type of an option is left out.
+    The command gets None for what is not given, so that a configuration file prevails over a
+    default.
+    """
+    properties = model.model_json_schema()["properties"]
+    made = [_option(name, properties[name]) for name in names or properties]
+
+    def decorate(function: _FunctionT) -> _FunctionT:
+        signature = inspect.signature(function, eval_str=True)
+        own = [
+            one.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+            for one in signature.parameters.values()
+            if one.kind is not inspect.Parameter.VAR_KEYWORD
+        ]
+        options = [one for one in made if one is not None]
+        there = {one.name for one in options}
+        parameters = [*options, *(one for one in own if one.name not in there)]
+        setattr(function, "__signature__", signature.replace(parameters=parameters))  # noqa: B010
+        return function
+
+    return decorate
+
+
+def _option(name: str, schema: dict[str, Any]) -> inspect.Parameter | None:
+    described, default = schema.get("description", ""), schema.get("default")
+    schema = {**schema, **next(iter(schema.get("anyOf", ())), {})}  # the first is not null
+    kind: Any = _TYPES.get(schema["type"])
+    if kind is None:
+        return None
+    choices = schema.get("enum", [])
+    if kind is int and schema.get("maximum", 1e9) - schema.get("minimum", 0) <= _MOST_CHOICES:
+        choices = range(schema["minimum"], schema["maximum"] + 1)
+    shown: bool | str = False
+    if isinstance(default, list):
+        shown = " and ".join(default)
+    elif default not in (None, "", False):
+        shown = f"{default:g}" if isinstance(default, float) else str(default)
+    option = typer.Option(
+        _FLAGS.get(name, f"--{name.replace('_', '-')}"),
+        help=described,
+        show_default=shown,
+        autocompletion=lambda: [str(one) for one in choices],
+    )
+    annotation: Any = Annotated[kind | None, option]
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
+    )
 
 
 def _print_version(wanted: bool) -> None:
@@ -248,21 +311,25 @@ def reproduce(
     """Reproduce the paper's study: all levels of friction, resolution and perturbation."""
     with Display() as display:
         display.phase("starting")
-        from armimp_bringup.study.study import reproduce as run_study
+        from armimp_bringup.config import load_config
+        from armimp_bringup.study.conditions import select_conditions
+        from armimp_bringup.study.study import chosen_backend, present_verdict, run_study
         from armimp_common.compiled import on_compiling
+        from armimp_estimation.summary import OriginSummary
 
         on_compiling(tell_of_compiling)
-        return run_study(
-            out=out or _new_directory("study"),
-            config=config,
-            only=only or (),
-            seeds=seeds,
-            workers=workers,
-            scheduler=scheduler,
-            figures=figures,
-            as_json=json,
-            **options,
-        )
+        directory = out or _new_directory("study")
+        settings = load_config(config, options)
+        conditions = select_conditions(only or (), seeds)
+        backend, origin = chosen_backend(workers, scheduler), OriginSummary.of(sys.argv)
+        try:
+            verdict = run_study(
+                settings, conditions, directory, backend, figures=figures, origin=origin
+            )
+        except KeyboardInterrupt:
+            raise InterruptionError("interrupted; the same command goes on from here") from None
+        display.close()
+        return present_verdict(verdict, directory, as_json=json)
 
 
 @app.command()

@@ -1,4 +1,4 @@
-"""The experiment without ROS: plant and law in one compiled loop, many conditions side by side.
+"""Experiments without ROS: plant and law in one compiled loop, many conditions side by side.
 
 The arithmetic is that of the nodes, in the order of the lockstep graph: sample k, command k, one
 period of the plant, sample k + 1. For the same seed the trajectories are equal bit for bit.
@@ -8,67 +8,38 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import NodeParameters, Rig, node_parameters
 from armimp_common.compiled import compiled_entry
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_common.status import Phase
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.laws.base import MEMORY_ROWS, NO_JOINT, TARE
-from armimp_control.laws.law import LawConfig, control_tick
-from armimp_control.perturbation import PerturbationParameters, perturbation
-from armimp_control.safety_limiter import FAULT, JOURNAL, LIMITER_ROWS, SafetyParameters, fault_of
-from armimp_control.sequence import Segment, SequenceParameters, TareParameters, timetable
+from armimp_control.laws.law import control_tick
+from armimp_control.perturbation import perturbation
+from armimp_control.safety_limiter import FAULT, JOURNAL, LIMITER_ROWS, fault_of
+from armimp_control.sequence import Segment, TareParameters, timetable
+from armimp_estimation.estimators.estimate import Estimator
+from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.registry import IdentifyConfig
+from armimp_estimation.identify import Identification, identify
+from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import reading_of
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import TrialData
 from armimp_sim.model.sensors import Sampling
-from armimp_sim.plant import Plant, PlantConfig, check_ratio, tick
+from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.simd.lanes import Tag
-from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
+from armimp_sim.voluntary import VoluntaryTorque
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rig:
-    """Everything that decides the course of one experiment.
-
-    Parameters
-    ----------
-    plant : arm, robot, friction and sensors
-    voluntary : voluntary torque of the person
-    controller : the law: target impedance, and internal model or gains
-    safety : limits of the command
-    perturbation : τ_Δ
-    sequence, tare : phases of the trials
-    seed : of perturbation and voluntary torque
-
-    Raises
-    ------
-    ConfigurationError
-        If the parts disagree in the number of joints or in the period.
-    """
-
-    plant: PlantConfig
-    voluntary: VoluntaryParameters
-    controller: LawConfig
-    safety: SafetyParameters
-    perturbation: PerturbationParameters
-    sequence: SequenceParameters
-    seed: int
-    tare: TareParameters = field(default_factory=TareParameters)
-
-    def __post_init__(self) -> None:
-        joints = (self.plant.joints, self.controller.joints, len(self.perturbation.peak))
-        if len(set(joints)) != 1:
-            raise ConfigurationError(
-                "offline run: plant, controller and perturbation have {}, {} and {} joints".format(
-                    *joints
-                )
-            )
-        if self.plant.period != self.controller.period:
-            raise ConfigurationError(
-                f"offline run: plant and controller have periods of {self.plant.period} and "
-                f"{self.controller.period} s"
-            )
+RATE = NS_PER_S / PERIOD_NS
+"""Samples per second, Hz."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -350,3 +321,108 @@ def _run(
                 )
             )
     return trials
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedExperiment:
+    """The records of one experiment, and the truth behind them.
+
+    Attributes
+    ----------
+    config : with its seed
+    parameters : of the nodes, as they follow from it
+    records : one for each trial
+    """
+
+    config: ExperimentConfig
+    parameters: NodeParameters
+    records: tuple[TrialRecord, ...]
+
+    @classmethod
+    def of(
+        cls, config: ExperimentConfig, parameters: NodeParameters, trials: Sequence[OfflineTrial]
+    ) -> SimulatedExperiment:
+        """Make records of what the offline loop gives."""
+        records = tuple(
+            TrialRecord(
+                trial=number,
+                perturbed_joint=trial.joint,
+                rate=RATE,
+                joint_names=parameters.simulator.joints,
+                perturbation=trial.perturbation,
+                position=trial.position,
+                torque=trial.torque,
+                command=trial.command,
+                start_ns=trial.first_tick * PERIOD_NS,
+                seed=config.seed,
+            )
+            for number, trial in enumerate(trials, start=1)
+        )
+        return cls(config=config, parameters=parameters, records=records)
+
+    @property
+    def truth(self) -> MBK:
+        """The arm that was simulated."""
+        arm = self.parameters.simulator.human_arm()
+        return MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+
+    @property
+    def options(self) -> IdentifyConfig:
+        """Options of an estimate that suit the shortest record and the sensors."""
+        reading = reading_of(self.parameters.estimator.bag_metadata())
+        shortest = min(record.samples for record in self.records)
+        welch = WelchConfig.for_samples(shortest)
+        return IdentifyConfig(welch=welch, lpm=LpmConfig(reading=reading))
+
+    def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
+        """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.
+
+        Raises
+        ------
+        ConfigurationError
+            If there is no such estimator.
+        DataError
+            If the records cannot be estimated.
+        """
+        options = self.options
+        data = [
+            TrialData.from_record(record, options.welch, options.lpm.reading)
+            for record in self.records
+        ]
+        return identify(data, estimators, self.truth, options)
+
+    def shortened(self, samples: int) -> SimulatedExperiment:
+        """The same as if each trial had ended after so many samples."""
+        return replace(self, records=tuple(_shortened(one, samples) for one in self.records))
+
+
+def simulate(configs: Sequence[ExperimentConfig]) -> list[SimulatedExperiment]:
+    """Run experiments side by side in the loop without ROS, with one trial for each joint.
+
+    Samples are those of ``armimp run`` with the same configuration, to the last bit.
+
+    Parameters
+    ----------
+    configs : of one number of joints and duration
+
+    Raises
+    ------
+    ConfigurationError, DataError, IntegrationError
+        If a configuration does not make an experiment, or it cannot be simulated.
+    """
+    parameters = [node_parameters(one, None) for one in configs]
+    trials = run_offline([one.rig() for one in parameters])
+    return [
+        SimulatedExperiment.of(config, one, of_config)
+        for config, one, of_config in zip(configs, parameters, trials, strict=True)
+    ]
+
+
+def _shortened(record: TrialRecord, samples: int) -> TrialRecord:
+    return replace(
+        record,
+        perturbation=record.perturbation[:, :samples],
+        position=record.position[:, :samples],
+        torque=record.torque[:, :samples],
+        command=None if record.command is None else record.command[:, :samples],
+    )

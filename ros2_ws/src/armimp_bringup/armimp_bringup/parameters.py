@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,18 +12,67 @@ import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from armimp_bringup.config import ExperimentConfig, ModelT, Overrides
-from armimp_bringup.offline import Rig
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_common.versions import git_revision, versions
+from armimp_control.laws.law import LawConfig
 from armimp_control.parameters import ControllerParameters
+from armimp_control.perturbation import PerturbationParameters
+from armimp_control.safety_limiter import SafetyParameters
+from armimp_control.sequence import SequenceParameters, TareParameters
 from armimp_estimation.metadata import CALIBRATION_KEYS, TIMING_KEY
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import PlantConfig
+from armimp_sim.voluntary import VoluntaryParameters
 
 _LARGEST = 1e20
 """Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rig:
+    """Everything that decides the course of one experiment.
+
+    Parameters
+    ----------
+    plant : arm, robot, friction and sensors
+    voluntary : voluntary torque of the person
+    controller : the law: target impedance, and internal model or gains
+    safety : limits of the command
+    perturbation : τ_Δ
+    sequence, tare : phases of the trials
+    seed : of perturbation and voluntary torque
+
+    Raises
+    ------
+    ConfigurationError
+        If the parts disagree in the number of joints or in the period.
+    """
+
+    plant: PlantConfig
+    voluntary: VoluntaryParameters
+    controller: LawConfig
+    safety: SafetyParameters
+    perturbation: PerturbationParameters
+    sequence: SequenceParameters
+    seed: int
+    tare: TareParameters = field(default_factory=TareParameters)
+
+    def __post_init__(self) -> None:
+        joints = (self.plant.joints, self.controller.joints, len(self.perturbation.peak))
+        if len(set(joints)) != 1:
+            raise ConfigurationError(
+                "offline run: plant, controller and perturbation have {}, {} and {} joints".format(
+                    *joints
+                )
+            )
+        if self.plant.period != self.controller.period:
+            raise ConfigurationError(
+                f"offline run: plant and controller have periods of {self.plant.period} and "
+                f"{self.controller.period} s"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

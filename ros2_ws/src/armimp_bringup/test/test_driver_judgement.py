@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from armimp_bringup.driver_check.findings import Finding, Reason, Verdict, report, with_verdict
-from armimp_bringup.driver_check.move_rules import letting
 from armimp_bringup.driver_check.record import (
     AFTER,
     REST,
@@ -21,7 +20,7 @@ from armimp_bringup.driver_check.record import (
     Record,
     Stalls,
 )
-from armimp_bringup.driver_check.rules import judge
+from armimp_bringup.driver_check.rules import judge, letting
 from armimp_common import topics
 from armimp_common.topics import COMMANDS, JOINT_STATES, PERIOD_NS, TORQUE_SENSORS
 from armimp_sim.parameters import SimulatorParameters

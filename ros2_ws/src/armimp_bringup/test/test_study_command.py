@@ -13,8 +13,8 @@ import pytest
 from rich.console import Console
 
 from armimp_bringup.cli import main
+from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.study.store import read_study
-from armimp_bringup.study.verdict import StudyVerdict
 from armimp_bringup.terminal import Display, describe, duration, phase, progress
 
 SHORT = ("--duration", "10", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")

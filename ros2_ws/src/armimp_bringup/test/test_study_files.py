@@ -15,12 +15,11 @@ import pytest
 from rich.console import Console
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.backends import Threads
 from armimp_bringup.study.conditions import Condition, select_conditions
-from armimp_bringup.study.engine import Batch, run_batch, software
+from armimp_bringup.study.engine import Batch, Threads, run_batch, software
+from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.study.store import ConditionResult, open_study, read_study
 from armimp_bringup.study.study import run_study
-from armimp_bringup.study.verdict import StudyVerdict
 from armimp_bringup.terminal import Display
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 

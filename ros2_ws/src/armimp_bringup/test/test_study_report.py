@@ -13,21 +13,20 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.backends import Threads
 from armimp_bringup.study.conditions import select_conditions
-from armimp_bringup.study.engine import software
+from armimp_bringup.study.engine import Threads, software
 from armimp_bringup.study.figures import impedance_figure, levels_figure, write_figures
-from armimp_bringup.study.report_accuracy import element_errors
-from armimp_bringup.study.store import StudyEntry, open_study, read_study
-from armimp_bringup.study.study import run_study
-from armimp_bringup.study.table import (
+from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
+    SCORES,
     Table,
+    judge,
     results_table,
     statistics,
 )
-from armimp_bringup.study.verdict import judge
+from armimp_bringup.study.store import StudyEntry, open_study, read_study
+from armimp_bringup.study.study import run_study
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 
@@ -86,7 +85,7 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
     for one in missed:
         assert one.limit is not None
         assert (
-            f"{one.quantity} {one.of.format(one.worst)} where {one.of.format(one.limit)} "
+            f"{one.quantity} {one.score.format(one.worst)} where {one.score.format(one.limit)} "
             f"is asked for, in {one.place}"
         ) in words
 
@@ -103,13 +102,13 @@ def test_report_is_the_same_after_interruptions_and_in_another_order(
 def test_errors_of_elements_are_the_largest_of_all_conditions(
     entries: Sequence[StudyEntry], table: Table, truth: MBK
 ) -> None:
-    found = element_errors(table[:, 1], truth, "K")
+    found = {one.name: one.worst_elements(table[:, 1]) for one in SCORES}
     estimates = np.array([entry.estimators["lpm_full"].K for entry in entries])
     worst = np.max(np.abs(estimates - truth.K), axis=0)
-    np.testing.assert_allclose(found.relative, 100.0 * worst / np.abs(truth.K))
+    np.testing.assert_allclose(found["M, K error"][1], 100.0 * worst / np.abs(truth.K))
     scale = np.sqrt(np.outer(np.diag(truth.K), np.diag(truth.K)))
-    np.testing.assert_allclose(found.scaled, 100.0 * worst / scale)
-    np.testing.assert_allclose(found.size, 100.0 * np.abs(truth.K) / scale)
+    np.testing.assert_allclose(found["M, K scaled"][1], 100.0 * worst / scale)
+    np.testing.assert_array_equal(found["VAF"][0], table["vaf_percent"][:, 1].min(axis=0))
 
 
 def test_statistics_by_level_count_every_condition_once(table: Table) -> None:

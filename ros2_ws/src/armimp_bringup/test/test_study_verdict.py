@@ -12,11 +12,17 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from armimp_bringup.study.scores import (
+    SCORES,
+    StudyVerdict,
+    WorstValue,
+    results_csv,
+    results_table,
+    torque_in_counts,
+)
+from armimp_bringup.study.scores import judge as judge_table
 from armimp_bringup.study.store import StudyEntry
 from armimp_bringup.study.study import print_verdict
-from armimp_bringup.study.table import results_csv, results_table, torque_in_counts
-from armimp_bringup.study.verdict import QUANTITIES, StudyVerdict, WorstValue, targets
-from armimp_bringup.study.verdict import judge as judge_table
 from armimp_estimation.problems import ProblemCode, problem
 from armimp_estimation.summary import EstimatorSummary, TrialSummary, TruthSummary
 
@@ -112,9 +118,14 @@ def test_good_study_meets_every_target() -> None:
     assert verdict.failures() == []
     assert verdict.conditions == 2
     assert [(one.estimator, one.quantity) for one in verdict.worst] == [
-        (name, quantity.name) for name in ("welch_siso", "lpm_full") for quantity in QUANTITIES
+        (name, score.name) for name in ("welch_siso", "lpm_full") for score in SCORES
     ]
     assert _unmet(verdict.worst) == []
+
+
+def targets(joints: int, estimator: str) -> dict[str, float]:
+    found = {one.name: one.limit(joints, estimator) for one in SCORES}
+    return {name: limit for name, limit in found.items() if limit is not None}
 
 
 def test_targets_are_those_of_the_design() -> None:

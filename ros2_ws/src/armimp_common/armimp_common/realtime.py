@@ -177,28 +177,6 @@ class TimingLimits:
     max_latency: float = 0.001
 
 
-def judge_timing(figures: TimingFigures, limits: TimingLimits) -> list[str]:
-    """Problems with the timing of a run, in words; comparisons are written so that NaN fails."""
-    late = f"samples were sent more than {LATE_NS / 1e6:g} ms late"
-    problems = []
-    for what, count, limit in (
-        (late, figures.late, limits.max_late_share),
-        ("commands did not come in time", figures.missed, limits.max_missed_share),
-    ):
-        share = count / figures.ticks if figures.ticks else 0.0
-        if not share <= limit:
-            problems.append(
-                f"real time: {count} of {figures.ticks} {what}, {100 * share:.3g} % "
-                f"(limit {100 * limit:.3g} %)"
-            )
-    if not figures.latency_p99 <= limits.max_latency:
-        problems.append(
-            "real time: the 99 % quantile of the time from a sample to its command is "
-            f"{1e3 * figures.latency_p99:.3g} ms (limit {1e3 * limits.max_latency:.3g} ms)"
-        )
-    return problems
-
-
 class SchedulingParameters(Schema):
     """What a process asks of the system while it works in real time."""
 

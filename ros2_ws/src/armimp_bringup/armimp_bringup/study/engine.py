@@ -1,17 +1,19 @@
-"""The conditions of a batch side by side in one compiled loop, then the estimates of each."""
+"""Batches of conditions: each side by side in one compiled loop, in threads or on a cluster."""
 
 from __future__ import annotations
 
+import functools
+import importlib
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.offline import OfflineTrial, SimulatedExperiment, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_bringup.simulated import SimulatedExperiment
 from armimp_bringup.study.conditions import Condition
 from armimp_bringup.study.store import ConditionResult, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
@@ -20,6 +22,11 @@ from armimp_estimation.result import summarise
 from armimp_estimation.summary import TrialSummary
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
+
+Results = list[ConditionResult]
+Task = TypeVar("Task")
+Done = TypeVar("Done")
+_CONNECT_TIMEOUT = 10.0  # s
 
 
 def software() -> dict[str, Any]:
@@ -160,3 +167,112 @@ def estimate_condition(
     fields = {name: getattr(summary, name) for name in type(summary).model_fields}
     levels = {name: getattr(condition, name) for name in ("friction", "resolution", "perturbation")}
     return ConditionResult(entry=StudyEntry(**fields, **levels), results=identification.estimators)
+
+
+def as_ready(work: Callable[[Task], Done], tasks: Sequence[Task], workers: int) -> Iterator[Done]:
+    """Results of the tasks from threads of this process, in the order in which they are ready.
+
+    The first error of a task is raised, and ends the others but for those at work.
+    """
+    pool = ThreadPoolExecutor(workers)
+    try:
+        for future in as_completed([pool.submit(work, task) for task in tasks]):
+            yield future.result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+class Threads:
+    """Threads of this process; most of the time they are in compiled code, without the GIL.
+
+    Parameters
+    ----------
+    workers : int
+        Number of threads.
+    work : callable
+        What to do with a batch.
+    """
+
+    def __init__(self, workers: int, work: Callable[[Batch], Results] = run_batch) -> None:
+        if workers < 1:
+            raise ConfigurationError(f"--workers must be at least 1, got {workers}")
+        self.workers = workers
+        self._work = work
+
+    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
+        """Yield the results of the batches, in the order in which they are ready.
+
+        The first error of a batch is raised, and ends the others.
+        """
+        return as_ready(self._work, batches, self.workers)
+
+
+class Dask:
+    """The workers of a running dask cluster, which is connected to when it is needed.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, such as ``tcp://host:8786``.
+
+    Raises
+    ------
+    ConfigurationError
+        If dask.distributed is not installed here.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            self._distributed: Any = importlib.import_module("distributed")
+        except ImportError:
+            raise ConfigurationError(
+                "--scheduler needs the package distributed, which is not installed: "
+                "pip install distributed"
+            ) from None
+        self._address = address
+
+    @property
+    def workers(self) -> int:
+        """Number of threads of all workers.
+
+        Raises
+        ------
+        ConfigurationError
+            If the address makes no sense.
+        DataError
+            If nothing answers there, or the cluster has no workers.
+        """
+        threads = sum(self._client.nthreads().values())
+        if not threads:
+            self._client.close()
+            raise DataError(f"--scheduler {self._address}: the cluster has no workers")
+        return int(threads)
+
+    def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
+        """As `Threads.run`."""
+        futures = [self._client.submit(run_batch, batch, pure=False) for batch in batches]
+        try:
+            for future in self._distributed.as_completed(futures):
+                try:
+                    yield future.result()
+                except (self._distributed.KilledWorker, self._distributed.CancelledError) as error:
+                    raise DataError(f"a worker of the cluster died: {_line(error)}") from None
+        finally:
+            self._client.cancel(futures)
+            self._client.close()
+
+    @functools.cached_property
+    def _client(self) -> Any:
+        try:
+            return self._distributed.Client(self._address, timeout=_CONNECT_TIMEOUT)
+        except ValueError as error:
+            raise ConfigurationError(f"--scheduler {self._address}: {_line(error)}") from None
+        except OSError as error:
+            raise DataError(f"--scheduler {self._address}: no answer: {_line(error)}") from None
+
+
+Backend: TypeAlias = Threads | Dask
+
+
+def _line(error: Exception) -> str:
+    return " ".join(str(error).split())

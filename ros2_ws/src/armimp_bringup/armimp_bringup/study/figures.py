@@ -14,14 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.table import (
-    COHERENCE_SCORES,
-    FIT_SCORES,
-    LevelScore,
-    Table,
-    statistics,
-)
-from armimp_bringup.study.verdict import targets
+from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.figures import DASHES as MPL_DASHES
 from armimp_estimation.figures import (
@@ -163,7 +156,7 @@ def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> 
 
 
 @rc_context(STYLE)
-def levels_figure(table: Table, scores: Sequence[LevelScore]) -> Figure:
+def levels_figure(table: Table, scores: Sequence[Score]) -> Figure:
     """Figs. 3 and 4: scores by friction, resolution and perturbation level.
 
     Marks are means over all conditions with that level, bars reach from the worst to the best.
@@ -172,7 +165,7 @@ def levels_figure(table: Table, scores: Sequence[LevelScore]) -> Figure:
     ----------
     table : ndarray, shape (n_conditions, n, n)
         Results of one estimator.
-    scores : sequence of LevelScore
+    scores : sequence of Score
         One row of panels each.
 
     Returns
@@ -180,7 +173,6 @@ def levels_figure(table: Table, scores: Sequence[LevelScore]) -> Figure:
     matplotlib.figure.Figure
         Rows of scores, columns of factors.
     """
-    limits = targets(table.shape[-1], table["estimator"].flat[0])
     figure = Figure(figsize=(TWO_COLUMNS, 1.9 * len(scores) + 0.6), layout="constrained")
     panels = figure.subplots(len(scores), len(LEVELS), sharey="row", squeeze=False)
     subjects = list(dict.fromkeys(one for score in scores for one in score.subjects(table)))
@@ -188,7 +180,7 @@ def levels_figure(table: Table, scores: Sequence[LevelScore]) -> Figure:
     for row, score in zip(panels, scores, strict=True):
         found = score.subjects(table)
         spread = 0.5 if len(found) <= 4 else 0.8
-        limit = limits.get(score.quantity)
+        limit = score.limit(table.shape[-1], table["estimator"].flat[0])
         for panel, factor in zip(row, LEVELS, strict=True):
             for number, (subject, values) in enumerate(found.items()):
                 look = subjects.index(subject)
@@ -214,7 +206,7 @@ def levels_figure(table: Table, scores: Sequence[LevelScore]) -> Figure:
             if score is scores[-1]:
                 panel.set_xlabel(f"{factor} level")
         name = score.name.replace("τΔ → ", r"$\tau_\Delta \to$ ")
-        row[0].set_ylabel(f"{name} ({score.unit})" if score.unit else name)
+        row[0].set_ylabel(f"{name} ({score.unit.strip()})" if score.unit else name)
     columns = min(len(keys), _LEGEND_COLUMNS)
     figure.legend(
         keys.values(), keys.keys(), loc="outside lower center", ncols=columns, frameon=False

@@ -10,27 +10,32 @@ from typing import Any, Final
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.report_accuracy import accuracy_content
 from armimp_bringup.study.report_plots import Panel, heat_map, levels_view, overlay_plot
-from armimp_bringup.study.store import StudyEntry
-from armimp_bringup.study.table import (
+from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
+    LETTERS,
     MOST_JOINTS,
+    SCORES,
     FloatArray,
-    LevelScore,
-)
-from armimp_bringup.study.table import Table as Results
-from armimp_bringup.study.verdict import (
-    QUANTITIES,
-    Quantity,
-    Scale,
+    Score,
     StudyVerdict,
     WorstValue,
-    targets,
 )
+from armimp_bringup.study.scores import Table as Results
+from armimp_bringup.study.store import StudyEntry
 from armimp_estimation.curves import ImpedanceCurve
-from armimp_estimation.report.formats import NONE, code, mark, setting, symbol, written
+from armimp_estimation.mbk import MBK
+from armimp_estimation.report.formats import (
+    NONE,
+    UNITS,
+    code,
+    mark,
+    number,
+    setting,
+    symbol,
+    written,
+)
 from armimp_estimation.report.look import LEVEL_DASHES
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import Plot, View
@@ -42,7 +47,7 @@ from armimp_estimation.report.settings import (
     identity,
     marked_origin,
 )
-from armimp_estimation.summary import OriginSummary
+from armimp_estimation.summary import NORMAL_95, OriginSummary
 from armimp_estimation.verdict import Limits
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
@@ -57,7 +62,8 @@ _LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "perturbation": ("imbic_controller", ("perturbation.peak",)),
 }
 """Node and beginnings of the parameters that each factor sets."""
-_LOCKING: Final = Scale(unit=" %", floor=False, digits=3)
+_MOTION: Final = Score(name="motion of held joints", unit=" %", floor=False, digits=3)
+_BIAS: Final = Score(name="bias that it may cause", unit=" %", floor=False, digits=3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,6 +98,12 @@ class StudyReport:
         return list(self.entries[0].estimators)
 
     @property
+    def _truth(self) -> MBK:
+        truth = self.entries[0].truth
+        assert truth is not None  # these are simulations
+        return truth.mbk()
+
+    @property
     def _seeds(self) -> list[int]:
         return sorted({entry.seed for entry in self.entries})
 
@@ -107,7 +119,7 @@ class StudyReport:
         found: list[tuple[str, str, str, Content | None]] = [
             ("verdict", "Verdict", "study/verdict", self._verdict()),
             ("conditions", "Conditions", "study/conditions", self._conditions()),
-            ("accuracy", "Elements", "study/accuracy", accuracy_content(self.entries, self.table)),
+            ("accuracy", "Elements", "study/accuracy", self._accuracy()),
             ("impedance", "Impedance (Fig. 2)", "study/impedance", self._impedance()),
             (
                 "scores",
@@ -207,18 +219,19 @@ class StudyReport:
         for name in self._estimators:
             rows, table = [], self._of(name)
             for one in worst[name]:
-                values, _ = _by_condition(table, one.of, judged=one.limit is not None)
+                score = one.score
+                values, _ = score.worst(table, judged=one.limit is not None)
                 seeds = table["seed"][:, 0, 0]
                 of_seeds = np.array(
-                    [_worst(values[seeds == seed], one.of)[0] for seed in self._seeds]
+                    [_worst(values[seeds == seed], score)[0] for seed in self._seeds]
                 )
-                of_seeds = of_seeds[np.argsort(one.of.badness(of_seeds))]
+                of_seeds = of_seeds[np.argsort(score.badness(of_seeds))]
                 met = NONE
                 if (limit := one.limit) is not None:
-                    within = sum(one.of.meets(float(value), limit) for value in of_seeds)
+                    within = sum(score.meets(float(value), limit) for value in of_seeds)
                     met = f"{within} of {len(of_seeds)}"
                 shown = of_seeds[-1], np.median(of_seeds), of_seeds[0]
-                rows.append([_named(one.of), *map(one.of.format, shown), met])
+                rows.append([_named(score), *map(score.format, shown), met])
             groups.append((name, rows))
         columns = ["worst value of a seed", "worst seed", "median seed", "best seed"]
         return Table(
@@ -231,14 +244,13 @@ class StudyReport:
 
     def _conditions(self) -> Content:
         """Maps of the worst score in each condition, and a table that can be sorted."""
-        n = self.entries[0].joints
         plots = []
         for name in self._estimators:
             views = []
-            for quantity in QUANTITIES:
-                limit = targets(n, name).get(quantity.name)
-                found = _by_condition(self._of(name), quantity, judged=limit is not None)
-                views.append(self._map(quantity.name, quantity, limit, *found))
+            for score in SCORES:
+                limit = score.limit(self.entries[0].joints, name)
+                worst = score.worst(self._of(name), judged=limit is not None)
+                views.append(self._map(score, limit, *worst))
             plots.append(
                 Plot(
                     identifier=f"map-{name.replace('_', '-')}",
@@ -263,7 +275,7 @@ class StudyReport:
         return dict(sorted(groups.items()))
 
     def _map(
-        self, name: str, scale: Scale, limit: float | None, values: FloatArray, where: Sequence[str]
+        self, score: Score, limit: float | None, values: FloatArray, where: Sequence[str]
     ) -> View:
         """Map over friction (rows) and resolution (columns), one panel for each perturbation."""
         groups = self._groups()
@@ -280,27 +292,28 @@ class StudyReport:
                 members = groups.get((f, r, p))
                 if members is None:
                     continue
-                shown[i, k], place = _worst(values[members], scale)
-                best = values[members][np.argmin(scale.badness(values[members]))]
+                shown[i, k], place = _worst(values[members], score)
                 worst = members[place]
                 more = f", seed {self.entries[worst].seed}" if len(members) > 1 else ""
-                remarks = [f"in {where[worst]}{more}"]
+                lines = [
+                    f"perturbation {p}, F{f} R{r}",
+                    f"{score.name} {score.format(shown[i, k])}",
+                    f"in {where[worst]}{more}",
+                ]
                 if more:
-                    remarks.append(f"best seed {scale.format(best)}")
-                notes[i][k] = remarks
+                    best = values[members][np.argmin(score.badness(values[members]))]
+                    lines.append(f"best seed {score.format(best)}")
+                notes[i][k] = lines
             columns = [f"R{r}" for r in resolutions]
             panels.append(
                 Panel(title=f"perturbation {p}", columns=columns, values=shown, notes=notes)
             )
-        rows = [f"F{f}" for f in frictions]
         titles = ("friction level", "resolution level")
-        return heat_map(name, rows, panels, scale, titles=titles, limit=limit)
+        return heat_map(score, [f"F{f}" for f in frictions], panels, titles=titles, limit=limit)
 
     def _sortable(self) -> Table:
         found = {
-            name: [
-                _by_condition(self._of(name), quantity, judged=False)[0] for quantity in QUANTITIES
-            ]
+            name: [score.worst(self._of(name), judged=False)[0] for score in SCORES]
             for name in self._estimators
         }
         locks, _ = self._lock_ratios()
@@ -310,17 +323,17 @@ class StudyReport:
             row.append("yes" if all(self.entries[one].valid for one in members) else "no")
             row.append(f"{locks[members].max():.3f}" if self.entries[0].joints > 1 else NONE)
             for columns in found.values():
-                for quantity, values in zip(QUANTITIES, columns, strict=True):
-                    worst, _ = _worst(values[members], quantity)
+                for score, values in zip(SCORES, columns, strict=True):
+                    worst, _ = _worst(values[members], score)
                     # Units are in the headings, as cells are sorted as numbers.
-                    text = quantity.format(worst).removesuffix(quantity.unit)
+                    text = score.format(worst).removesuffix(score.unit)
                     row.append(NONE if math.isnan(worst) else text)
             rows.append(row)
         heads: list[object] = ["F", "R", "P", "valid", "motion of held joints %"]
         spans: list[tuple[object, int]] = [("Levels", 3), ("", 2)]
         for name in self._estimators:
-            heads += [f"{quantity.name}{quantity.unit}" for quantity in QUANTITIES]
-            spans.append((name, len(QUANTITIES)))
+            heads += [f"{score.name}{score.unit}" for score in SCORES]
+            spans.append((name, len(SCORES)))
         return Table(
             caption="Worst values of all elements",
             columns=heads,
@@ -341,25 +354,89 @@ class StudyReport:
             return None
         limits = Limits()
         bounds = _largest(100.0 * self.table["bias_bound"][:, 0], lambda i, k: f"Z{i + 1}{k + 1}")
-        parts = {
-            "motion of held joints": (100.0 * limits.lock_ratio, self._lock_ratios()),
-            "bias that it may cause": (100.0 * limits.bias_bound, bounds),
-        }
+        parts = (
+            (_MOTION, 100.0 * limits.lock_ratio, self._lock_ratios()),
+            (_BIAS, 100.0 * limits.bias_bound, bounds),
+        )
         worst = [
-            f"{name}: at most {values.max():.3f} % (limit {limit:g} %)"
-            for name, (limit, (values, _)) in parts.items()
+            f"{score.name}: at most {score.format(values.max())} (limit {limit:g} %)"
+            for score, limit, (values, _) in parts
         ]
         plot = Plot(
             identifier="map-locking",
             caption="Worst trial in each condition",
             description="Motion of held joints relative to the perturbed one in each condition.",
-            views=[
-                self._map(name, _LOCKING, limit, values, where)
-                for name, (limit, (values, where)) in parts.items()
-            ],
+            views=[self._map(score, limit, *found) for score, limit, found in parts],
             height=self._height,
         )
         return {"worst": "; ".join(worst).capitalize(), "plot": plot}
+
+    # --- elements ------------------------------------------------------------------------------
+
+    def _accuracy(self) -> Content:
+        """Largest errors of each element over all conditions."""
+        groups, plots = [], []
+        for name in self._estimators:
+            table = self._of(name)
+            groups.append((name, [self._error_row(table, letter) for letter in LETTERS]))
+            plots.append(
+                Plot(
+                    identifier=f"elements-{name.replace('_', '-')}",
+                    caption=name,
+                    description=f"Worst values of each element by {name}.",
+                    views=[self._element_map(table, score) for score in SCORES],
+                    height=130 + 34 * self.entries[0].joints,
+                )
+            )
+        columns = ["matrix", "allowed with two joints"]
+        columns += ["within", "worst", "element"] * 2 + ["within 1.96 s.e."]
+        spans = [("", 2), ("relative error", 3), ("scaled error", 3), ("", 1)]
+        caption = "Largest errors of M, B and K"
+        return {
+            "table": Table(caption=caption, columns=columns, groups=groups, spans=spans),
+            "plots": plots,
+        }
+
+    def _error_row(self, table: Results, letter: str) -> list[object]:
+        """Allowed and largest errors of a matrix by one estimator, and how many are covered."""
+        name = "B error" if letter == "B" else "M, K error"
+        score = next(one for one in SCORES if one.name == name)
+        allowed = score.limit(2, table["estimator"].flat[0])
+        row: list[object] = [symbol(letter), NONE if allowed is None else f"{allowed:g} %"]
+        for kind in ("error", "scaled_error"):
+            worst = np.abs(table[f"{letter}_{kind}_percent"]).max(axis=0)
+            i, k = np.unravel_index(int(np.argmax(worst)), worst.shape)
+            within = NONE if allowed is None else f"{(worst <= allowed).sum()} of {worst.size}"
+            place = symbol(letter, f"{i + 1}{k + 1}")
+            # Three digits, without an exponent.
+            spec = ".0f" if worst[i, k] >= 100.0 else ".3g"
+            row += [within, number(float(worst[i, k]), spec, "%"), place]
+        off = np.abs(table[letter] - getattr(self._truth, letter))
+        covered = float(np.mean(off <= NORMAL_95 * table[f"{letter}_se"]))
+        return [*row, number(100.0 * covered, ".0f", "%")]
+
+    def _element_map(self, table: Results, score: Score) -> View:
+        """Map of the worst values of a score by element, one panel for each of its fields."""
+        n, panels = self.entries[0].joints, []
+        columns = [f"{k + 1}" for k in range(n)]
+        for place, values in enumerate(score.worst_elements(table)):
+            letter = score.element(place, 0, 0)[0]
+            notes = [
+                [
+                    [f"{score.element(place, i, k)}: {score.name} {score.format(values[i, k])}"]
+                    for k in range(n)
+                ]
+                for i in range(n)
+            ]
+            if letter in UNITS:
+                for i, k in np.ndindex(n, n):
+                    true = getattr(self._truth, letter)[i, k]
+                    notes[i][k].append(f"true value {number(float(true), '.4g')} {UNITS[letter]}")
+            title = letter if len(score.fields) > 1 else ""
+            panels.append(Panel(title=title, columns=columns, values=values, notes=notes))
+        limit = score.limit(n, table["estimator"].flat[0])
+        titles = ("torque of joint", "angle of joint")
+        return heat_map(score, columns, panels, titles=titles, limit=limit)
 
     # --- curves and levels ---------------------------------------------------------------------
 
@@ -379,8 +456,7 @@ class StudyReport:
             one: {name: _thinned(curve, points) for name, curve in self.curves(one).items()}
             for one in conditions
         }
-        assert first.truth is not None  # these are simulations
-        truth = first.truth.mbk()
+        truth = self._truth
         return {
             "seed": first.seed if len(self._seeds) > 1 else None,
             "points": points,
@@ -403,7 +479,7 @@ class StudyReport:
             options = [(f"perturbation:{level}", f"level {level}") for level in perturbations]
             yield "overlay-perturbation", "Perturbation", options
 
-    def _by_level(self, identifier: str, title: str, scores: Sequence[LevelScore]) -> Content:
+    def _by_level(self, identifier: str, title: str, scores: Sequence[Score]) -> Content:
         plot = Plot(
             identifier=f"levels-{identifier}",
             caption=title,
@@ -470,34 +546,10 @@ def _present(entries: Sequence[StudyEntry], factor: str) -> str:
     return " and ".join(map(str, levels))
 
 
-def _worst(values: FloatArray, scale: Scale) -> tuple[float, int]:
+def _worst(values: FloatArray, score: Score) -> tuple[float, int]:
     """The worst of some values, and its place."""
-    place = int(np.argmax(scale.badness(values)))
+    place = int(np.argmax(score.badness(values)))
     return float(values[place]), place
-
-
-def _by_condition(
-    table: Results, quantity: Quantity, *, judged: bool
-) -> tuple[FloatArray, list[str]]:
-    """The worst value of one estimator in each condition, and the name of its element.
-
-    Parameters
-    ----------
-    table : ndarray, shape (n_conditions, n, n)
-        Results of the estimator.
-    quantity : Quantity
-        What is looked at.
-    judged : bool
-        Whether only elements count that are resolved.
-    """
-    values = quantity.values(table)
-    badness = quantity.badness(values)
-    if judged:
-        badness = np.where(table["resolved"][:, np.newaxis], badness, -np.inf)
-    flat = badness.reshape(len(table), -1).argmax(axis=1)
-    places = np.stack(np.unravel_index(flat, badness.shape[1:]), axis=1).tolist()
-    found = np.array([one[tuple(place)] for one, place in zip(values, places, strict=True)])
-    return found, [quantity.element(*place) for place in places]
 
 
 def _largest(values: FloatArray, name: Callable[[int, int], str]) -> tuple[FloatArray, list[str]]:
@@ -507,19 +559,16 @@ def _largest(values: FloatArray, name: Callable[[int, int], str]) -> tuple[Float
     return flat.max(axis=1), [name(*divmod(int(one), values.shape[-1])) for one in places]
 
 
-def _named(quantity: Quantity) -> str:
-    return quantity.name.replace("scaled", "error, scaled")
+def _named(score: Score) -> str:
+    return score.name.replace("scaled", "error, scaled")
 
 
 def _worst_row(one: WorstValue, *, seeds: bool) -> list[object]:
     place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
-    limit = NONE
-    if one.limit is not None:
-        limit = f"{'≥' if one.of.floor else '≤'} {one.limit:g}{one.of.unit}"
     return [
-        _named(one.of),
-        NONE if math.isnan(one.worst) else one.of.format(one.worst),
-        limit,
+        _named(one.score),
+        NONE if math.isnan(one.worst) else one.score.format(one.worst),
+        one.target,
         "not judged" if one.met is None else mark(one.met),
         symbol(one.element[0], one.element[1:]),
         f"{place}, seed {one.seed}" if seeds else place,
@@ -536,7 +585,8 @@ def _sentence(worst: Sequence[WorstValue]) -> str:
         far = "; ".join(_miss(one) for one in missed)
         return f"misses {len(missed)} of {len(judged)} targets: {far}."
     bounds = (
-        f"{one.quantity} {'at least' if one.of.floor else 'at most'} {one.of.format(one.worst)}"
+        f"{one.quantity} {'at least' if one.score.floor else 'at most'} "
+        f"{one.score.format(one.worst)}"
         for one in judged
     )
     return f"meets all {len(judged)} targets: {', '.join(bounds)}."
@@ -545,7 +595,7 @@ def _sentence(worst: Sequence[WorstValue]) -> str:
 def _miss(one: WorstValue) -> str:
     if one.limit is None or math.isnan(one.worst):
         return f"{one.quantity} is unknown in {one.place}"
-    value, limit = one.of.format(one.worst), one.of.format(one.limit)
+    value, limit = one.score.format(one.worst), one.score.format(one.limit)
     return f"{one.quantity} {value} where {limit} is asked for, in {one.place}"
 
 

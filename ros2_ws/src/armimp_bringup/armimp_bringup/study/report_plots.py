@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.table import FloatArray, LevelScore, Table, statistics
-from armimp_bringup.study.verdict import Scale, targets
+from armimp_bringup.study.scores import FloatArray, Score, Table, statistics
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import deviation_percent, phase_about
@@ -58,7 +57,7 @@ class Panel:
     values : ndarray, shape (n_rows, n_columns)
         NaN where there is no number.
     notes : sequence of sequence of sequence of str
-        What the pointer shows besides, for each field; None where there is no field.
+        Lines that the pointer shows, for each field; None where there is no field.
     """
 
     title: str
@@ -68,82 +67,49 @@ class Panel:
 
 
 def heat_map(
-    name: str,
+    score: Score,
     rows: Sequence[str],
     panels: Sequence[Panel],
-    scale: Scale,
     *,
     titles: tuple[str, str],
     limit: float | None = None,
-    written: Callable[[float], str] | None = None,
 ) -> View:
-    """Map of numbers by colour, with the numbers in the fields.
+    """Map of the values of a score by colour, with the numbers in the fields.
 
     Parameters
     ----------
-    name : str
-        Of the quantity.
+    score : Score
+        What is shown.
     rows : sequence of str
         Labels of the rows, from the top.
     panels : sequence of Panel
         Side by side, at least one.
-    scale : Scale
-        Of the values.
     titles : tuple of str
         Of the axis of the rows, and of that of the columns.
     limit : float, optional
         Where the colours of a miss begin.
-    written : callable, optional
-        How a value is written, without unit; colours follow the logarithm of the values then.
     """
-    logarithmic = written is not None
-
-    def form(value: float) -> str:
-        return scale.format(value).removesuffix(scale.unit) if written is None else written(value)
-
-    def colour(values: FloatArray | float) -> FloatArray:
-        known = np.log10(np.maximum(values, 1e-12)) if logarithmic else np.asarray(values)
-        return np.where(np.isfinite(values), known, np.nan)
-
     data: list[Trace] = []
     ticks: list[float] = []
     notes: list[dict[str, object]] = []
     start = 0.0
     for panel in panels:
         places = [start + place for place in range(len(panel.columns))]
-        texts, hover = [], []
-        for row, values, remarks in zip(rows, panel.values, panel.notes, strict=True):
-            shown = [NONE if math.isnan(value) else form(value) for value in values.tolist()]
-            fields = list(zip(panel.columns, values.tolist(), shown, remarks, strict=True))
-            texts.append(["" if more is None else label(text) for _, _, text, more in fields])
-            hover.append(
-                [
-                    ""
-                    if more is None
-                    else "<br>".join(
-                        map(
-                            label,
-                            [
-                                f"{f'{panel.title}, ' if panel.title else ''}{row} {column}",
-                                f"{name} {text}{scale.unit if math.isfinite(value) else ''}",
-                                *more,
-                            ],
-                        )
-                    )
-                    for column, value, text, more in fields
-                ]
-            )
+        fields = [
+            list(zip(values, lines, strict=True))
+            for values, lines in zip(panel.values.tolist(), panel.notes, strict=True)
+        ]
         data.append(
             {
                 "type": "heatmap",
                 "x": places,
                 "y": list(range(len(rows))),
-                "z": [
-                    [None if math.isnan(z) else z for z in r] for r in colour(panel.values).tolist()
-                ],
-                "text": texts,
+                "z": [[value if math.isfinite(value) else None for value, _ in r] for r in fields],
+                "text": [[_written(score, *field) for field in row] for row in fields],
                 "texttemplate": "%{text}",
-                "hovertext": hover,
+                "hovertext": [
+                    ["<br>".join(map(label, lines or ())) for _, lines in r] for r in fields
+                ],
                 "hovertemplate": "%{hovertext}<extra></extra>",
                 "hoverongaps": False,
                 "xgap": 2,
@@ -169,41 +135,41 @@ def heat_map(
     layout = stacked(abscissa, [(1.0, ordinate)])
     layout |= {"hovermode": "closest", "annotations": notes}
     layout["margin"] = {**layout["margin"], "t": 44}
-    found = np.concatenate([colour(panel.values).ravel() for panel in panels])
-    bound = None if limit is None else float(colour(limit))
-    layout["coloraxis"] = _colours(scale, found[np.isfinite(found)], bound, logarithmic=logarithmic)
-    return View(name=name, data=data, layout=layout)
+    found = np.concatenate([panel.values.ravel() for panel in panels])
+    layout["coloraxis"] = _colours(score, found[np.isfinite(found)], limit)
+    return View(name=score.name, data=data, layout=layout)
 
 
-def _colours(
-    scale: Scale, found: FloatArray, limit: float | None, *, logarithmic: bool
-) -> dict[str, object]:
+def _written(score: Score, value: float, lines: Sequence[str] | None) -> str:
+    """The number in a field of a map."""
+    if lines is None:
+        return ""
+    return label(NONE if math.isnan(value) else score.format(value).removesuffix(score.unit))
+
+
+def _colours(score: Score, found: FloatArray, limit: float | None) -> dict[str, object]:
     """Axis of colours: what is within the limit never has the colour of what is beyond it."""
     known = found if limit is None else np.append(found, limit)
     low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
     high = max(high, low + 1.0) if high <= low else high
-    worst, best = (low, high) if scale.floor else (high, low)
+    worst, best = (low, high) if score.floor else (high, low)
     # From the best to the worst value.
     stops = [(0.0, _WITHIN[0]), (1.0, _WITHIN[1])]
     if limit is not None and worst != limit:
         share = abs(limit - best) / (high - low)
         stops = [(0.0, _WITHIN[0]), (share, _WITHIN[1]), (share, _BEYOND[0]), (1.0, _BEYOND[1])]
-    if scale.floor:
+    if score.floor:
         stops = [(1.0 - place, colour) for place, colour in reversed(stops)]
-    bar: dict[str, object] = {
-        "thickness": 12,
-        "outlinewidth": 0,
-        "title": {"text": label(scale.unit.strip()), "side": "top"},
-        "tickfont": {"size": 10},
-    }
-    if logarithmic:
-        decades = range(math.floor(low), math.ceil(high) + 1)
-        bar |= {"tickvals": list(decades), "ticktext": [f"{10.0**d:g}" for d in decades]}
     return {
         "colorscale": [list(stop) for stop in stops],
         "cmin": low,
         "cmax": high,
-        "colorbar": bar,
+        "colorbar": {
+            "thickness": 12,
+            "outlinewidth": 0,
+            "title": {"text": label(score.unit.strip()), "side": "top"},
+            "tickfont": {"size": 10},
+        },
     }
 
 
@@ -214,7 +180,7 @@ def _note(text: str, x: float, y: float, **more: object) -> dict[str, object]:
 # --- levels ------------------------------------------------------------------------------------
 
 
-def levels_view(name: str, table: Table, scores: Sequence[LevelScore]) -> View:
+def levels_view(name: str, table: Table, scores: Sequence[Score]) -> View:
     """Scores of one estimator by level of each factor, as Figures 3 and 4 of the paper.
 
     Parameters
@@ -223,7 +189,7 @@ def levels_view(name: str, table: Table, scores: Sequence[LevelScore]) -> View:
         Of the estimator, for people.
     table : ndarray, shape (n_conditions, n, n)
         Its results.
-    scores : sequence of LevelScore
+    scores : sequence of Score
         One row each.
     """
     places: dict[str, dict[int, float]] = {}
@@ -231,7 +197,6 @@ def levels_view(name: str, table: Table, scores: Sequence[LevelScore]) -> View:
     for factor in LEVELS:
         places[factor] = {int(one): start + n for n, one in enumerate(np.unique(table[factor]))}
         start += len(places[factor]) + gap
-    limits = targets(table.shape[-1], table["estimator"].flat[0])
     subjects = list(dict.fromkeys(one for score in scores for one in score.subjects(table)))
     ends = -0.5, start - gap - 0.5
     data: list[Trace] = []
@@ -241,9 +206,10 @@ def levels_view(name: str, table: Table, scores: Sequence[LevelScore]) -> View:
             shift = 0.7 * ((order + 0.5) / len(found) - 0.5)
             data.append(
                 _marks(table, values, places, shift)
-                | _mark_style(subject, subjects.index(subject), row, score.unit)
+                | _mark_style(subject, subjects.index(subject), row, score.unit.strip())
             )
-        if (limit := limits.get(score.quantity)) is not None:
+        limit = score.limit(table.shape[-1], table["estimator"].flat[0])
+        if limit is not None:
             data.append(_target(ends, limit, row))
     ticks = [(x, f"{level}") for place in places.values() for level, x in place.items()]
     abscissa = axis(

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -13,21 +12,26 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from armimp_bringup.bench import available_cores
-from armimp_bringup.config import ExperimentConfig, load_config
+from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study.backends import Backend, Dask, Threads
-from armimp_bringup.study.conditions import Condition, select_conditions
-from armimp_bringup.study.engine import Batch, condition_config, software, split_evenly
+from armimp_bringup.study.conditions import Condition
+from armimp_bringup.study.engine import (
+    Backend,
+    Batch,
+    Dask,
+    Threads,
+    condition_config,
+    software,
+    split_evenly,
+)
+from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
 from armimp_bringup.study.store import CONFIG_FILE, RESULTS_DIRECTORY, open_study, study_text
-from armimp_bringup.study.table import results_csv, results_table
-from armimp_bringup.study.verdict import QUANTITIES, StudyVerdict, judge
-from armimp_bringup.terminal import leave_terminal, phase, progress, say
-from armimp_common.errors import ConfigurationError, InterruptionError
+from armimp_bringup.terminal import phase, progress, say
+from armimp_common.errors import ConfigurationError
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.run import REPORT_FILE
 from armimp_estimation.summary import OriginSummary
 
-DEFAULT_ESTIMATORS: Final = ("welch_siso", "lpm_full")
 STUDY_FILE: Final = "study.json"
 VERDICT_FILE: Final = "verdict.json"
 _FILES: Final = {
@@ -40,77 +44,19 @@ _FILES: Final = {
 _MOST_FAILURES: Final = 20
 
 
-def reproduce(
-    *,
-    out: Path,
-    config: Path | None = None,
-    only: Sequence[str] = (),
-    seeds: str = "0",
-    workers: int | None = None,
-    scheduler: str | None = None,
-    figures: bool = True,
-    as_json: bool = False,
-    **options: Any,
-) -> int:
-    """Run the study, print its verdict, and return the exit status that it deserves.
-
-    Parameters
-    ----------
-    out : Path
-        Directory of the study.
-    config : Path, optional
-        YAML file with an experiment.
-    only, seeds
-        As for `armimp_bringup.study.conditions.select_conditions`.
-    workers : int, optional
-        Number of threads.
-    scheduler : str, optional
-        Address of a dask scheduler.
-    figures : bool
-        Whether to draw those for print.
-    as_json : bool
-        Whether to print the verdict as JSON.
-    **options
-        Values of `armimp_bringup.config.ExperimentConfig`; None for what was not given.
+def chosen_backend(workers: int | None, scheduler: str | None) -> Backend:
+    """Return where a study is to run: a dask scheduler, or so many threads of this machine.
 
     Raises
     ------
-    ArmimpError
-        If the study can't be run.
+    ConfigurationError
+        If both are given, or what is given makes no sense.
     """
-    if config is None and not options.get("estimators"):
-        options["estimators"] = DEFAULT_ESTIMATORS
-    base = load_config(config, options)
-    conditions = select_conditions(only, seeds)
-    backend: Backend
     if scheduler is None:
-        backend = Threads(workers if workers is not None else available_cores())
-    elif workers is None:
-        backend = Dask(scheduler)
-    else:
-        raise ConfigurationError(
-            "--workers is for threads of this machine, a --scheduler has its own"
-        )
-    origin = OriginSummary.of(sys.argv)
-    try:
-        verdict = run_study(base, conditions, out, backend, figures=figures, origin=origin)
-    except KeyboardInterrupt:
-        raise InterruptionError("interrupted; the same command goes on from here") from None
-    leave_terminal()
-    if as_json:
-        print(verdict.model_dump_json(by_alias=True, ensure_ascii=True))
-    else:
-        console = Console(soft_wrap=True)
-        print_verdict(verdict, console)
-        told = "[bold]all targets met[/]" if verdict.met else "[bold red]targets missed[/]"
-        console.print(told if any(one.limit is not None for one in verdict.worst) else "no targets")
-        console.print(f"study in {out}", highlight=False)
-    failures = verdict.failures()
-    for failure in failures[:_MOST_FAILURES]:
-        say(f"armimp: {failure}")
-    if len(failures) > _MOST_FAILURES:
-        say(f"armimp: and {len(failures) - _MOST_FAILURES} more, see {out / VERDICT_FILE}")
-    return 0 if verdict.met else 1
+        return Threads(workers if workers is not None else available_cores())
+    if workers is None:
+        return Dask(scheduler)
+    raise ConfigurationError("--workers is for threads of this machine, a --scheduler has its own")
 
 
 def run_study(
@@ -197,6 +143,24 @@ def run_study(
     return verdict
 
 
+def present_verdict(verdict: StudyVerdict, directory: Path, *, as_json: bool) -> int:
+    """Print the verdict on a study, and return the exit status that it deserves."""
+    if as_json:
+        print(verdict.model_dump_json(by_alias=True, ensure_ascii=True))
+    else:
+        console = Console(soft_wrap=True)
+        print_verdict(verdict, console)
+        told = "[bold]all targets met[/]" if verdict.met else "[bold red]targets missed[/]"
+        console.print(told if any(one.limit is not None for one in verdict.worst) else "no targets")
+        console.print(f"study in {directory}", highlight=False)
+    failures = verdict.failures()
+    for failure in failures[:_MOST_FAILURES]:
+        say(f"armimp: {failure}")
+    if len(failures) > _MOST_FAILURES:
+        say(f"armimp: and {len(failures) - _MOST_FAILURES} more, see {directory / VERDICT_FILE}")
+    return 0 if verdict.met else 1
+
+
 def print_verdict(verdict: StudyVerdict, console: Console) -> None:
     """Print the worst value of each quantity, wider than the terminal rather than with gaps."""
     many = "s" if verdict.conditions > 1 else ""
@@ -217,16 +181,15 @@ def print_verdict(verdict: StudyVerdict, console: Console) -> None:
     ):
         table.add_column(name, justify="right" if right else "left", no_wrap=True)
     for place, one in enumerate(verdict.worst):
-        sign = "≥" if one.of.floor else "≤"
         table.add_row(
-            one.estimator if place % len(QUANTITIES) == 0 else "",
+            one.estimator if place % len(SCORES) == 0 else "",
             one.quantity,
-            one.of.format(one.worst),
-            "–" if one.limit is None else f"{sign} {one.limit:g}{one.of.unit}",
+            one.score.format(one.worst),
+            one.target,
             {True: "[green]✓[/]", False: "[bold red]✗[/]", None: ""}[one.met],
             one.element,
             f"F{one.friction} R{one.resolution} P{one.perturbation} seed {one.seed}",
-            end_section=place % len(QUANTITIES) == len(QUANTITIES) - 1,
+            end_section=place % len(SCORES) == len(SCORES) - 1,
         )
     wide = Measurement.get(console, console.options.update(max_width=1000), table).maximum
     console.width = max(console.width, wide)

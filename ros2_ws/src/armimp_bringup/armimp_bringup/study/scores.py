@@ -1,0 +1,433 @@
+"""The numbers of a study: the table of results, the scores in it, their targets, the verdict."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from armimp_bringup.study.store import StudyEntry
+from armimp_estimation.json_model import Number
+from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import ProblemCode
+from armimp_estimation.report.formats import setting
+
+FloatArray = NDArray[np.float64]
+Table: TypeAlias = NDArray[np.void]
+
+LETTERS: Final = ("M", "B", "K")
+FREQUENCIES: Final = np.linspace(0.122, 15.0, 200)
+"""The band of the study, Hz."""
+LEAST_COUNTS: Final = 5.0
+"""Torque that an element must make to be judged with more than three joints, counts."""
+MOST_JOINTS: Final = 3
+"""With more joints, figures draw the elements of a row together; there would be too many marks."""
+_LEVELS: Final = ("friction", "resolution", "perturbation", "seed")
+_SCORES: Final = ("r2", "coherence_derived", "coherence_torque", "coherence_motion")
+_ERRORS: Final = ("", "_se", "_error_percent", "_scaled_error_percent")
+_TYPE: Final = np.dtype(
+    [
+        *((name, np.int64) for name in _LEVELS),
+        ("valid", np.bool_),
+        ("estimator", np.object_),
+        ("row", np.int64),
+        ("column", np.int64),
+        ("resolved", np.bool_),
+        *((name, np.float64) for name in ("vaf_percent", *_SCORES, "lock_ratio", "bias_bound")),
+        *((letter + suffix, np.float64) for letter in LETTERS for suffix in _ERRORS),
+    ]
+)
+
+
+# --- the table ---------------------------------------------------------------------------------
+
+
+def results_table(entries: Sequence[StudyEntry]) -> Table:
+    """Table of the results of a study.
+
+    Relative errors are those of an element of M, B or K against its true value. The scaled error of
+    ``X_ik`` is relative to ``sqrt(|X_ii X_kk|)`` of the truth: what is tiny beside its diagonal may
+    be wrong by far more than its own size, and still not matter.
+
+    Parameters
+    ----------
+    entries : sequence of StudyEntry
+        Results with the same estimators and number of joints, at least one.
+
+    Returns
+    -------
+    ndarray, shape (n_conditions, n_estimators, n, n)
+        Structured; rows and columns of the elements are 1-based, errors in %.
+    """
+    n, names = entries[0].joints, list(entries[0].estimators)
+    table = np.zeros((len(entries), len(names), n, n), dtype=_TYPE)
+    table["row"] = np.arange(1, n + 1)[:, np.newaxis]
+    table["column"] = np.arange(1, n + 1)
+    for entry, of_entry in zip(entries, table, strict=True):
+        assert entry.truth is not None  # these are simulations
+        truth = entry.truth.mbk()
+        for name in (*_LEVELS, "valid"):
+            of_entry[name] = getattr(entry, name)
+        of_entry["resolved"] = resolved(entry, truth)
+        for trial in entry.trials:
+            of_entry["lock_ratio"][..., trial.k - 1] = trial.lock_ratio
+            of_entry["bias_bound"][..., trial.k - 1] = trial.bias_bound
+        for name, rows in zip(names, of_entry, strict=True):
+            result = entry.estimators[name]
+            rows["estimator"] = name
+            rows["vaf_percent"] = result.vaf
+            for score in _SCORES:
+                rows[score] = getattr(result, score)
+            for letter in LETTERS:
+                rows[letter] = getattr(result, letter)
+                rows[f"{letter}_se"] = getattr(result, f"{letter}_se")
+                true = getattr(truth, letter)
+                off = 100.0 * (rows[letter] - true)
+                rows[f"{letter}_error_percent"] = _over(off, np.abs(true))
+                diagonal = np.abs(np.diag(true))
+                size = np.sqrt(np.outer(diagonal, diagonal))
+                rows[f"{letter}_scaled_error_percent"] = _over(off, size)
+    return table
+
+
+def _over(values: FloatArray, size: FloatArray) -> FloatArray:
+    """Quotient; NaN where the size is zero."""
+    return np.divide(values, size, out=np.full_like(values, np.nan), where=size != 0.0)
+
+
+def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray | None:
+    """Torque that each element makes in one condition, beside the resolution of the transducers.
+
+    That is ``peak_k / count`` times the rms of ``|Z_ik / (M_rd s² + B_rd s + K_rd + Z_kk)|`` over
+    the frequencies: what a perturbation at its peak would cause if its spectrum were flat there.
+
+    Parameters
+    ----------
+    entry : StudyEntry
+        Result with its configuration.
+    truth : MBK
+        True matrices.
+    f : ndarray
+        Frequencies, Hz; zero alone gives the largest static torque of the stiffness.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Counts; None if torques are not quantised, or the configuration does not tell.
+    """
+    count = setting(entry.config, "arm_sim", "sensors.torque_resolution")
+    names = ("perturbation.peak", "target.inertia", "target.damping", "target.stiffness")
+    found = [setting(entry.config, "imbic_controller", name) for name in names]
+    known = all(isinstance(values, list) and len(values) == len(truth.M) for values in found)
+    if not isinstance(count, float) or count <= 0.0 or not known:
+        return None
+    peak, inertia, damping, stiffness = (np.array(values, dtype=np.float64) for values in found)
+    z = truth.impedance(f)
+    target = MBK(M=np.diag(inertia), B=np.diag(damping), K=np.diag(stiffness)).impedance(f)
+    yielding = np.einsum("kkf->kf", z + target)
+    gain = np.sqrt(np.mean(np.abs(z / yielding) ** 2, axis=2))
+    return np.asarray(gain * peak / count)
+
+
+def resolved(entry: StudyEntry, truth: MBK) -> NDArray[np.bool_]:
+    """Elements that are judged: with more than three joints, those of more than five counts."""
+    counts = torque_in_counts(entry, truth, FREQUENCIES) if entry.joints > 3 else None
+    if counts is None:
+        return np.ones(truth.M.shape, dtype=np.bool_)
+    return np.asarray(counts > LEAST_COUNTS)
+
+
+def results_csv(table: Table) -> str:
+    """The table as text.
+
+    Numbers have as many digits as it takes to read them back exactly; what is not known is empty.
+    """
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(_TYPE.names or ())
+    for row in table.ravel():
+        writer.writerow(
+            "" if isinstance(value, float) and math.isnan(value) else value for value in row.item()
+        )
+    return text.getvalue()
+
+
+def statistics(
+    table: Table, factor: str, values: FloatArray
+) -> tuple[list[int], FloatArray, FloatArray, FloatArray]:
+    """Levels of a factor; mean, smallest and largest of (n_conditions, n_elements) values there."""
+    levels = table[factor][:, 0, 0]
+    present = np.unique(levels)
+    groups = [values[levels == level] for level in present]
+    mean, low, high = (np.array([of(one) for one in groups]) for of in (np.mean, np.min, np.max))
+    return present.tolist(), mean, low, high
+
+
+# --- the scores --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """A quantity that results are judged by or shown with.
+
+    Attributes
+    ----------
+    name : str
+        For people.
+    fields : tuple of str
+        Fields of the table that hold its values.
+    unit : str
+        Unit of values and limits, with a space before it; may be empty.
+    floor : bool
+        Whether values have to stay above the limit, not below.
+    digits : int
+        Digits after the point, where people read it.
+    limits : mapping of str to float
+        Targets by estimator.
+    """
+
+    name: str
+    fields: tuple[str, ...] = ()
+    unit: str = ""
+    floor: bool = True
+    digits: int = 4
+    limits: Mapping[str, float] = field(default_factory=dict)
+
+    def format(self, value: float) -> str:
+        """Value with unit."""
+        return f"{value:.{self.digits}f}{self.unit}"
+
+    def limit(self, joints: int, estimator: str) -> float | None:
+        """Target of an estimator, if there is one; with three joints errors have none."""
+        return self.limits.get(estimator) if self.floor or joints <= 2 else None
+
+    def meets(self, value: float, limit: float) -> bool:
+        """Whether a value is good enough; NaN never is."""
+        return value >= limit if self.floor else value <= limit
+
+    def badness(self, values: FloatArray) -> FloatArray:
+        """Increases towards the worst value, which NaN is."""
+        return np.where(np.isnan(values), np.inf, -values if self.floor else values)
+
+    def values(self, table: Table) -> FloatArray:
+        """Values of the rows of one estimator, without signs of errors; (n_conditions, F, n, n)."""
+        found = np.stack([table[field] for field in self.fields], axis=-3)
+        return found if self.floor else np.abs(found)
+
+    def element(self, field: int, i: int, k: int) -> str:
+        """Name of an element (0-based), such as ``Z12`` or ``M12``."""
+        return f"{'Z' if self.floor else self.fields[field][0]}{i + 1}{k + 1}"
+
+    def worst(self, table: Table, *, judged: bool) -> tuple[FloatArray, list[str]]:
+        """The worst value of one estimator in each condition, and the name of its element.
+
+        Parameters
+        ----------
+        table : ndarray, shape (n_conditions, n, n)
+            Results of the estimator.
+        judged : bool
+            Whether only elements count that are resolved.
+        """
+        values = self.values(table)
+        badness = self.badness(values)
+        if judged:
+            badness = np.where(table["resolved"][:, np.newaxis], badness, -np.inf)
+        flat = badness.reshape(len(table), -1).argmax(axis=1)
+        places = np.stack(np.unravel_index(flat, badness.shape[1:]), axis=1).tolist()
+        found = np.array([one[tuple(place)] for one, place in zip(values, places, strict=True)])
+        return found, [self.element(*place) for place in places]
+
+    def worst_elements(self, table: Table) -> FloatArray:
+        """The worst value of each element over all conditions, (F, n, n)."""
+        values = self.values(table)
+        places = self.badness(values).argmax(axis=0)[np.newaxis]
+        found: FloatArray = np.take_along_axis(values, places, axis=0)[0]
+        return found
+
+    def subjects(self, table: Table) -> Mapping[tuple[str, str], FloatArray]:
+        """Values, shape (n_conditions, n_elements), by symbol and 1-based indices of their marks.
+
+        Parameters
+        ----------
+        table : ndarray, shape (n_conditions, n, n)
+            Results of one estimator.
+        """
+        values, n = table[self.fields[0]], table.shape[-1]
+        if self.fields == ("coherence_motion",):
+            return {("θ", f"{k + 1}"): values[:, 0, k, np.newaxis] for k in range(n)}
+        if n > MOST_JOINTS:
+            return {("Z", f"{i + 1}·"): values[:, i] for i in range(n)}
+        return {
+            ("Z", f"{i + 1}{k + 1}"): values[:, i, k, np.newaxis]
+            for i in range(n)
+            for k in range(n)
+        }
+
+
+def _error(name: str, letters: str, kind: str = "error", **limits: float) -> Score:
+    fields = tuple(f"{letter}_{kind}_percent" for letter in letters)
+    return Score(name=name, fields=fields, unit=" %", floor=False, digits=2, limits=limits)
+
+
+_VAF: Final = Score(
+    name="VAF",
+    fields=("vaf_percent",),
+    unit=" %",
+    digits=3,
+    limits={"welch_siso": 99.5, "lpm_full": 99.9},
+)
+_R2: Final = Score(
+    name="R²", fields=("r2",), digits=5, limits={"welch_siso": 0.99, "lpm_full": 0.999}
+)
+_DERIVED: Final = Score(
+    name="derived coherence",
+    fields=("coherence_derived",),
+    limits={"welch_siso": 0.985, "lpm_full": 0.985},
+)
+SCORES: Final = (
+    _VAF,
+    _R2,
+    _DERIVED,
+    _error("M, K error", "MK", welch_siso=3.0, lpm_full=0.5),
+    _error("B error", "B", welch_siso=8.0, lpm_full=0.5),
+    _error("M, K scaled", "MK", "scaled_error"),
+    _error("B scaled", "B", "scaled_error"),
+)
+"""What the verdict looks at. Scaled errors have no targets."""
+FIT_SCORES: Final = (_VAF, _R2)
+"""Those of Figure 3 of the paper."""
+COHERENCE_SCORES: Final = (
+    _DERIVED,
+    Score(name="coherence τΔ → τ", fields=("coherence_torque",)),
+    Score(name="coherence τΔ → θ", fields=("coherence_motion",)),
+)
+"""Those of Figure 4, means over the band."""
+
+
+# --- the verdict -------------------------------------------------------------------------------
+
+
+class WorstValue(BaseModel):
+    """The worst value of a quantity among the elements of all conditions that are judged.
+
+    ``element`` is such as ``Z12``, ``M12`` or ``K21``. Where there is no target, limit and met
+    are null.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    estimator: str
+    quantity: str
+    worst: Number
+    limit: float | None
+    met: bool | None
+    element: str
+    friction: int
+    resolution: int
+    perturbation: int
+    seed: int
+
+    @property
+    def score(self) -> Score:
+        """The score that its quantity is."""
+        return next(one for one in SCORES if one.name == self.quantity)
+
+    @property
+    def target(self) -> str:
+        """The target, as in ``≥ 99.5 %``; a dash if there is none."""
+        sign = "≥" if self.score.floor else "≤"
+        return "–" if self.limit is None else f"{sign} {self.limit:g}{self.score.unit}"
+
+    @property
+    def place(self) -> str:
+        """Element and condition in words."""
+        return (
+            f"{self.element} at friction {self.friction}, resolution {self.resolution}, "
+            f"perturbation {self.perturbation}, seed {self.seed}"
+        )
+
+
+class StudyVerdict(BaseModel):
+    """Content of ``verdict.json``: judgement of what a study contains.
+
+    ``unresolved`` is the share of elements, over all conditions, that make too little torque to be
+    judged.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    met: bool
+    joints: int
+    conditions: int
+    unresolved: float
+    worst: list[WorstValue]
+    problems: list[tuple[ProblemCode, str]]
+
+    def failures(self) -> list[str]:
+        """What is not as it should be, one line each."""
+        return [
+            *(_missed(one) for one in self.worst if one.met is False),
+            *(sentence for _, sentence in self.problems),
+        ]
+
+
+def judge(entries: Sequence[StudyEntry], table: Table) -> StudyVerdict:
+    """Find the worst values, and compare them with the targets.
+
+    Parameters
+    ----------
+    entries : sequence of StudyEntry
+        Results with the same estimators and number of joints, at least one.
+    table : ndarray
+        Their numbers.
+    """
+    worst = [
+        _worst(of_estimator, score) for of_estimator in np.moveaxis(table, 1, 0) for score in SCORES
+    ]
+    problems = [
+        (fault.code, f"{entry.condition} is not valid: {fault}")
+        for entry in entries
+        for fault in entry.faults[:1]
+    ]
+    return StudyVerdict(
+        met=all(one.met is not False for one in worst) and all(entry.valid for entry in entries),
+        joints=entries[0].joints,
+        conditions=len(entries),
+        unresolved=float(1.0 - np.mean(table["resolved"])),
+        worst=worst,
+        problems=problems,
+    )
+
+
+def _worst(table: Table, score: Score) -> WorstValue:
+    """Worst value of a score of one estimator."""
+    estimator = str(table["estimator"].flat[0])
+    limit = score.limit(table.shape[-1], estimator) if table["resolved"].any() else None
+    values, elements = score.worst(table, judged=limit is not None)
+    unresolved = ~table["resolved"].any(axis=(1, 2)) & (limit is not None)
+    place = int(np.argmax(np.where(unresolved, -np.inf, score.badness(values))))
+    value = float(values[place])
+    return WorstValue(
+        estimator=estimator,
+        quantity=score.name,
+        worst=value,
+        limit=limit,
+        met=None if limit is None else score.meets(value, limit),
+        element=elements[place],
+        **{name: int(table[name][place, 0, 0]) for name in _LEVELS},
+    )
+
+
+def _missed(one: WorstValue) -> str:
+    limit = math.nan if one.limit is None else one.limit
+    sign = "<" if one.score.floor else ">"
+    worst, limited = one.score.format(one.worst), one.score.format(limit)
+    return f"{one.estimator}: {one.quantity} {worst} {sign} {limited} in {one.place}"
