@@ -21,7 +21,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 from weakref import WeakSet
 
 import rclpy
@@ -43,7 +43,6 @@ from armimp_common.process import follow_parent
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-ExecutorKind: TypeAlias = Literal["events", "single"]
 NodeT = TypeVar("NodeT", bound=Node)
 NodeT_co = TypeVar("NodeT_co", bound=Node, covariant=True)
 
@@ -141,17 +140,9 @@ class Spinner:
         Nodes to execute; more can be added.
     context
         Context of the nodes; by default that of the first node.
-    kind
-        ``"events"`` takes the events executor if this rclpy has it, ``"single"`` never.
     """
 
-    def __init__(
-        self,
-        nodes: Iterable[Node] = (),
-        *,
-        context: Context | None = None,
-        kind: ExecutorKind = "events",
-    ) -> None:
+    def __init__(self, nodes: Iterable[Node] = (), *, context: Context | None = None) -> None:
         self._nodes: list[Node] = []
         self._timer: Timer | None = None
         self._done: Future = Future()
@@ -160,7 +151,7 @@ class Spinner:
         nodes = list(nodes)
         if context is None and nodes:
             context = nodes[0].context
-        self.executor = make_executor(context, kind)
+        self.executor = make_executor(context)
         for node in nodes:
             self.add_node(node)
         threading.Thread(target=self._look_at_clock, name="wall clock", daemon=True).start()
@@ -258,16 +249,13 @@ class Spinner:
         self.close()
 
 
-def make_executor(context: Context | None = None, kind: ExecutorKind = "events") -> Executor:
-    """Return an executor of this kind, or the single-threaded one where there is no other."""
-    if kind == "events":
-        try:
-            from rclpy.experimental import EventsExecutor
-        except ImportError:
-            pass
-        else:
-            return EventsExecutor(context=context)
-    return SingleThreadedExecutor(context=context)
+def make_executor(context: Context | None = None) -> Executor:
+    """Return an events executor, or the single-threaded one where this rclpy has no other."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
 
 
 @contextmanager
@@ -310,7 +298,6 @@ def run_node(
     args: Sequence[str] | None = None,
     *,
     until: Callable[[NodeT], bool] | None = None,
-    kind: ExecutorKind = "events",
 ) -> int:
     """Run one node as a process: the whole main function of a node executable.
 
@@ -322,8 +309,6 @@ def run_node(
         Command line with the program name first, ``sys.argv`` by default.
     until
         Tells from the node that it has finished; by default only signals end it.
-    kind
-        See `Spinner`.
 
     Returns
     -------
@@ -341,7 +326,7 @@ def run_node(
             node = factory(context=context)
             plain: Node = node
             try:
-                with Spinner([plain], kind=kind) as spinner:
+                with Spinner([plain]) as spinner:
                     spinner.spin(lambda: stopped() or (until is not None and until(node)))
             finally:
                 plain.destroy_node()

@@ -20,16 +20,13 @@ from std_srvs.srv import Empty
 
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError
 from armimp_common.executor import (
-    ExecutorKind,
     Spinner,
     make_executor,
     run_node,
     stop_on_signals,
 )
 
-KINDS: tuple[ExecutorKind, ...] = ("events", "single")
 PATIENCE = 10.0
-both_kinds = pytest.mark.parametrize("kind", KINDS)
 
 
 def deadline(seconds: float = PATIENCE) -> Callable[[], bool]:
@@ -37,8 +34,8 @@ def deadline(seconds: float = PATIENCE) -> Callable[[], bool]:
     return lambda: time.monotonic() > end
 
 
-def spin(node: Node, should_stop: Callable[[], bool], *, period: float, kind: ExecutorKind) -> None:
-    with Spinner([node], kind=kind) as spinner:
+def spin(node: Node, should_stop: Callable[[], bool], *, period: float) -> None:
+    with Spinner([node]) as spinner:
         spinner.spin(should_stop, period=period)
 
 
@@ -67,52 +64,46 @@ def break_in_service(node: Node) -> None:
     client.call_async(Empty.Request())
 
 
-@both_kinds
-def test_spin_ends_when_told_to(node: Node, kind: ExecutorKind) -> None:
+def test_spin_ends_when_told_to(node: Node) -> None:
     ticks: list[int] = []
     node.create_timer(0.005, lambda: ticks.append(1))
     late = deadline()
 
-    spin(node, lambda: len(ticks) >= 3 or late(), period=0.01, kind=kind)
+    spin(node, lambda: len(ticks) >= 3 or late(), period=0.01)
 
     assert len(ticks) >= 3
     assert not late()
 
 
-@both_kinds
-def test_spin_ends_when_the_context_is_shut_down(
-    node: Node, context: Context, kind: ExecutorKind
-) -> None:
+def test_spin_ends_when_the_context_is_shut_down(node: Node, context: Context) -> None:
     late = deadline()
     timer = threading.Timer(0.1, context.try_shutdown)
     timer.start()
 
-    spin(node, late, period=0.05, kind=kind)
+    spin(node, late, period=0.05)
     timer.join()
 
     assert not late()
 
 
-@both_kinds
 @pytest.mark.parametrize(
     "arrange", [break_in_timer, break_in_subscription, break_in_service], ids=lambda f: f.__name__
 )
 def test_when_a_callback_raises_expect_it_at_the_caller(
-    node: Node, kind: ExecutorKind, arrange: Callable[[Node], None]
+    node: Node, arrange: Callable[[Node], None]
 ) -> None:
     arrange(node)
 
     with pytest.raises(CallbackError, match="in a callback"):
-        spin(node, deadline(), period=0.01, kind=kind)
+        spin(node, deadline(), period=0.01)
 
 
-@both_kinds
-def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node, kind: ExecutorKind) -> None:
+def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node) -> None:
     done: Future = Future()
     never: Future = Future()
     node.create_timer(0.02, lambda: None if done.done() else done.set_result(1))
 
-    with Spinner([node], kind=kind) as spinner:
+    with Spinner([node]) as spinner:
         start = time.monotonic()
         assert not spinner.spin_until(never, 0.1)
         assert 0.09 < time.monotonic() - start < PATIENCE
@@ -125,18 +116,16 @@ def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node, kind: Exec
         assert time.monotonic() - start < PATIENCE / 2
 
 
-@both_kinds
-def test_idle_spinning_costs_next_to_nothing(node: Node, kind: ExecutorKind) -> None:
+def test_idle_spinning_costs_next_to_nothing(node: Node) -> None:
     # rclpy's own events executor takes a whole core when spun without a timeout.
-    with Spinner([node], kind=kind) as spinner:
+    with Spinner([node]) as spinner:
         before = time.process_time()
         spinner.spin(deadline(1.0))
 
     assert time.process_time() - before < 0.3
 
 
-@both_kinds
-def test_messages_from_another_process_arrive(node: Node, kind: ExecutorKind) -> None:
+def test_messages_from_another_process_arrive(node: Node) -> None:
     script = """
 import rclpy, time
 from rosgraph_msgs.msg import Clock
@@ -152,7 +141,7 @@ while True:
     late = deadline(20.0)
     other = subprocess.Popen([sys.executable, "-c", script])
     try:
-        spin(node, lambda: len(received) >= 3 or late(), period=0.05, kind=kind)
+        spin(node, lambda: len(received) >= 3 or late(), period=0.05)
     finally:
         other.kill()
         other.wait()
@@ -165,7 +154,7 @@ def test_when_rclpy_has_no_events_executor_expect_the_single_threaded_one(
 ) -> None:
     monkeypatch.delattr(rclpy.experimental, "EventsExecutor")
 
-    executor = make_executor(context, "events")
+    executor = make_executor(context)
 
     assert isinstance(executor, SingleThreadedExecutor)
     executor.shutdown()
@@ -315,9 +304,8 @@ def keep_busy(node: Node) -> None:
     timer = node.create_timer(0.01, begin)
 
 
-@both_kinds
 def test_when_there_is_always_another_event_expect_stop_conditions_to_be_looked_at(
-    node: Node, kind: ExecutorKind
+    node: Node,
 ) -> None:
     keep_busy(node)
     asked: list[float] = []
@@ -327,7 +315,7 @@ def test_when_there_is_always_another_event_expect_stop_conditions_to_be_looked_
         asked.append(time.monotonic())
         return len(asked) > 3 or late()
 
-    spin(node, should_stop, period=0.05, kind=kind)
+    spin(node, should_stop, period=0.05)
 
     assert not late()
 

@@ -13,7 +13,7 @@ from std_msgs.msg import UInt64
 from armimp_common import qos
 from armimp_common.cdr import decode_count, encode_count
 from armimp_common.errors import MalformedMessageError
-from armimp_common.executor import ExecutorKind, Spinner
+from armimp_common.executor import Spinner
 from armimp_common.pubsub import (
     CommandPublisher,
     CommandSubscription,
@@ -228,10 +228,7 @@ def numbers(messages: list[bytes]) -> list[int]:
     return [decode_count(message) for message in messages]
 
 
-@pytest.mark.parametrize("kind", ["events", "single"])
-def test_messages_wait_in_their_order_while_the_node_is_spun(
-    poller: PollingNode, kind: ExecutorKind
-) -> None:
+def test_messages_wait_in_their_order_while_the_node_is_spun(poller: PollingNode) -> None:
     heard: list[int] = []
     polled = PolledSubscription(poller, "number", UInt64, profile=PROFILE)
 
@@ -244,7 +241,7 @@ def test_messages_wait_in_their_order_while_the_node_is_spun(
         poller, publishers=[publisher], subscriptions=[polled], timeout_s=PATIENCE
     )
 
-    with Spinner([poller], kind=kind) as spinner:
+    with Spinner([poller]) as spinner:
         for number in range(3):
             publisher.publish(UInt64(data=number))
         eventually(spinner, lambda: heard == [0, 1, 2], "messages of the other subscription")

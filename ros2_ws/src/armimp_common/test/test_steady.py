@@ -15,15 +15,13 @@ from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.executor import ExecutorKind, Spinner, refuse_simulated_time, steady_timer
+from armimp_common.executor import Spinner, refuse_simulated_time, steady_timer
 from armimp_common.parameters import declare
 from armimp_common.schema import Schema
 from support.graph import CLOCK_STEPS, PATIENCE, eventually, set_clock
 
 SOURCES = Path(__file__).parents[2]
-KINDS: tuple[ExecutorKind, ...] = ("events", "single")
 stepped = pytest.mark.parametrize("step", CLOCK_STEPS)
-both_kinds = pytest.mark.parametrize("kind", KINDS)
 
 WALL_CLOCK = {
     "create_timer",
@@ -55,14 +53,11 @@ class Settings(Schema):
     gain: float = 1.0
 
 
-@both_kinds
 @stepped
-def test_when_the_clock_is_set_expect_timers_to_go_on(
-    node: Node, kind: ExecutorKind, step: float
-) -> None:
+def test_when_the_clock_is_set_expect_timers_to_go_on(node: Node, step: float) -> None:
     ticks: list[int] = []
     timer = steady_timer(node, 0.005, lambda: ticks.append(1))
-    with Spinner([node], kind=kind) as spinner:
+    with Spinner([node]) as spinner:
         eventually(spinner, lambda: len(ticks) > 2, "ticks before the step")
         set_clock(node, step)
         ticks.clear()
@@ -81,11 +76,10 @@ def test_timer_starts_when_it_is_told_to(node: Node) -> None:
         eventually(spinner, lambda: len(ticks) > 1, "ticks")
 
 
-@both_kinds
 @stepped
 @pytest.mark.timeout(60)
 def test_when_the_clock_is_set_expect_stop_conditions_of_a_busy_node_to_be_looked_at(
-    node: Node, kind: ExecutorKind, step: float
+    node: Node, step: float
 ) -> None:
     publisher = node.create_publisher(Clock, "echo", 10)
     echoes: list[Clock] = []
@@ -96,7 +90,7 @@ def test_when_the_clock_is_set_expect_stop_conditions_of_a_busy_node_to_be_looke
 
     node.create_subscription(Clock, "echo", echo, 10)
     publisher.publish(Clock())
-    with Spinner([node], kind=kind) as spinner:
+    with Spinner([node]) as spinner:
         eventually(spinner, lambda: len(echoes) > 2, "echoes")
         set_clock(node, step)
         assert not spinner.spin_until(Future(), 0.1)
