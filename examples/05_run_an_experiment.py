@@ -8,7 +8,7 @@ from pathlib import Path
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.supervisor import Progress
+from armimp_common.status import Progress
 
 directory = Path(sys.argv[1])  # must be new, or empty
 config = ExperimentConfig(duration=10.0, estimators=("lpm_full",))

@@ -12,8 +12,7 @@ from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.presentation import print_result
-from armimp_bringup.supervisor import Progress
-from armimp_common.status import Phase
+from armimp_common.status import Phase, Progress
 from armimp_estimation.bags import read_bag
 from armimp_estimation.summary import Summary
 from support.runs import FinishedRun, Run
@@ -118,16 +117,14 @@ def test_separate_processes_end_at_the_same_sample_with_the_same_bits(
 def test_progress_shows_the_column_with_its_errors_and_the_new_end(
     early: FinishedRun, seen: list[Progress]
 ) -> None:
-    told = [one for one in seen if one.column is not None]
+    told = [one for one in seen if one.M]
     assert told
     for one in told:
-        assert one.column is not None
         assert [len(part) for row in one.column for part in row] == [2] * 6
         assert one.largest_error is not None
     assert early.summary.truth is not None
     true = np.array(early.summary.truth.M)[:, told[-1].joint - 1]
-    assert told[-1].column is not None
-    np.testing.assert_allclose(told[-1].column[0][0], true, rtol=0.05)
+    np.testing.assert_allclose(told[-1].M, true, rtol=0.05)
 
 
 def test_when_the_bound_is_out_of_reach_expect_trials_as_planned(

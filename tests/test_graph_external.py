@@ -19,10 +19,10 @@ from armimp_bringup.health import state_of
 from armimp_bringup.nodes import ExternalNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_bringup.supervisor import Progress
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager
+from armimp_common.status import Progress
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from support.graph import PATIENCE
 from support.runs import FinishedRun

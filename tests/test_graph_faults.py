@@ -9,11 +9,10 @@ import pytest
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.supervisor import Progress
 from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager, TransitionName
 from armimp_common.schema import to_params_yaml
-from armimp_common.status import Phase
+from armimp_common.status import Phase, Progress
 from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 from armimp_estimation.bags import read_bag
 from armimp_estimation.problems import ProblemCode

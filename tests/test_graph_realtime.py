@@ -28,9 +28,9 @@ from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.replay import replay_bags
-from armimp_bringup.supervisor import Progress
 from armimp_common.heartbeat import Presence
 from armimp_common.realtime import Pacer
+from armimp_common.status import Progress
 from armimp_common.topics import (
     CONTROLLER_NODE,
     DATA_STREAMS,

@@ -14,11 +14,10 @@ from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.supervisor import Progress
 from armimp_common import qos
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
-from armimp_common.status import Level, Phase, values_of
+from armimp_common.status import Level, Phase, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.messages import RESULT_NAME
 from support.graph import PATIENCE
@@ -152,9 +151,8 @@ def test_progress_grows_in_every_trial(account: Account) -> None:
     assert {progress.trials for progress in account.progress} == {2}
     assert {progress.planned for progress in account.progress} == {3_000}
     assert all(progress.joint == progress.trial for progress in account.progress)
-    assert {progress.phase for progress in account.progress} <= {
-        phase.value for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
-    }
+    phases = {progress.phase for progress in account.progress}
+    assert phases <= {Phase.SETTLE, Phase.PERTURB, Phase.REST}
 
 
 def test_a_bystander_changes_nothing(account: Account, composed: FinishedRun) -> None:

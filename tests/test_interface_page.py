@@ -21,6 +21,7 @@ from armimp_common.schema import leaves
 from armimp_common.status import (
     NOTICE_TICKS,
     Phase,
+    Progress,
     StoppingDecision,
     TimingFigures,
     TrialStatus,
@@ -46,7 +47,6 @@ from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.messages import (
-    PROGRESS_NAME,
     RESULT_NAME,
     column_message,
     progress_message,
@@ -210,7 +210,7 @@ def test_the_keys_of_progress_are_those_of_the_code() -> None:
         ),
     )
     assert list(_table("Progress", "key")) == list(values_of(message))
-    assert f"`{PROGRESS_NAME}`" in PAGE
+    assert f"`{Progress.STATUS_NAME}`" in PAGE
 
 
 def test_the_keys_of_a_judgement_are_those_of_the_code() -> None:

@@ -14,8 +14,8 @@ from rosbags.highlevel import AnyReader
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.supervisor import Progress
 from armimp_common.errors import ArmimpError, BagError
+from armimp_common.status import Progress
 from armimp_common.topics import TRIAL
 from armimp_estimation.bags import BagWriter, iterate_messages
 from armimp_estimation.bags.files import BAGS

@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.supervisor import Progress
+from armimp_common.status import Progress
 from armimp_estimation.bags import iterate_messages, read_bag
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.finishing import finish_bag, finish_bags

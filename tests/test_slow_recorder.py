@@ -10,7 +10,7 @@ import pytest
 
 from armimp_bringup.config import load_config
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.supervisor import Progress
+from armimp_common.status import Progress
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 

@@ -17,14 +17,14 @@ from armimp_bringup.nodes import (
 )
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.resources import prepare_directory, require_unused
-from armimp_bringup.supervisor import Progress, Supervisor
+from armimp_bringup.supervisor import Supervisor
 from armimp_common import topics
 from armimp_common.errors import ArmimpError, DataError, GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.realtime import require_precedence, seldom_collecting
 from armimp_common.schema import to_params_yaml
-from armimp_common.status import Phase
+from armimp_common.status import Phase, Progress
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.parameters import EstimatorParameters

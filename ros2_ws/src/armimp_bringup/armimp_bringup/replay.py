@@ -20,7 +20,7 @@ from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.offline_estimate import read_bags
 from armimp_bringup.orchestrator import PARAMETERS_FILE, Course, settle
 from armimp_bringup.resources import prepare_directory, require_unused
-from armimp_bringup.supervisor import Progress, Supervisor
+from armimp_bringup.supervisor import Supervisor
 from armimp_bringup.terminal import complete
 from armimp_common import qos, topics
 from armimp_common.cdr import stamp_of
@@ -28,7 +28,7 @@ from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import RawSubscription
 from armimp_common.schema import to_params_yaml
-from armimp_common.status import Phase, TrialStatus
+from armimp_common.status import Phase, Progress, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.bags import BagContent
 from armimp_estimation.bags.statuses import encode_trial_status

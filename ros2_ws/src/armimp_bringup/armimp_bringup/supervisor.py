@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
@@ -14,72 +13,16 @@ from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.heartbeat import Heartbeat
-from armimp_common.status import LIMITER_STATUS, Level, Phase, TimingFigures, values_of
+from armimp_common.status import (
+    LIMITER_STATUS,
+    Level,
+    Phase,
+    Progress,
+    TimingFigures,
+    values_of,
+)
 from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.problems import Problem, ProblemCode, problem
-
-_MOST = 2**53
-"""Numbers beyond which nobody is believed."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """Where an experiment stands, for display; see ``impedance_estimator/progress``."""
-
-    trial: int
-    trials: int
-    joint: int
-    phase: str
-    samples: int
-    planned: int
-    rate: float
-    coherence_motion: float | None
-    coherence_torque: float | None
-    column: tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None = None
-    """Values and standard errors of M, B and K in the column of the perturbed joint, SI units."""
-    largest_error: float | None = None
-    """Largest relative one of these standard errors."""
-    preliminary: bool = False
-    """Whether motion of locked joints is in the values, as those had no trial yet."""
-
-    @classmethod
-    def from_values(cls, values: dict[str, str]) -> Progress:
-        """Read what the estimator tells.
-
-        Raises
-        ------
-        MalformedMessageError
-            If something is missing, is no number, or cannot be.
-        """
-        try:
-            progress = cls(
-                trial=int(values["trial"]),
-                trials=int(values["trials"]),
-                joint=int(values["joint"]),
-                phase=Phase(values["phase"]).value,
-                samples=int(values["samples"]),
-                planned=int(values["planned"]),
-                rate=float(values["rate"]),
-                coherence_motion=_optional(values.get("coherence_motion")),
-                coherence_torque=_optional(values.get("coherence_torque")),
-                column=_column(values),
-                largest_error=_optional(values.get("largest_error")),
-                preliminary=values.get("preliminary") == "true",
-            )
-        except KeyError as error:
-            raise MalformedMessageError(f"{error} is missing") from None
-        except ValueError as error:
-            raise MalformedMessageError(f"{error}"[:200]) from None
-        named = (progress.trial, progress.trials, progress.joint)
-        counts = (*named, progress.samples, progress.planned)
-        if not (
-            # A number may be above the count: trials of a session may be left out of its replay.
-            min(progress.trial, progress.trials) >= 1
-            and 0 <= min(counts) <= max(counts) < _MOST
-            and 0.0 <= progress.rate < _MOST
-        ):
-            raise MalformedMessageError(f"numbers that cannot be: {counts}, {progress.rate:g} Hz")
-        return progress
 
 
 class Supervisor(Node):
@@ -177,22 +120,3 @@ class Supervisor(Node):
             if answered != self._answered:
                 self._answered = answered
                 self.last_news = time.monotonic()
-
-
-def _column(
-    values: dict[str, str],
-) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...] | None:
-    if "K_se" not in values:
-        return None
-
-    def row(key: str) -> tuple[float, ...]:
-        return tuple(float(text) for text in values[key].split())
-
-    column = tuple((row(letter), row(f"{letter}_se")) for letter in "MBK")
-    if len({len(numbers) for pair in column for numbers in pair}) != 1:
-        raise ValueError("M, B and K are not equally many numbers")
-    return column
-
-
-def _optional(text: str | None) -> float | None:
-    return None if text is None else float(text)

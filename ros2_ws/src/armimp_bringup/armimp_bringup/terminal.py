@@ -13,7 +13,6 @@ import threading
 import time
 from contextlib import suppress
 from types import TracebackType
-from typing import TYPE_CHECKING
 
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
@@ -21,10 +20,8 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
+from armimp_common.status import Progress as Snapshot
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-
-if TYPE_CHECKING:
-    from armimp_bringup.supervisor import Progress as Snapshot
 
 _RATE = NS_PER_S / PERIOD_NS
 _UNITS = ("kg·m²", "N·m·s/rad", "N·m/rad")
@@ -261,13 +258,14 @@ def describe_column(snapshot: Snapshot) -> list[str]:
     Standard errors are told only where the motion of the locked joints is accounted for.
     """
     lines = []
-    for letter, (values, errors), unit in zip("MBK", snapshot.column or (), _UNITS, strict=False):
+    for letter, (values, errors), unit in zip("MBK", snapshot.column, _UNITS, strict=True):
         elements = [
             f"{letter}{row}{snapshot.joint} "
             f"{_with_digits(value, error, stated=not snapshot.preliminary)}"
             for row, (value, error) in enumerate(zip(values, errors, strict=True), 1)
         ]
-        lines.append(f"{'   '.join(elements)} {unit}")
+        if elements:
+            lines.append(f"{'   '.join(elements)} {unit}")
     if snapshot.largest_error is not None:
         kind = "preliminary; random errors" if snapshot.preliminary else "standard errors"
         lines.append(f"{kind} up to {100.0 * snapshot.largest_error:.2g} %")

@@ -2,29 +2,31 @@
 
 import io
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from rich.console import Console
 from rich.text import Text
 
-from armimp_bringup.supervisor import Progress
 from armimp_bringup.terminal import Display, describe_column, describe_trial
+from armimp_common.status import Phase, Progress
 
 SNAPSHOT = Progress(
     trial=1,
     trials=2,
     joint=2,
-    phase="perturb",
+    phase=Phase.PERTURB,
     samples=10_000,
     planned=50_000,
     rate=5000.0,
     coherence_motion=0.9876,
     coherence_torque=0.99,
-    column=(
-        ((0.0837, 0.0598), (0.00021, 0.0001)),
-        ((0.2358, 0.4051), (0.0017, 0.012)),
-        ((3.1082, 6.8538), (0.033, 1.5)),
-    ),
+    M=(0.0837, 0.0598),
+    M_se=(0.00021, 0.0001),
+    B=(0.2358, 0.4051),
+    B_se=(0.0017, 0.012),
+    K=(3.1082, 6.8538),
+    K_se=(0.033, 1.5),
     largest_error=0.0107,
 )
 
@@ -39,14 +41,16 @@ def test_column_is_told_with_two_digits_of_each_standard_error() -> None:
 
 
 def test_without_a_column_there_is_nothing_to_tell() -> None:
-    assert describe_column(replace(SNAPSHOT, column=None, largest_error=None)) == []
+    unknown: dict[str, Any] = dict.fromkeys(("M", "M_se", "B", "B_se", "K", "K_se"), ())
+    assert describe_column(replace(SNAPSHOT, **unknown, largest_error=None)) == []
 
 
 @pytest.mark.parametrize("error", [0.0, float("nan"), float("inf"), 1e-30, 15.0, 1e30])
 @pytest.mark.parametrize("preliminary", [True, False])
 def test_any_error_can_be_shown(error: float, preliminary: bool) -> None:
-    column = (((1.0,), (error,)),) * 3
-    shown = replace(SNAPSHOT, column=column, largest_error=error, preliminary=preliminary)
+    column: dict[str, Any] = dict.fromkeys("MBK", (1.0,))
+    column |= {f"{letter}_se": (error,) for letter in "MBK"}
+    shown = replace(SNAPSHOT, **column, largest_error=error, preliminary=preliminary)
     assert len(describe_column(shown)) == 4
 
 

@@ -37,6 +37,8 @@ Value: TypeAlias = bool | int | float | str | Sequence[float]
 
 _INTEGER: Final = re.compile(r"-?[0-9]{1,40}")
 _INTERVALS: Final = re.compile(r"([0-9]{1,19}-[0-9]{1,19}( [0-9]{1,19}-[0-9]{1,19}){0,99})?")
+_MOST: Final = 2**53
+"""Numbers of progress beyond which nobody is believed."""
 _FROM_ONE: Final = {"from_one": True}
 """Marks a field that counts from 0, and from 1 on the wire, where a person may read it."""
 
@@ -373,6 +375,81 @@ class TimingFigures(Record):
         return "timing since activation"
 
 
+@dataclass(frozen=True, kw_only=True)
+class Progress(Record):
+    """Where an experiment stands, for display.
+
+    Parameters
+    ----------
+    trial, trials
+        Number of the present trial, from 1, and how many there are.
+    joint
+        Perturbed joint k, from 1.
+    phase
+        What the controller is doing.
+    samples, planned
+        Perturbed samples recorded so far, and those that there will be.
+    rate
+        Samples per second of wall time.
+    coherence_motion, coherence_torque
+        Band means of γ²(τ_Δ, θ_k) and γ²(τ_Δ, τ_k) so far; None as long as there are none.
+    M, M_se, B, B_se, K, K_se
+        Column k of the matrices so far (n,) and its standard errors, SI units; empty as long as
+        there is none.
+    largest_error
+        Largest one of these standard errors, relative.
+    preliminary
+        Whether motion of locked joints is in the values, as those had no trial yet.
+
+    Raises
+    ------
+    ConfigurationError
+        If a number is impossible, or the columns differ in length.
+    """
+
+    STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: progress"
+
+    trial: int
+    trials: int
+    joint: int
+    phase: Phase
+    samples: int
+    planned: int
+    rate: float
+    coherence_motion: float | None = None
+    coherence_torque: float | None = None
+    M: tuple[float, ...] = ()
+    M_se: tuple[float, ...] = ()
+    B: tuple[float, ...] = ()
+    B_se: tuple[float, ...] = ()
+    K: tuple[float, ...] = ()
+    K_se: tuple[float, ...] = ()
+    largest_error: float | None = None
+    preliminary: bool = False
+
+    def __post_init__(self) -> None:
+        counts = (self.trial, self.trials, self.joint, self.samples, self.planned)
+        # A trial may be above their count: trials of a session may be left out of its replay.
+        if not (
+            min(self.trial, self.trials) >= 1
+            and 0 <= min(counts) <= max(counts) < _MOST
+            and 0.0 <= self.rate < _MOST
+        ):
+            raise ConfigurationError(f"numbers that cannot be: {counts}, {self.rate:g} Hz")
+        if len({len(part) for pair in self.column for part in pair}) > 1:
+            raise ConfigurationError("M, B and K are not equally many numbers")
+
+    @property
+    def column(self) -> tuple[tuple[tuple[float, ...], tuple[float, ...]], ...]:
+        """Values and standard errors of M, B and K in the column of the joint."""
+        return (self.M, self.M_se), (self.B, self.B_se), (self.K, self.K_se)
+
+    @property
+    def sentence(self) -> str:
+        """How far the trial is."""
+        return f"trial {self.trial} of {self.trials}: {self.samples} of {self.planned}"
+
+
 class Level(IntEnum):
     """Severity, with the numbers of ``diagnostic_msgs/msg/DiagnosticStatus``."""
 
@@ -407,7 +484,9 @@ def make_status(
     )
 
 
-def status_message(record: TrialStatus | StoppingDecision | TimingFigures) -> DiagnosticStatus:
+def status_message(
+    record: TrialStatus | StoppingDecision | TimingFigures | Progress,
+) -> DiagnosticStatus:
     """Return the message of a record; of trials ERROR if aborted, WARN if not valid, else OK."""
     level = Level.OK
     if isinstance(record, TrialStatus) and not record.valid:

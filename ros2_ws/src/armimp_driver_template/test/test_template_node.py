@@ -25,7 +25,7 @@ PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
 class FailingDevice:
     """Sends a frame for each answer until something goes wrong with it; keeps a clock of its own.
 
-    That goes on by what a silent device is told to wait. So how busy the machine is decides nothing.
+    That goes on by what a silent device is told to wait: how busy the machine is decides nothing.
     """
 
     paced = True

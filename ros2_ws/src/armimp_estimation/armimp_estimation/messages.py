@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from armimp_common.status import Level, TrialStatus, make_status
+from armimp_common.status import Level, Progress, TrialStatus, make_status, status_message
 from armimp_common.topics import ESTIMATOR_NODE
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.estimators.estimate import ImpedanceColumn
@@ -15,7 +17,6 @@ from armimp_estimation.stopping import largest_error
 from armimp_estimation.trial import TrialSpectra
 
 RESULT_NAME = f"{ESTIMATOR_NODE}: impedance"
-PROGRESS_NAME = f"{ESTIMATOR_NODE}: progress"
 _SHOWN = 16
 """Number of frequencies at which curves are published; files hold all."""
 
@@ -98,24 +99,25 @@ def progress_message(
     column: FittedColumn | None = None,
 ) -> DiagnosticStatus:
     """Where the recording stands; ``rate`` in samples per second of wall time."""
-    values: dict[str, str | bool | int | float | list[float]] = {
-        "trial": status.trial,
-        "trials": status.trials,
-        "joint": status.joint + 1,
-        "phase": status.phase.value,
-        "samples": samples,
-        "planned": status.ticks,
-        "rate": rate,
-    }
+    found: dict[str, Any] = {}
     if coherence is not None:
-        values["coherence_motion"], values["coherence_torque"] = coherence
+        found["coherence_motion"], found["coherence_torque"] = coherence
     if column is not None:
-        for letter, found, error in zip("MBK", column.values, column.errors, strict=True):
-            values[letter], values[f"{letter}_se"] = found.tolist(), error.tolist()
-        values["largest_error"] = largest_error(column)[0]
-        values["preliminary"] = column.preliminary
-    text = f"trial {status.trial} of {status.trials}: {samples} of {status.ticks}"
-    return make_status(PROGRESS_NAME, Level.OK, text, values)
+        for letter, values, errors in zip("MBK", column.values, column.errors, strict=True):
+            found[letter], found[f"{letter}_se"] = tuple(values.tolist()), tuple(errors.tolist())
+        found["largest_error"] = largest_error(column)[0]
+        found["preliminary"] = column.preliminary
+    progress = Progress(
+        trial=status.trial,
+        trials=status.trials,
+        joint=status.joint + 1,
+        phase=status.phase,
+        samples=samples,
+        planned=status.ticks,
+        rate=rate,
+        **found,
+    )
+    return status_message(progress)
 
 
 def _selection(count: int) -> list[int]:
