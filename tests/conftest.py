@@ -48,7 +48,7 @@ def environment() -> Iterator[None]:
 @pytest.fixture(scope="session")
 def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
     def run_short(**options: Any) -> FinishedRun:
-        config = ExperimentConfig.model_validate({"duration": 3.0, **options})
+        config = ExperimentConfig.model_validate({"duration": 2.0, **options})
         directory = tmp_path_factory.mktemp("run") / "out"
         return FinishedRun(directory=directory, summary=run_experiment(config, directory))
 
@@ -62,7 +62,7 @@ def shared_run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> R
     base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
 
     def run_once(**options: Any) -> FinishedRun:
-        config = ExperimentConfig.model_validate({"duration": 3.0, **options})
+        config = ExperimentConfig.model_validate({"duration": 2.0, **options})
         directory = base / "-".join(["shared", *(f"{k}={v}" for k, v in options.items())])
         with (base / f"{directory.name}.lock").open("w") as lock:
             fcntl.flock(lock, fcntl.LOCK_EX)
@@ -80,15 +80,9 @@ def composed(shared_run: Run) -> FinishedRun:
 
 
 @pytest.fixture(scope="session")
-def brief(shared_run: Run) -> FinishedRun:
-    """The same with trials of 2 s, for what does not depend on accuracy."""
-    return shared_run(duration=2.0)
-
-
-@pytest.fixture(scope="session")
 def separate(shared_run: Run) -> FinishedRun:
-    """As `brief`, in one process for each node."""
-    return shared_run(duration=2.0, processes="separate")
+    """The same in one process for each node."""
+    return shared_run(processes="separate")
 
 
 @pytest.fixture(scope="session")

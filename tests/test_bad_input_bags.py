@@ -172,11 +172,10 @@ class TestStamps:
         [
             lambda stamp: stamp // 2,
             lambda stamp: 5 * 10**9,
-            lambda stamp: 0,
             lambda stamp: 10**12 - stamp,
             lambda stamp: stamp + (stamp // PERIOD_NS % 7) * 300_000,
         ],
-        ids=["twice the rate", "all the same", "zero", "backwards", "jitter"],
+        ids=["twice the rate", "all the same", "backwards", "jitter"],
     )
     def test_wrong_stamps_are_refused(self, stamp: Callable[[int], int], tmp_path: Path) -> None:
         both_refuse(write(tmp_path / "bag", restamped(stamp)))
@@ -405,14 +404,14 @@ def flip(good: Path, directory: Path, rounds: int, *, seed: int) -> None:
         behaved("estimate", str(file))
 
 
-def test_a_bag_cut_at_every_fiftieth_of_its_length_gives_a_result_or_a_reason(
+def test_a_bag_cut_at_every_twentieth_of_its_length_gives_a_result_or_a_reason(
     good: Path, tmp_path: Path
 ) -> None:
-    cut(good, tmp_path, 50)
+    cut(good, tmp_path, 20)
 
 
 def test_a_bag_with_changed_bytes_gives_a_result_or_a_reason(good: Path, tmp_path: Path) -> None:
-    flip(good, tmp_path, 40, seed=1)
+    flip(good, tmp_path, 15, seed=1)
 
 
 def test_a_cut_bag_is_refused_by_replay_with_the_same_reason(good: Path, tmp_path: Path) -> None:

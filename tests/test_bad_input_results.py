@@ -21,7 +21,7 @@ from armimp_estimation.summary import read_summary
 from support.command import Told, call
 
 STUDY = (
-    *("reproduce", "--duration", "10", "--no-figures", "--estimator", "welch_full"),
+    *("reproduce", "--duration", "4", "--no-figures", "--estimator", "welch_full"),
     *("--only", "friction=0,resolution=0,perturbation=3"),
 )
 NAME = "friction0-resolution0-perturbation3-seed0"

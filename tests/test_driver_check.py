@@ -229,7 +229,7 @@ def test_the_experiment_runs_on_the_template_with_the_samples_of_the_simulator(
     for node, package in ((CONTROLLER_NODE, "control"), (ESTIMATOR_NODE, "estimation")):
         path = TESTS.parent / f"ros2_ws/src/armimp_{package}/config/{node}.yaml"
         start(["-m", f"armimp_{package}.node"], "--params-file", str(path))
-    config = ExperimentConfig.model_validate({"duration": 10.0, "processes": "external"})
+    config = ExperimentConfig.model_validate({"duration": 2.0, "processes": "external"})
 
     summary = run_experiment(config, tmp_path / "out")
 

@@ -46,7 +46,9 @@ def bags(request: pytest.FixtureRequest) -> list[str]:
     [
         {"PYTHONIOENCODING": "ascii"},
         pytest.param({"PYTHONIOENCODING": "latin-1"}, marks=pytest.mark.slow),
-        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        pytest.param(
+            {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, marks=pytest.mark.slow
+        ),
         pytest.param(
             {"LC_ALL": "xx_YY.none", "TERM": "dumb", "TMPDIR": "/does/not/exist"},
             marks=pytest.mark.slow,
@@ -67,7 +69,7 @@ def test_letters_that_the_terminal_does_not_have_cost_no_result(
     ("shell", "status", "said"),
     [
         ('"$@" >&-', 0, b""),
-        ('"$@" <&- >&- 2>&-', 0, b""),
+        pytest.param('"$@" <&- >&- 2>&-', 0, b"", marks=pytest.mark.slow),
         ('"$@" >/dev/full', 1, b"armimp: No space left on device"),
         ('"$@" | head -0; exit ${PIPESTATUS[0]}', 1, b""),
     ],

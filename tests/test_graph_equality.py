@@ -23,7 +23,7 @@ from armimp_estimation.curves import read_frf
 from armimp_estimation.result import conclude
 from support.runs import FinishedRun, Run
 
-TICKS = 3_000
+TICKS = 2_000
 
 
 def offline(**options: Any) -> list[OfflineTrial]:
@@ -37,19 +37,19 @@ def test_default_experiment_is_valid(composed: FinishedRun) -> None:
 
 
 def test_composed_and_separate_processes_record_the_same_bits(
-    brief: FinishedRun, separate: FinishedRun
+    composed: FinishedRun, separate: FinishedRun
 ) -> None:
-    brief.assert_same_streams(separate)
+    composed.assert_same_streams(separate)
 
 
 def test_composed_and_separate_processes_give_the_same_results(
-    brief: FinishedRun, separate: FinishedRun
+    composed: FinishedRun, separate: FinishedRun
 ) -> None:
-    assert brief.summary.problems == separate.summary.problems
-    assert brief.summary.estimators == separate.summary.estimators
-    assert brief.summary.truth == separate.summary.truth
-    curves, others = (read_frf(run.directory / "frf.npz") for run in (brief, separate))
-    assert set(curves) == set(others) == set(brief.summary.estimators) != set()
+    assert composed.summary.problems == separate.summary.problems
+    assert composed.summary.estimators == separate.summary.estimators
+    assert composed.summary.truth == separate.summary.truth
+    curves, others = (read_frf(run.directory / "frf.npz") for run in (composed, separate))
+    assert set(curves) == set(others) == set(composed.summary.estimators) != set()
     for name, curve in curves.items():
         np.testing.assert_array_equal(curve.Z, others[name].Z)
         np.testing.assert_array_equal(curve.variance, others[name].variance)

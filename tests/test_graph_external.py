@@ -73,15 +73,15 @@ def config(**options: Any) -> ExperimentConfig:
 
 
 def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
-    started: Processes, tmp_path: Path, brief: FinishedRun
+    started: Processes, tmp_path: Path, composed: FinishedRun
 ) -> None:
     first = run_experiment(config(), tmp_path / "first")
     second = run_experiment(config(joints=1, seed=2), tmp_path / "second")
 
-    assert first.problems == brief.summary.problems
+    assert first.problems == composed.summary.problems
     assert [trial.lost for trial in (*first.trials, *second.trials)] == [0] * 3
     assert (first.joints, second.joints) == (2, 1)
-    FinishedRun(directory=tmp_path / "first", summary=first).assert_same_streams(brief)
+    FinishedRun(directory=tmp_path / "first", summary=first).assert_same_streams(composed)
     assert all(process.poll() is None for process in started.values())
     assert os.environ["ROS_DOMAIN_ID"]
 

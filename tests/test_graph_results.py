@@ -23,7 +23,7 @@ from armimp_estimation.messages import RESULT_NAME
 from support.graph import PATIENCE
 from support.runs import FinishedRun
 
-SHORT = ExperimentConfig(duration=3.0)
+SHORT = ExperimentConfig(duration=2.0)
 
 
 def free_domain() -> int:
@@ -149,7 +149,7 @@ def test_progress_grows_in_every_trial(account: Account) -> None:
     order = [(progress.trial, progress.samples) for progress in account.progress]
     assert order == sorted(order)
     assert {progress.trials for progress in account.progress} == {2}
-    assert {progress.planned for progress in account.progress} == {3_000}
+    assert {progress.planned for progress in account.progress} == {2_000}
     assert all(progress.joint == progress.trial for progress in account.progress)
     phases = {progress.phase for progress in account.progress}
     assert phases <= {Phase.SETTLE, Phase.PERTURB, Phase.REST}

@@ -54,7 +54,7 @@ def test_two_experiments_at_once_do_not_hear_each_other(
     others = {
         seed: start(
             *(tmp_path / str(seed), "--seed", str(seed), "--processes", processes[seed]),
-            *("--duration", "3"),
+            *("--duration", "2"),
         )
         for seed in alone
     }

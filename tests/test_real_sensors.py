@@ -131,7 +131,10 @@ def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
     assert vaf(estimated(name)) > 99.9
 
 
-@pytest.mark.parametrize("name", ["delay", "filter", "everything"])
+@pytest.mark.parametrize(
+    "name",
+    [*(pytest.param(one, marks=pytest.mark.slow) for one in ("delay", "filter")), "everything"],
+)
 def test_what_nobody_told_of_the_torque_readings_is_found_or_in_the_errors(name: str) -> None:
     result = estimated(name, told=False)
     fit = result.fit

@@ -105,12 +105,12 @@ def leaving(node: Node) -> None:
 @pytest.mark.parametrize(
     ("act", "processes", "who"),
     [
-        (unnumbered, "composed", "/stranger"),
+        pytest.param(unnumbered, "composed", "/stranger", marks=pytest.mark.slow),
         (not_finite, "composed", "/stranger"),
-        (numbered, "separate", "/stranger"),
+        pytest.param(numbered, "separate", "/stranger", marks=pytest.mark.slow),
         (leaving, "composed", "/imbic_controller"),
         pytest.param(unnumbered, "separate", "/stranger", marks=pytest.mark.slow),
-        pytest.param(numbered, "composed", "/stranger", marks=pytest.mark.slow),
+        (numbered, "composed", "/stranger"),
     ],
 )
 def test_one_command_of_somebody_else_is_a_fault_with_who_and_when(

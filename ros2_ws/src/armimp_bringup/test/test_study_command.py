@@ -17,7 +17,7 @@ from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.study.store import read_study
 from armimp_bringup.terminal import Display, describe, duration, phase, progress
 
-SHORT = ("--duration", "10", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
+SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
 
 
 def _reproduce(directory: Path, *options: str) -> int:
@@ -28,7 +28,7 @@ def test_study_that_misses_targets_exits_with_1_and_names_the_first_of_them(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("armimp_bringup.study.study._MOST_FAILURES", 2)
-    # Ten seconds are too short for targets that are meant for fifty.
+    # Four seconds are too short for targets that are meant for fifty.
     assert _reproduce(tmp_path / "out", *SHORT) == 1
     told = capsys.readouterr()
     assert "targets missed" in told.out
@@ -91,7 +91,7 @@ def test_configuration_file_decides_what_options_leave_open(
     assert list(entry.estimators) == ["welch_full"]
     assert (entry.friction, entry.seed) == (0, 0)
     config = json.loads(json.dumps(entry.config))
-    assert config["experiment"]["duration"] == 10.0
+    assert config["experiment"]["duration"] == 4.0
     assert config["arm_sim"]["voluntary.rms"] == 0.2
 
 

@@ -34,7 +34,7 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
 
-BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
+BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = (
     *select_conditions(["friction=0,resolution=0+3,perturbation=3"], "4"),
     Condition(friction=3, resolution=3, perturbation=1, seed=5),
@@ -84,7 +84,7 @@ def test_entry_says_what_it_was_made_of_and_survives_the_way_to_another_process(
         )
         assert config["versions"]["numpy"] == np.__version__
         assert [trial.k for trial in entry.trials] == [1, 2]
-        assert {trial.ticks for trial in entry.trials} == {10_000}
+        assert {trial.ticks for trial in entry.trials} == {4_000}
         assert list(entry.estimators) == list(BASE.estimators)
         assert entry.truth is not None
     _assert_same(pickle.loads(pickle.dumps(together[0])), together[0])

@@ -23,7 +23,7 @@ from armimp_bringup.study.study import run_study
 from armimp_bringup.terminal import Display
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 
-BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
+BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=0+3,perturbation=2"], "1")
 TABLES = ("study.json", "results.csv", "verdict.json", "report.html")
 
@@ -151,7 +151,7 @@ def test_curves_without_a_result_are_made_again(
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"duration": 20.0}, "experiment.duration is 10.0, not 20.0"),
+        ({"duration": 20.0}, "experiment.duration is 4.0, not 20.0"),
         (
             {"arm_sim": {"voluntary": {"rms": 0.1}}},
             'experiment.arm_sim.voluntary is null, not {"rms": 0.1}',

@@ -30,7 +30,7 @@ from armimp_bringup.study.study import run_study
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 
-BASE = ExperimentConfig(duration=10.0, estimators=("welch_siso", "lpm_full"))
+BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")
 
 
@@ -80,7 +80,7 @@ def test_report_is_written_without_figures_and_says_how_far_each_missed_target_i
     for part in ("Worst value in each condition", "Spread over 2 seeds", "1 to 2", "assumption"):
         assert part in words
     missed = [one for one in judge(entries, table).worst if one.met is False]
-    assert missed  # ten seconds are too short
+    assert missed  # four seconds are too short
     assert f"{len(missed)} of 10 targets missed" in words
     for one in missed:
         assert one.limit is not None

@@ -93,14 +93,14 @@ def test_whatever_comes_in_the_torque_is_finite_limited_and_gone_after_a_fault(
         assert not law.command.any()
 
 
-def test_two_thousand_random_sequences_break_no_promise() -> None:
-    result = campaign(2000, seed=2026)
+def test_three_hundred_random_sequences_break_no_promise() -> None:
+    result = campaign(300, seed=2026)
     assert result.violations == dict.fromkeys(PROMISES, 0)
-    assert (result.sequences, result.ticks) == (2000, 160_000)
+    assert (result.sequences, result.ticks) == (300, 24_000)
     # It was no walk in the park.
-    assert result.faults > 1000
-    assert result.poisoned > 1000
-    assert result.clipped > 20_000
+    assert result.faults > 150
+    assert result.poisoned > 150
+    assert result.clipped > 3000
 
 
 @pytest.mark.slow

@@ -71,7 +71,14 @@ def fits_of(
     return fit_models(asked, estimate, plain, FitConfig(), known)
 
 
-@pytest.mark.parametrize("name", PLANTED)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("mbk_delay", marks=pytest.mark.slow),
+        "reflex",
+        pytest.param("cuff", marks=pytest.mark.slow),
+    ],
+)
 def test_the_planted_model_is_the_one_that_the_data_support_and_its_values_come_back(
     name: str,
 ) -> None:
@@ -90,6 +97,7 @@ def test_the_planted_model_is_the_one_that_the_data_support_and_its_values_come_
         assert best.values["cuff_stiffness"] == pytest.approx([5e3, 3e3], rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PLANTED)
 def test_intervals_of_a_model_hold_what_was_planted(name: str) -> None:
     scores: list[float] = []
