@@ -45,7 +45,9 @@ _TYPE_NAMES: dict[ItemType, str] = {bool: "bool", int: "integer", float: "double
 class Schema(BaseModel):
     """Base for parameter schemas: frozen, no unknown keys, no NaN or infinity anywhere."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(
+        frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,47 +80,6 @@ class Leaf:
         """The type in the words of ROS: ``double``, ``string array``..."""
         return _TYPE_NAMES[self.item] + (" array" if self.array else "")
 
-    def coerce(self, value: object) -> Value:
-        """Return a value in the type of this parameter; integers may stand for doubles.
-
-        Raises
-        ------
-        ConfigurationError
-            If the value has another type.
-        """
-        if not self.array:
-            return self._scalar(value, value)
-        # ROS cannot tell the type of an empty array and delivers it as "not set".
-        if value is None:
-            return []
-        if isinstance(value, str | bytes) or not isinstance(value, Iterable):
-            raise self._wrong_type(value)
-        items: list[Any] = [self._scalar(item, value) for item in value]
-        return items
-
-    def _scalar(self, item: object, value: object) -> Scalar:
-        if isinstance(item, enum.Enum):
-            item = item.value
-        if self.item is float and isinstance(item, int) and not isinstance(item, bool):
-            try:
-                item = float(item)
-            except OverflowError:
-                raise self._too_large(value) from None
-        if not isinstance(item, self.item) or (self.item is int and isinstance(item, bool)):
-            raise self._wrong_type(value)
-        if isinstance(item, int) and not -(2**63) <= item < 2**63:
-            raise self._too_large(value)
-        return item
-
-    def _wrong_type(self, value: object) -> ConfigurationError:
-        article = "an" if self.item is int else "a"
-        return ConfigurationError(
-            f"parameter '{self.name}' = {_shown(value)}: should be {article} {self.type_name}"
-        )
-
-    def _too_large(self, value: object) -> ConfigurationError:
-        return ConfigurationError(f"parameter '{self.name}' = {_shown(value)}: is too large")
-
 
 def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
     """Return the parameters of a schema by dotted name, in the order of its fields.
@@ -142,32 +103,23 @@ def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
 
 def defaults(model: type[BaseModel]) -> dict[str, Value]:
     """Return the default values of a schema by dotted name, of those fields that have one."""
-    found: dict[str, Value] = {}
-    known = leaves(model)
+    found = _dotted(model.model_construct().model_dump(mode="json"))
     for key, field in model.model_fields.items():
         sub_model = _sub_model(field)
-        if field.is_required():
-            values = {} if sub_model is None else defaults(sub_model)
-            found.update({f"{key}.{name}": value for name, value in values.items()})
-            continue
-        default = field.get_default(call_default_factory=True)
-        if isinstance(default, BaseModel):
-            found.update({f"{key}.{name}": value for name, value in flatten(default).items()})
-        else:
-            found[key] = known[key].coerce(default)
+        if sub_model is not None and field.is_required():
+            found |= {f"{key}.{name}": value for name, value in defaults(sub_model).items()}
     return found
 
 
 def flatten(instance: BaseModel) -> dict[str, Value]:
     """Return the values of a schema instance by dotted name; tuples become lists."""
-    return {
-        name: leaf.coerce(_attribute(instance, name))
-        for name, leaf in leaves(type(instance)).items()
-    }
+    return _dotted(instance.model_dump(mode="json"))
 
 
 def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
     """Return the instance that has these values, by dotted name, and defaults for the rest.
+
+    Integers may stand for doubles, and None for an empty array, as ROS has no type for those.
 
     Raises
     ------
@@ -182,11 +134,25 @@ def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
         branch = nested
         for key in path:
             branch = branch.setdefault(key, {})
-        branch[last] = known[name].coerce(value)
+        branch[last] = [] if value is None and known[name].array else _plain(name, value)
     try:
-        return model.model_validate(nested)
+        # In this form types are strict, and yet arrays may be of any kind.
+        return model.model_validate_json(json.dumps(nested), strict=True)
     except ValidationError as error:
         raise ConfigurationError(explain(error)) from None
+
+
+def _plain(name: str, value: object) -> object:
+    """A value as JSON has it."""
+    if isinstance(value, enum.Enum):
+        return value.value
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ConfigurationError(f"parameter '{name}' = {_shown(value)}: is too large")
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if isinstance(value, Iterable) and not isinstance(value, bytes | Mapping):
+        return [_plain(name, item) for item in value]
+    raise ConfigurationError(f"parameter '{name}' = {_shown(value)}: has no type of parameters")
 
 
 def vector(name: str, values: Sequence[float], n: int) -> NDArray[np.float64]:
@@ -373,11 +339,15 @@ def _sub_model(field: FieldInfo) -> type[BaseModel] | None:
     return None
 
 
-def _attribute(instance: BaseModel, name: str) -> object:
-    value: object = instance
-    for key in name.split("."):
-        value = getattr(value, key)
-    return value
+def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Value]:
+    """Values of nested mappings by dotted name."""
+    found: dict[str, Value] = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            found |= _dotted(value, f"{prefix}{key}.")
+        else:
+            found[f"{prefix}{key}"] = value
+    return found
 
 
 def _shown(value: object) -> str:
