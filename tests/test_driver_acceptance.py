@@ -97,16 +97,11 @@ def figures(told: Result) -> dict[str, float]:
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(
-    ("duration", "coherence"), [(15.0, 0.94), pytest.param(50.0, 0.985, marks=pytest.mark.slow)]
-)
 def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
-    nodes: None, tmp_path: Path, duration: float, coherence: float
+    nodes: None, tmp_path: Path
 ) -> None:
-    """The row of `lpm_full`, which is for trials of 50 s.
-
-    Shorter ones meet it but for the coherence, which leakage lowers with fewer segments.
-    """
+    """The row of `lpm_full` but for the coherence, which leakage lowers in trials this short."""
+    duration = 15.0
     config = ExperimentConfig.model_validate(
         {"duration": duration, "processes": "external", **CALIBRATION}
     )
@@ -130,7 +125,7 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
     found = figures(told)
     assert found["VAF"] >= 99.7
     assert found["R2"] >= 0.997
-    assert found["coherence"] >= coherence
+    assert found["coherence"] >= 0.94
     assert max(found[name] for name in ("M", "B", "K")) <= 2.0
 
     not_told = estimate_bags(bags, ("lpm_full",), declared=Declared(torque_delay=0.0))

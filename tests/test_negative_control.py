@@ -10,15 +10,12 @@ from pydantic import JsonValue
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig, load_config
-from armimp_bringup.offline import run_offline
+from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_estimation.bags import read_bag
-from armimp_estimation.identify import Identification, identify
-from armimp_estimation.mbk import MBK
+from armimp_estimation.identify import Identification
 from armimp_estimation.problems import Concern, ProblemCode, spoiled
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import read_summary
-from armimp_estimation.trial import TrialData
 from support.runs import FinishedRun
 
 pytestmark = pytest.mark.slow
@@ -36,29 +33,8 @@ def identified(*, kind: str = "pd", resolution: int = 3, frequency: float = 25.0
     config = ExperimentConfig(
         friction=3, resolution=resolution, duration=OFFLINE, imbic_controller={"law": law}
     )
-    chosen = node_parameters(config, None)
-    rig = chosen.rig()
-    (trials,) = run_offline([rig])
-    data = [
-        TrialData.from_record(
-            TrialRecord(
-                trial=trial.joint + 1,
-                perturbed_joint=trial.joint,
-                rate=1000.0,
-                joint_names=chosen.simulator.joints,
-                perturbation=trial.perturbation,
-                position=trial.position,
-                torque=trial.torque,
-                command=trial.command,
-                start_ns=0,
-                seed=rig.seed,
-            )
-        )
-        for trial in trials
-    ]
-    arm = rig.plant.arm
-    truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
-    return identify(data, ("welch_siso", "lpm_full"), truth)
+    (experiment,) = simulate([config])
+    return experiment.identify(("welch_siso", "lpm_full"))
 
 
 def locks(result: Identification) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,19 +13,15 @@ from numpy.typing import NDArray
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.offline import SimulatedExperiment, run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.estimators.lpm import LpmConfig
-from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import EstimatorResult, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import reading_of
-from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import SimulatedRig
@@ -42,8 +39,8 @@ def chosen(
     tare: bool = True,
     duration: float = DURATION,
     **levels: int,
-) -> NodeParameters:
-    """Parameters of an experiment with the given `sensors.torque_...`."""
+) -> ExperimentConfig:
+    """An experiment with the given `sensors.torque_...`."""
     config = {
         "duration": duration,
         "arm_sim": {
@@ -53,10 +50,10 @@ def chosen(
         "imbic_controller": TARE if tare else {},
         **levels,
     }
-    return node_parameters(ExperimentConfig.model_validate(config), None)
+    return ExperimentConfig.model_validate(config)
 
 
-CASES: dict[str, NodeParameters] = {
+CASES: dict[str, ExperimentConfig] = {
     "prompt": chosen(),
     "offset and drift": chosen({"offset": OFFSET, "drift": DRIFT}),
     "delay": chosen({"delay": 0.002}),
@@ -69,41 +66,24 @@ CASES: dict[str, NodeParameters] = {
 
 
 @functools.cache
-def recorded(name: str) -> list[TrialRecord]:
-    """Trials of a case."""
-    (run,) = run_offline([CASES[name].rig()])
-    return [record(trial) for trial in run]
-
-
-def record(trial: OfflineTrial) -> TrialRecord:
-    return TrialRecord(
-        trial=trial.joint + 1,
-        perturbed_joint=trial.joint,
-        rate=1000.0,
-        joint_names=("shoulder", "elbow"),
-        perturbation=trial.perturbation,
-        position=trial.position,
-        torque=trial.torque,
-        command=trial.command,
-        start_ns=trial.first_tick * PERIOD_NS,
-        seed=1,
-    )
+def simulated(name: str) -> SimulatedExperiment:
+    """A case."""
+    (experiment,) = simulate([CASES[name]])
+    return experiment
 
 
 def truth() -> MBK:
-    arm = CASES["prompt"].simulator.human_arm()
-    return MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+    return simulated("prompt").truth
 
 
 @functools.cache
 def estimated(name: str, *, told: bool = True) -> EstimatorResult:
     """What `lpm_full` makes of a case, with or without knowing of the readings."""
-    known = reading_of(CASES[name].estimator.bag_metadata()) if told else TorqueReading()
-    records = recorded(name)
-    options = IdentifyConfig(
-        welch=WelchConfig.for_samples(records[0].samples), lpm=LpmConfig(reading=known)
-    )
-    data = [TrialData.from_record(one, options.welch, known) for one in records]
+    experiment = simulated(name)
+    if told:
+        return experiment.identify(["lpm_full"]).estimators["lpm_full"]
+    options = replace(experiment.options, lpm=LpmConfig(reading=TorqueReading()))
+    data = [TrialData.from_record(one, options.welch) for one in experiment.records]
     return identify(data, ["lpm_full"], truth(), options).estimators["lpm_full"]
 
 
@@ -157,7 +137,7 @@ def test_a_drive_that_lags_changes_the_loop_and_not_the_impedance() -> None:
 
 def test_a_lag_that_would_make_the_loop_unstable_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"unstable when sampled.*lag by 3 ms"):
-        chosen(lag=0.003)
+        node_parameters(chosen(lag=0.003), None)
 
 
 @pytest.mark.slow
@@ -167,7 +147,8 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
     """By c/(K_rd + K_h), joint by joint; without friction, which would hold it as well."""
     options: dict[str, Any] = {"duration": 10.0, "friction": 0, "resolution": 1}
     tared, not_tared = (
-        chosen({"offset": [2.0, -1.5]}, tare=tare, **options) for tare in (True, False)
+        node_parameters(chosen({"offset": [2.0, -1.5]}, tare=tare, **options), None)
+        for tare in (True, False)
     )
     arm = tared.simulator.human_arm()
     expected = [-offset / (10.0 + arm.stiffness[k, k]) for k, offset in enumerate((2.0, -1.5))]
@@ -181,7 +162,8 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
 
 
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
-    case = chosen({"offset": OFFSET, "drift": [0.4, 0.2], "delay": 0.002}, duration=10.0)
+    config = chosen({"offset": OFFSET, "drift": [0.4, 0.2], "delay": 0.002}, duration=10.0)
+    case = node_parameters(config, None)
     short = {"duration": 0.2, "settle": 0.05, "rest": 0.06}
     controller = case.controller.model_copy(
         update={"sequence": case.controller.sequence.model_copy(update=short)}
@@ -209,7 +191,7 @@ def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
 
 
 def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> None:
-    case = chosen({"offset": [7.0, 0.0]}, duration=10.0)
+    case = node_parameters(chosen({"offset": [7.0, 0.0]}, duration=10.0), None)
     with pytest.raises(DataError, match=r"the torque of joint 1 reads 7 N·m at rest, tare\.limit"):
         run_offline([case.rig()])
 
