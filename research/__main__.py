@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from armimp_bringup import cli
-from armimp_bringup.resources import prepare_directory
+from armimp_bringup.config import prepare_directory
 from armimp_bringup.terminal import Display
 from armimp_common.compiled import on_compiling
 from armimp_common.errors import ConfigurationError

@@ -24,7 +24,7 @@ from armimp_bringup import orchestrator
 from armimp_bringup.cli import main
 from armimp_bringup.graph import GraphContext
 from armimp_bringup.nodes import SeparateNodes
-from armimp_bringup.supervisor import Supervisor
+from armimp_bringup.orchestrator import Supervisor
 from armimp_common.lifecycle import LifecycleManager, TransitionName
 from armimp_common.status import values_of
 from armimp_common.topics import SUPERVISOR_NODE

@@ -6,9 +6,8 @@ from types import ModuleType
 
 import pytest
 
-from armimp_bringup.config import ExperimentConfig, load_config
+from armimp_bringup.config import ExperimentConfig, config_file, load_config
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.resources import config_file
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.resources import config_file
+from armimp_bringup.config import config_file
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_estimation.bags import read_bag

@@ -48,7 +48,6 @@ WITH_ROS = {
     "armimp_bringup.orchestrator",
     "armimp_bringup.nodes",
     "armimp_bringup.replay",
-    "armimp_bringup.supervisor",
 }
 """Every other module must work where there is no ROS at all."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import atexit
 import inspect
 import os
+import resource
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,9 +22,8 @@ from pydantic import BaseModel
 from typer.exceptions import TyperException
 
 from armimp_bringup.config import CheckOptions, Declared, ExperimentConfig
-from armimp_bringup.resources import require_open_files
 from armimp_bringup.terminal import Display, phase, repair_streams, say
-from armimp_common.errors import ArmimpError, ConfigurationError, InterruptionError
+from armimp_common.errors import ArmimpError, ConfigurationError, GraphError, InterruptionError
 
 _FunctionT = TypeVar("_FunctionT", bound=Callable[..., Any])
 _MOST_CHOICES = 10
@@ -35,6 +35,8 @@ _TYPES: dict[str, Any] = {
     "array": list[str],
 }
 _FLAGS = {"estimators": "--estimator"}
+_OPEN_FILES = 64
+"""So many may be open at once in a process; a run of two joints has at most 26."""
 _INTERRUPTED = 130
 """What shells make of a program that SIGINT has ended; typer's own status for it, too."""
 app = typer.Typer(
@@ -210,10 +212,9 @@ def estimate(
     """Estimate the impedance from bags, one trial for each joint among them."""
     with Display() as display:
         display.phase("starting")
-        from armimp_bringup.config import checked
+        from armimp_bringup.config import checked, prepare_directory
         from armimp_bringup.offline_estimate import estimate_bags
         from armimp_bringup.presentation import present
-        from armimp_bringup.resources import prepare_directory
         from armimp_estimation.bags.files import find_bags
 
         declared = checked(Declared, options)
@@ -379,7 +380,7 @@ def main(
 ) -> int:
     """Run a command line; every error that a user can cause ends in one line."""
     try:
-        require_open_files()
+        _require_open_files()
         status = program(args=arguments, prog_name=name, standalone_mode=False)
     except TyperException as error:
         message = error.format_message()
@@ -420,6 +421,17 @@ def main(
 def tell_of_compiling() -> None:
     """Name that phase on the display that is open."""
     phase("compiling, once for this version")
+
+
+def _require_open_files() -> None:
+    """Raise the limit of open files as far as it must be; GraphError if that is not permitted."""
+    limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if 0 <= limit < _OPEN_FILES:
+        if 0 <= most < _OPEN_FILES:
+            raise GraphError(
+                f"{most} open files are permitted (ulimit -n), and {_OPEN_FILES} are needed"
+            )
+        resource.setrlimit(resource.RLIMIT_NOFILE, (_OPEN_FILES, most))
 
 
 def _new_directory(what: str) -> Path:

@@ -1,4 +1,4 @@
-"""The configuration of an experiment: what a user decides, in a file or by options."""
+"""What a user decides of an experiment, in a file or by options, and where its results go."""
 
 from __future__ import annotations
 
@@ -270,3 +270,61 @@ def _read(path: Path) -> dict[str, Any]:
     if loaded is not None and not isinstance(loaded, dict):
         raise ConfigurationError(f"{path}: should hold names and values, not {loaded!r:.60}")
     return loaded or {}
+
+
+def config_file(name: str) -> Path:
+    """Return a file of this package's ``config`` folder, from the sources or the installation.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is not there.
+    """
+    beside = Path(__file__).resolve().parents[1] / "config" / name
+    if beside.is_file():
+        return beside
+    # Where a wheel puts it: beside the folder of the packages in the same environment.
+    wheel = Path(__file__).resolve().parents[4] / "share" / "armimp_bringup" / "config" / name
+    if wheel.is_file():
+        return wheel
+    try:
+        from ament_index_python.packages import get_package_share_directory
+
+        installed = Path(get_package_share_directory("armimp_bringup")) / "config" / name
+    except (ImportError, LookupError):
+        installed = beside
+    if not installed.is_file():
+        raise ConfigurationError(f"{name} is neither in the sources nor installed: {beside}")
+    return installed
+
+
+def require_unused(directory: Path) -> None:
+    """Refuse an output directory with anything in it; there need not be one yet.
+
+    Raises
+    ------
+    ConfigurationError
+        If it exists and is not an empty directory.
+    """
+    try:
+        require_text(directory)
+        used = directory.exists() and any(directory.iterdir())
+    except OSError as error:
+        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None
+    if used:
+        raise ConfigurationError(f"{directory}: is not empty, nothing is overwritten")
+
+
+def prepare_directory(directory: Path) -> None:
+    """Make the output directory; one with anything in it is refused.
+
+    Raises
+    ------
+    ConfigurationError
+        If it exists and is not an empty directory, or can't be made.
+    """
+    require_unused(directory)
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigurationError(f"{directory}: cannot be made: {error.strerror}") from None

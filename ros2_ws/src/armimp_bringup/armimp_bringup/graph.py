@@ -12,7 +12,7 @@ from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from armimp_bringup.resources import config_file
+from armimp_bringup.config import config_file
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import NO_LOG_FILES

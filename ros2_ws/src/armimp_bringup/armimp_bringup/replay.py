@@ -15,12 +15,11 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from armimp_bringup.config import prepare_directory, require_unused
 from armimp_bringup.graph import GraphContext
 from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.offline_estimate import read_bags
-from armimp_bringup.orchestrator import PARAMETERS_FILE, Course, settle
-from armimp_bringup.resources import prepare_directory, require_unused
-from armimp_bringup.supervisor import Supervisor
+from armimp_bringup.orchestrator import PARAMETERS_FILE, Course, Supervisor, settle
 from armimp_bringup.terminal import complete
 from armimp_common import qos, topics
 from armimp_common.cdr import stamp_of

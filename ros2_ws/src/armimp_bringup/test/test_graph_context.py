@@ -10,11 +10,10 @@ from xml.etree import ElementTree
 import pytest
 from rclpy.node import Node
 
-from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.config import ExperimentConfig, config_file
 from armimp_bringup.graph import GraphContext
 from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.resources import config_file
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
 from armimp_bringup.graph import GraphContext
-from armimp_bringup.supervisor import Supervisor
+from armimp_bringup.orchestrator import Supervisor
 from armimp_common import qos, topics
 from armimp_common.errors import MalformedMessageError
 from armimp_common.executor import Spinner

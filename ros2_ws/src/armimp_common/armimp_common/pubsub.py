@@ -153,6 +153,26 @@ class RawSubscription:
         )
 
 
+def _decoded(
+    decode: Callable[[bytes], tuple[int, tuple[float, ...]]],
+    callback: Callable[[int, tuple[float, ...]], None],
+    on_malformed: OnMalformed | None,
+) -> Callable[[bytes], None]:
+    """Callback for bytes that hands on what is decoded of them, or the error."""
+
+    def on_message(data: bytes) -> None:
+        try:
+            number, values = decode(data)
+        except MalformedMessageError as error:
+            if on_malformed is None:
+                raise
+            on_malformed(error)
+        else:
+            callback(number, values)
+
+    return on_message
+
+
 class JointStateSubscription(RawSubscription):
     """Subscription to JointState messages, decoded in the order of `names`.
 
@@ -181,18 +201,7 @@ class JointStateSubscription(RawSubscription):
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
         decode = cdr.JointStateDecoder(names, field).decode
-
-        def on_message(data: bytes) -> None:
-            try:
-                stamp_ns, values = decode(data)
-            except MalformedMessageError as error:
-                if on_malformed is None:
-                    raise
-                on_malformed(error)
-            else:
-                callback(stamp_ns, values)
-
-        super().__init__(node, topic, JointState, on_message, profile)
+        super().__init__(node, topic, JointState, _decoded(decode, callback, on_malformed), profile)
 
 
 class CommandSubscription(RawSubscription):
@@ -215,19 +224,11 @@ class CommandSubscription(RawSubscription):
         on_malformed: OnMalformed | None = None,
         profile: QoSProfile = qos.SAMPLE,
     ) -> None:
-        decode = cdr.CommandDecoder(n).decode_numbered
+        def on_command(number: int, values: tuple[float, ...]) -> None:
+            on_number(number)
+            callback(values)
 
-        def on_message(data: bytes) -> None:
-            try:
-                number, values = decode(data)
-            except MalformedMessageError as error:
-                if on_malformed is None:
-                    raise
-                on_malformed(error)
-            else:
-                on_number(number)
-                callback(values)
-
+        on_message = _decoded(cdr.CommandDecoder(n).decode_numbered, on_command, on_malformed)
         super().__init__(node, topic, Float64MultiArray, on_message, profile)
 
 
