@@ -49,9 +49,9 @@ class FailingDevice:
             self.silence += timeout
             return None
         for _ in range(500):
+            time.sleep(0.001)
             if self._answers > self._counter:
                 break
-            time.sleep(0.001)
         self._counter += 1
         return Frame(self._counter, (60000, 60000), (1250, -400))
 
