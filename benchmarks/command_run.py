@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import tempfile
@@ -39,7 +40,12 @@ class CommandRun:
         return self.took - (0.0 if self.summary.wall is None else self.summary.wall.trials)
 
 
-def run_command(directory: Path, *options: str, watch_memory: bool = False) -> CommandRun:
+def run_command(
+    directory: Path,
+    *options: str,
+    watch_memory: bool = False,
+    environment: Mapping[str, str] | None = None,
+) -> CommandRun:
     """Run an experiment by the command line.
 
     Parameters
@@ -47,6 +53,7 @@ def run_command(directory: Path, *options: str, watch_memory: bool = False) -> C
     directory : new directory for its result
     options : of ``armimp run``
     watch_memory : whether to look at memory, which takes some time
+    environment : variables beside those of this process
 
     Raises
     ------
@@ -57,7 +64,12 @@ def run_command(directory: Path, *options: str, watch_memory: bool = False) -> C
     with tempfile.TemporaryFile("w+") as said:
         began = time.monotonic()
         with (
-            subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=said) as process,
+            subprocess.Popen(
+                command,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                env={**os.environ, **(environment or {})},
+            ) as process,
             PeakMemory(process.pid if watch_memory else None) as memory,
         ):
             try:

@@ -36,13 +36,13 @@ RUNS = 5
 """Experiments in a row for each arrangement; each has to be fast enough and lose nothing."""
 DURATION = 10.0
 """Length of each trial, s."""
-RATIO_LIMIT = 1.5
+RATIO_LIMIT = 1.4
 """Largest cost of a tick of the graph without the plant, in ticks of the bare exchange.
 
 The step of the plant is the physics that is simulated. A real rig has none, nor has a faster graph
 a cheaper one.
 """
-SPEED_LIMITS: Mapping[Processes, float] = {"separate": 2.0, "composed": 5.0}
+SPEED_LIMITS: Mapping[Processes, float] = {"separate": 2.5, "composed": 8.0}
 """Smallest speed, times real time."""
 _PATIENCE = 60.0
 _PARAMETERS = "parameters.yaml"
@@ -145,7 +145,7 @@ def graph_figures(
         "bare": ("bare exchange of the messages", floor),
         "graph": ("experiment", tick),
         "plant": ("step of the plant", plant),
-        "law": ("control law and safety gate", law),
+        "law": ("control law and safety limiter", law),
         "codecs": ("encoding and decoding", codecs),
         "recording": ("recording", recording),
         "rest": ("all the rest", tick - known),

@@ -8,18 +8,22 @@ from pathlib import Path
 from statistics import median
 
 from armimp_bringup.bench import Measured
-from armimp_estimation.summary import WallSummary
 from benchmarks.command_run import CommandRun, run_command
 
-LIMITS: Mapping[str, float | None] = {"composed": 3.0, "separate": None}
-"""Longest time outside of the trials, s."""
-RUNS: Mapping[str, int] = {"composed": 5, "separate": 3}
+RUNS: Mapping[str, int] = {"cold": 5, "composed": 5, "separate": 3}
+"""Runs of each kind; a cold one is composed and finds no compiled code."""
+LIMITS: Mapping[str, Mapping[str, float]] = {
+    "cold": {"before": 8.0},
+    "composed": {"before": 2.0, "result": 1.0, "after": 5.0},
+    "separate": {},
+}
+"""Longest times, s."""
 DURATION = 10.0
 """Length of each trial, s."""
 
 
 def time_start(tell: Callable[[str], None]) -> list[Measured]:
-    """Measure `armimp run` with a warm cache of compiled code; takes one to two minutes.
+    """Measure `armimp run` without and with a cache of compiled code; takes two to three minutes.
 
     Parameters
     ----------
@@ -35,39 +39,38 @@ def time_start(tell: Callable[[str], None]) -> list[Measured]:
     with tempfile.TemporaryDirectory() as folder:
         tell("a run to warm up")
         _run(Path(folder) / "first", "composed")
-        for processes, limit in LIMITS.items():
+        for kind, count in RUNS.items():
             runs = []
-            for number in range(RUNS[processes]):
-                tell(f"{processes}, {number + 1} of {RUNS[processes]}")
-                runs.append(_run(Path(folder) / f"{processes}{number}", processes))
-            figures += _figures(processes, runs, limit)
+            for number in range(count):
+                tell(f"{kind}, {number + 1} of {count}")
+                runs.append(_run(Path(folder) / f"{kind}{number}", kind))
+            figures += _figures(kind, runs)
     return figures
 
 
-def _run(directory: Path, processes: str) -> CommandRun:
-    return run_command(directory, "--duration", str(DURATION), "--processes", processes)
+def _run(directory: Path, kind: str) -> CommandRun:
+    options = ("--duration", str(DURATION))
+    if kind == "cold":
+        cache = directory.with_suffix(".cache")
+        return run_command(directory, *options, environment={"NUMBA_CACHE_DIR": str(cache)})
+    return run_command(directory, *options, "--processes", kind)
 
 
-def _figures(processes: str, runs: Sequence[CommandRun], limit: float | None) -> list[Measured]:
-    def seconds(key: str, what: str, values: Sequence[float]) -> Measured:
-        return Measured(
-            key=f"{processes}_{key}",
-            label=f"{processes}: {what} (median)",
-            value=median(values),
-            unit="s",
-            limit=limit if key == "outside" else None,
-        )
-
+def _figures(kind: str, runs: Sequence[CommandRun]) -> list[Measured]:
     walls = [run.summary.wall for run in runs if run.summary.wall is not None]
+    labels = {
+        "before": "process to first sample",
+        "trials": f"{len(runs[0].summary.trials)} trials",
+        "result": "last sample to M, B, K on the screen",
+        "after": "last sample to report and figures",
+    }
     return [
-        seconds("before", "process to first sample", [wall.before for wall in walls]),
-        seconds("trials", f"{len(runs[0].summary.trials)} trials", [wall.trials for wall in walls]),
-        seconds("after", "last sample to report and figures", [wall.after for wall in walls]),
-        seconds("exit", "start and end of the process itself", _rests(runs, walls)),
-        seconds("outside", "all but the trials", [run.outside for run in runs]),
+        Measured(
+            key=f"{kind}_{key}",
+            label=f"{kind}: {label} (median)",
+            value=median(getattr(wall, key) for wall in walls),
+            unit="s",
+            limit=LIMITS[kind].get(key),
+        )
+        for key, label in labels.items()
     ]
-
-
-def _rests(runs: Sequence[CommandRun], walls: Sequence[WallSummary]) -> list[float]:
-    parts = [wall.before + wall.trials + wall.after for wall in walls]
-    return [run.took - part for run, part in zip(runs, parts, strict=True)]

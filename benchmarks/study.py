@@ -23,7 +23,7 @@ from armimp_sim.dynamics import WIDTH
 
 TRIAL = 50.0
 """Length of the trials of the study, s."""
-TARGET = 60.0
+TARGET = 20.0
 """Largest time for all conditions with two trials each on two cores, s."""
 _REPEATS = 5
 _SETTLE = _REST = 0.05

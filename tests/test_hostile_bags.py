@@ -17,6 +17,8 @@ from support.hostile_bags import ATTACKS, QUICK, REPLAY
 _MOST_MEMORY: Final = 1.5e9
 _MOST_TIME: Final = 30.0
 _NOTES = ("note: ", "armimp: note: ", "trial ")
+_VERDICT: Final = "armimp: not valid: "
+_MOST_REASONS: Final = 5
 _LONGEST_LINE: Final = 1300
 NAMED: Final = ("/dev/zero", "parameter '", "not valid: ")
 """What a line may name in the place of the file: a device, a parameter, a verdict."""
@@ -37,10 +39,17 @@ def faults_of(outcome: dict[str, Any], directory: Path) -> list[str]:
     """What is wrong with an outcome, in words; time is that of the processor."""
     said = outcome["err"]
     complaints = [line for line in said.splitlines() if not line.startswith(_NOTES)]
+    # A file that could be read to its end has a verdict, with a line for each of its reasons.
+    refusals = [line for line in complaints if not line.startswith(_VERDICT)]
     found = [
         (outcome["status"] not in (0, 1, 2), f"ended with {outcome['status']}"),
         ("Traceback" in said, "traceback"),
-        (bool(outcome["status"]) and len(complaints) != 1, f"{len(complaints)} lines of reasons"),
+        (bool(outcome["status"]) and not complaints, "no reason"),
+        (
+            len(refusals) > 1 or (bool(refusals) and refusals != complaints),
+            f"{refusals} refused it",
+        ),
+        (len(complaints) > _MOST_REASONS, f"{len(complaints)} reasons"),
         (any(not line.startswith("armimp: ") for line in complaints), "no line of ours"),
         (any(len(line) > _LONGEST_LINE for line in complaints), "a line beyond reading"),
         (

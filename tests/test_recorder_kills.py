@@ -48,7 +48,7 @@ directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]
 arm = recorded_arm(samples)
 ticks = 60 + samples + 60
 begin = (trial - 1) * ticks * 1_000_000
-recording = Recording(arm.records[0].joint_names, directory, {}, lambda *_: None)
+recording = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: None)
 
 def record():
     recording.add_many(inbox.take(), lambda topic, error: None)

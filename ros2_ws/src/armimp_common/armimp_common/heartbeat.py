@@ -16,6 +16,7 @@ out without a cause, and never renews it then.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from enum import Enum
 
@@ -104,6 +105,8 @@ class HeartbeatMonitor:
     ----------
     presence : Presence
         As last heard. It stays unknown for a node that offers no heartbeat.
+    checked : float
+        When the process was last looked up (monotonic, s).
     """
 
     def __init__(
@@ -111,6 +114,7 @@ class HeartbeatMonitor:
     ) -> None:
         self.name = name
         self.presence = Presence.UNKNOWN
+        self.checked = time.monotonic()
         self._on_change = on_change
         self._alive = self._silent = 0
         self._process, self._own_process = "", identity()
@@ -144,6 +148,7 @@ class HeartbeatMonitor:
 
     def check(self) -> None:
         """Find out what has become of the process, and tell if that is news."""
+        self.checked = time.monotonic()
         alive, silent = self._alive, self._silent
         process_lives = None
         if self._process and self._process == self._own_process:

@@ -53,6 +53,8 @@ _WATCHDOG_PERIODS = {"lockstep": 0.02, "realtime": PERIOD}
 """How often the watchdog is asked (s); on the way down to zero once a period in any mode."""
 _DIAGNOSTICS_TICKS = 1000
 _STOPPED = "emergency stop"
+_UNCHECKED = 0.05
+"""How old what is known of the other nodes may be when torque is commanded (s)."""
 _FAREWELL = Duration(seconds=0.5)
 """How long the last command and status may take to arrive before this process ends."""
 _NO_SAMPLE = "no sensor sample arrived any more"
@@ -275,10 +277,19 @@ class ImbicControllerNode(ManagedNode):
         self, sequencer: TrialSequencer, stamp_ns: int, theta: Reading, tau_h: Reading
     ) -> None:
         sequencer.answer(stamp_ns, theta, tau_h)
+        if time.monotonic() - self._supervisor.checked > _UNCHECKED and self._lost(sequencer):
+            return
         self._commands.publish(sequencer.command)
         self._perturbation.publish(stamp_ns, sequencer.tau_delta)
         if sequencer.tick % _DIAGNOSTICS_TICKS == 0:
             self._report()
+
+    def _lost(self, sequencer: TrialSequencer) -> bool:
+        """Whether the experiment ends now, as another node was lost in a stall of this process."""
+        before = sequencer.at_rest
+        for monitor in (*self._partners, self._supervisor):
+            monitor.check()
+        return sequencer.at_rest and not before
 
     def _on_watchdog(self) -> None:
         sequencer, now = self._sequencer, time.monotonic()

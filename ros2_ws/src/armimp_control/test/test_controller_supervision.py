@@ -60,10 +60,13 @@ class Surroundings:
             eventually(self.spinner, lambda: self.driver.answered, "an answer")
         assert any(self.driver.commands[-1])
 
+    @property
+    def monitors(self) -> list[heartbeat.HeartbeatMonitor]:
+        return [*self.controller._partners, self.controller._supervisor]
+
     def heard(self, name: str, *, alive: int, silent: int) -> None:
         """Have the controller hear from another process what the middleware would report."""
-        watched = [*self.controller._partners, self.controller._supervisor]
-        (watch,) = (watch for watch in watched if watch.name == name)
+        (watch,) = (watch for watch in self.monitors if watch.name == name)
         watch._on_event(SimpleNamespace(alive_count=alive, not_alive_count=silent))
 
     def aborted(self) -> bool:
@@ -108,6 +111,27 @@ def test_when_the_rig_is_lost_expect_zero_torque(
     around.heard(SIM_NODE, alive=alive, silent=silent)
 
     around.assert_aborted(f"{SIM_NODE} {how}")
+
+
+def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_meanwhile(
+    around: Surroundings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(heartbeat, "life_of", lambda _: Life.RUNNING)
+    around.activate()
+    around.heard(SIM_NODE, alive=1, silent=0)
+    monkeypatch.setattr(heartbeat, "life_of", lambda _: Life.ENDED)
+    # Nothing but the sample finds out: it waits before the timers of the monitors.
+    for monitor in around.monitors:
+        monitor._timer.cancel()
+        monitor.checked -= 0.1
+
+    commands = len(around.driver.commands)
+    around.driver.feed(OFF, (0.0, 0.0))
+    eventually(around.spinner, lambda: len(around.driver.commands) > commands, "a command")
+
+    assert not np.any(around.driver.commands[commands:])
+    eventually(around.spinner, around.aborted, "the abortion")
+    assert around.driver.statuses[-1].reason == f"{SIM_NODE} is dead"
 
 
 def test_when_the_orchestrator_is_dead_and_not_only_silent_expect_zero_torque(
