@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.offline import simulate
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets as control_presets
 from armimp_control.laws.imbic import ImbicConfig
@@ -101,6 +104,31 @@ def test_after_the_perturbation_all_joints_return_to_the_posture(friction: int) 
     position, _, _ = _run(plant, _law(plant), tau_delta, 0)
     assert np.max(np.abs(position[0, :600])) > 0.05
     assert np.max(np.abs(position[:, 3500:])) < 5e-4
+
+
+@pytest.mark.parametrize(("friction", "level"), [(0, 3), (3, 1), (3, 3)])
+def test_with_an_observer_drives_can_follow_and_the_arm_feels_little(
+    friction: int, level: int
+) -> None:
+    def steps(internal_model: Literal["observer", "tde"]) -> tuple[float, float]:
+        """Changes of commands and of torques on the arm from tick to tick, rms, N·m."""
+        config = ExperimentConfig(
+            friction=friction, perturbation=level, duration=2.0, internal_model=internal_model
+        )
+        records = simulate([config])[0].records
+        changes = [
+            [np.diff(signal, axis=1) for signal in (one.command, one.torque) if signal is not None]
+            for one in records
+        ]
+        command, torque = np.sqrt(np.mean(np.square(changes), axis=(0, 2, 3)))
+        return float(command), float(torque)
+
+    command, torque = steps("observer")
+    assert command <= 1.0
+    assert torque <= 0.35
+    reference, felt = steps("tde")
+    assert reference > 15.0
+    assert felt > 5.0
 
 
 def _late_command(model: float, joint: int) -> float:

@@ -15,7 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
-from armimp_control.laws.base import COMMAND, MEMORY_ROWS, ROLE_ROWS, SENSED
+from armimp_control.laws.base import (
+    COMMAND,
+    IMBIC,
+    IMBIC_OBSERVER,
+    MEMORY_ROWS,
+    MODEL_ROWS,
+    ROLE_ROWS,
+    SENSED,
+)
 from armimp_control.laws.law import control_tick
 from armimp_control.safety_limiter import (
     ASKED,
@@ -182,7 +190,7 @@ def _judge_passing(
 
 @compiled
 def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
-    through_law: bool,
+    law: int,
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
@@ -199,9 +207,9 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
 
     Parameters
     ----------
-    through_law : whether commands come from the law, or from ``asked``
+    law : kind of the law that commands come from; negative: from ``asked``
     theta, tau_h, tau_delta, asked : (ticks, n) rad, N·m
-    role, model, rules : (ROLE_ROWS, n), (n, n), (RULE_ROWS, n) of law and gate
+    role, model, rules : (ROLE_ROWS, n), (MODEL_ROWS, n, n), (RULE_ROWS, n) of law and gate
     event, event_tick : what the caller asks the gate for, and when
     broken : (promises,) added to
     counts : (3,) of faults, poisoned ticks and clipped joint commands, added to
@@ -228,9 +236,9 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
                 kept[count, i] = theta[k, i]
             count += 1
         was_closed = journal[STOPPED] != 0.0
-        if through_law:
+        if law >= 0:
             clipped = control_tick(
-                0,
+                law,
                 theta[k],
                 tau_h[k],
                 tau_delta[k],
@@ -254,7 +262,7 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
         if closed and closed_at < 0:
             closed_at = k
         broken[_CLOSED] += closed_at >= 0 and not closed
-        if through_law:
+        if law >= 0:
             differs = False
             for i in range(n):
                 differs = differs or memory[COMMAND, i] != (0.0 if closed else command[i])
@@ -288,7 +296,7 @@ def _run_sequences(  # noqa: PLR0917 (compiled code takes no objects)
     """Run sequences with the arrays of :func:`_run_sequence` stacked, every other by the law."""
     for j in range(theta.shape[0]):
         _run_sequence(
-            j % 2 == 1,
+            (-1, IMBIC, -1, IMBIC_OBSERVER)[j % 4],
             theta[j],
             tau_h[j],
             tau_delta[j],
@@ -383,7 +391,7 @@ def campaign(sequences: int, seed: int) -> CampaignResult:
             tau_delta,
             asked,
             roles,
-            np.eye(n) * 10.0 ** rng.uniform(-2, 1, (m, 1, 1)),
+            np.eye(n) * 10.0 ** rng.uniform(-2, 1, (m, MODEL_ROWS, 1, 1)),
             rules,
             rng.choice([_NONE, _NONE, _STOPPED, _CUT, _RELEASED], m),
             rng.integers(0, _TICKS, m),

@@ -78,6 +78,11 @@ class ExperimentConfig(BaseModel):
         description="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder "
         "and 1.8, 3.6, 5.4 N·m at the elbow.",
     )
+    internal_model: Literal["observer", "tde"] = Field(
+        default="tde",
+        description="Internal model of the control law: observer, or tde, time-delay estimation "
+        "with raw differences of the encoders, whose torques no drive can follow.",
+    )
     duration: float = Field(
         default=50.0, ge=2.0, le=9000.0, description="Length of each trial, s; 2 to 9000."
     )

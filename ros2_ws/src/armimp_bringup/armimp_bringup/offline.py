@@ -99,7 +99,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
     laws : (lanes,) kinds of the laws
     roles : (lanes, ROLE_ROWS, n) from the configurations of the laws
-    targets, models : (lanes, n) θ_rd, rad, and (lanes, n, n) M̄, kg·m²
+    targets, models : (lanes, n) θ_rd, rad, and (lanes, MODEL_ROWS, n, n) from the configurations
     scalars : (lanes, 2) Γ, rad/s; L, s
     rules : (lanes, RULE_ROWS, n) of the safety limiters
     memory : (lanes, MEMORY_ROWS, n) of the law, updated
@@ -238,7 +238,6 @@ def _run(
     configs = [rig.controller for rig in rigs]
     laws = np.array([law.kind for law in configs])
     targets = np.array([law.target_posture for law in configs])
-    models = np.array([law.model_inertia for law in configs])
     scalars = np.array([(law.gamma, law.period) for law in configs])
     rules = np.array(
         [
@@ -268,7 +267,8 @@ def _run(
             for lane, matrix in enumerate(mixing or ()):
                 tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T
         role = NO_JOINT if segment.tare else None if together else segment.joint
-        roles = np.array([rig.controller.role(role) for rig in rigs])
+        roles = np.array([law.role(role) for law in configs])
+        models = np.array([law.model(role) for law in configs])
         roles[:, TARE] = tares
         record = np.empty((3, lanes, n, segment.ticks))
         clipped = np.zeros(lanes, dtype=np.int64)

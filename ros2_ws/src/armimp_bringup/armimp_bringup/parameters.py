@@ -151,6 +151,7 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
         duration=config.duration,
         seed=config.seed,
         encoder_resolution=plant.sensors.encoder_resolution,
+        internal_model=config.internal_model,
     )
     known = {**_time_of(config), **_known_of(simulator)}
     controller = _overridden(preset, CONTROLLER_NODE, {**known, **config.imbic_controller})

@@ -12,7 +12,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema, matrix
 from armimp_control import presets
-from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import LawConfig
 from armimp_control.laws.pd import PdConfig
 from armimp_control.perturbation import PerturbationParameters
@@ -68,14 +68,37 @@ class TargetParameters(Schema):
 
 
 class LawParameters(Schema):
-    """Which law; time-delay estimation and ideal-velocity feedback of IMBIC; assumptions."""
+    """Which law; internal model and ideal-velocity feedback of IMBIC; assumptions."""
 
     kind: Literal["imbic", "pd"] = Field(
         default="imbic",
         description="control law: imbic, or pd, plain PD locking as the negative control",
     )
+    internal_model: presets.InternalModel = Field(
+        default="tde",
+        description="internal model of imbic: observer, or tde, time-delay estimation with raw "
+        "differences of the encoders",
+    )
     model_inertia: Vector = Field(
         description="inertia M̄ of the internal model of imbic, n×n row by row (kg·m²)"
+    )
+    encoder_resolution: float = Field(
+        default=presets.FINEST,
+        ge=1e-6,
+        le=0.1,
+        description="rounding of the encoders that the observer expects (rad); a smaller one makes "
+        "it faster, and less patient with late commands",
+    )
+    perturbed_walk: Vector = Field(
+        default=(0.4,),
+        description="rms change within a control period of the unknown torque, mostly friction, "
+        "that the observer expects of a joint while it is perturbed (N·m); one value for all "
+        "joints or one for each",
+    )
+    locked_walk: Vector = Field(
+        default=(0.02,),
+        description="the same of a joint while it is locked (N·m); one value for all joints or "
+        "one for each",
     )
     gamma: float = Field(
         default=100.0, gt=0.0, description="gain Γ of the ideal-velocity feedback of imbic (rad/s)"
@@ -118,7 +141,7 @@ class ControllerParameters(Schema):
     safety: SafetyParameters = SafetyParameters()
 
     @classmethod
-    def preset(
+    def preset(  # noqa: PLR0913 (each is a fact of its own)
         cls,
         *,
         joints: tuple[str, ...],
@@ -129,6 +152,7 @@ class ControllerParameters(Schema):
         duration: float = 50.0,
         seed: int = 1,
         encoder_resolution: float = 0.0,
+        internal_model: presets.InternalModel = "tde",
     ) -> ControllerParameters:
         """Default law for a rig, with the perturbation of a level from 1 to 3.
 
@@ -140,9 +164,11 @@ class ControllerParameters(Schema):
         perturbation : level, 1 to 3
         duration : of every perturbation, s
         seed : of the perturbation
-        encoder_resolution : rad per count, for the dither of locked joints
+        encoder_resolution : rad per count, for the dither of locked joints and the observer
+        internal_model : observer or tde
         """
-        law = presets.imbic(robot_inertia, posture)
+        law = presets.imbic(robot_inertia, posture, internal_model)
+        observer = presets.observer(len(joints), encoder_resolution)
         return cls(
             joints=joints,
             seed=seed,
@@ -151,9 +177,16 @@ class ControllerParameters(Schema):
                 inertia=_flat(law.target_inertia),
                 damping=_flat(law.target_damping),
                 stiffness=_flat(law.target_stiffness),
+                lock_frequency=law.lock_frequency,
                 lock_dither=presets.lock_dither(encoder_resolution),
             ),
-            law=LawParameters(model_inertia=_flat(law.model_inertia)),
+            law=LawParameters(
+                internal_model=internal_model,
+                model_inertia=_flat(law.model_inertia),
+                encoder_resolution=observer.resolution,
+                perturbed_walk=_flat(observer.perturbed),
+                locked_walk=_flat(observer.locked),
+            ),
             known=KnownParameters(
                 robot_inertia=_flat(robot_inertia), arm_inertia=_flat(arm_inertia)
             ),
@@ -182,7 +215,19 @@ class ControllerParameters(Schema):
             model_inertia=self._matrix("law.model_inertia", self.law.model_inertia),
             gamma=self.law.gamma,
             period=PERIOD,
+            observer=self._observer() if self.law.internal_model == "observer" else None,
         )
+
+    def _observer(self) -> Observer:
+        law, n = self.law, len(self.joints)
+        walks: dict[str, NDArray[np.float64]] = {}
+        for name, values in (("perturbed", law.perturbed_walk), ("locked", law.locked_walk)):
+            if len(values) not in {1, n} or not min(values) > 0.0:
+                raise ConfigurationError(
+                    f"parameter 'law.{name}_walk' needs 1 or {n} positive values: {list(values)}"
+                )
+            walks[name] = np.broadcast_to(values, n).astype(np.float64)
+        return Observer(resolution=law.encoder_resolution, **walks)
 
     def pd_config(self) -> PdConfig:
         """The negative control, whichever was chosen; its gains follow from diag(M_r(θ_0))."""

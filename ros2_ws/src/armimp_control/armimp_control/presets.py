@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Literal, TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
-from armimp_control.laws.imbic import ImbicConfig
+from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.perturbation import PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 
 LEVELS = (1, 2, 3)
+
+InternalModel: TypeAlias = Literal["observer", "tde"]
+
+FINEST = 1e-4
+"""Rounding of encoders (rad) below which the observer gets no faster: delays would show."""
 
 _PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table III)
 
@@ -74,17 +81,43 @@ def safety(joints: int) -> SafetyParameters:
     )
 
 
-def imbic(robot_inertia: NDArray[np.float64], posture: NDArray[np.float64]) -> ImbicConfig:
+def observer(joints: int, encoder_resolution: float) -> Observer:
+    """What the observer has to expect. Assumptions, chosen by ``make research ARGS=controller``.
+
+    Friction at a joint that reverses changes by some N·m within ten milliseconds; that of a locked
+    joint, which moves by a count or so, hardly changes. Both are in proportion to the size of the
+    joint, see :data:`armimp_common.sizes.JOINT_SIZES`.
+
+    Parameters
+    ----------
+    joints : n
+    encoder_resolution : rad per count
+    """
+    sizes = np.array(_sizes("observer", joints))
+    return Observer(
+        resolution=min(max(encoder_resolution, FINEST), 0.01),
+        perturbed=0.4 * sizes,
+        locked=0.02 * sizes,
+    )
+
+
+def imbic(
+    robot_inertia: NDArray[np.float64],
+    posture: NDArray[np.float64],
+    internal_model: InternalModel = "tde",
+) -> ImbicConfig:
     """Default law for a robot and a posture. Assumptions.
 
-    M̄ = 0.6·M_r(θ_0). For two joints M_rd, B_rd and K_rd are those of the study's rig. For other
-    numbers M_rd = 0.56·diag(M_r(θ_0)), and a perturbed joint has B_rd/M_rd = 10 1/s, as the rig of
-    the study, and K_rd/M_rd = 100 1/s², as its elbow.
+    M̄ = M_r(θ_0) for the observer, whose torques are all fed forward through it, and 0.6·M_r(θ_0)
+    for time-delay estimation, where it is a gain. For two joints M_rd, B_rd and K_rd are those of
+    the study's rig. For other numbers M_rd = 0.56·diag(M_r(θ_0)), and a perturbed joint has
+    B_rd/M_rd = 10 1/s, as the rig of the study, and K_rd/M_rd = 100 1/s², as its elbow.
 
     Parameters
     ----------
     robot_inertia : (n, n) M_r(θ_0), kg·m²
     posture : (n,) θ_0, rad, which becomes the target posture
+    internal_model : observer, which expects encoders as fine as matters, or tde
     """
     if posture.size == 2:
         inertia = np.array([0.2, 0.1])
@@ -92,12 +125,15 @@ def imbic(robot_inertia: NDArray[np.float64], posture: NDArray[np.float64]) -> I
     else:
         inertia = 0.56 * np.diag(robot_inertia)
         damping, stiffness = 10.0 * inertia, 100.0 * inertia
+    observes = internal_model == "observer"
     return ImbicConfig(
         target_posture=posture,
         target_inertia=inertia,
         target_damping=damping,
         target_stiffness=stiffness,
-        model_inertia=0.6 * robot_inertia,
+        model_inertia=(1.0 if observes else 0.6) * robot_inertia,
+        lock_frequency=120.0 if observes else 100.0,
+        observer=observer(posture.size, FINEST) if observes else None,
     )
 
 

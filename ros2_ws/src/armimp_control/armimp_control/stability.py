@@ -10,7 +10,17 @@ from pydantic import Field, model_validator
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
-from armimp_control.laws.base import DAMPING, INERTIA, SENSED, STIFFNESS
+from armimp_control.laws.base import (
+    ANGLE_GAIN,
+    DAMPING,
+    DISTURBANCE_GAIN,
+    IMBIC_OBSERVER,
+    INERTIA,
+    INVERSE,
+    SENSED,
+    STIFFNESS,
+    VELOCITY_GAIN,
+)
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import LawConfig
 
@@ -18,6 +28,8 @@ FloatArray = NDArray[np.float64]
 LIMIT = 2.0
 WARNING_SHARE = 0.8
 """Share of the limit from which on a warning is due."""
+ARM_RANGE = 3.0
+"""Factor by which the arm may be heavier or lighter than known before a warning is due."""
 _GROWTH = 1e-4
 """Growth per tick taken for rounding: a target without stiffness and damping has exactly none."""
 
@@ -157,8 +169,8 @@ class StabilityMargins:
     """How far a sampled loop is from instability.
 
     The first two numbers must stay below 2; they are simple, but hold only for a soft target and
-    small Γ, and exist for IMBIC alone. The third must stay below 1 and takes all of the law into
-    account.
+    small Γ, and exist for time-delay estimation alone. The third must stay below 1 and takes all
+    of the law into account.
 
     Attributes
     ----------
@@ -185,7 +197,9 @@ def check_stability(
     """Check the sampled loop with every joint perturbed in turn.
 
     The condition is that the loop of law and inertia returns to rest, see :func:`spectral_radius`;
-    for IMBIC also λmax((M_r + M_h)⁻¹ M̄) < 2 and M̄ M_h/(M_rd (M_r + M_h)) < 2.
+    for time-delay estimation also λmax((M_r + M_h)⁻¹ M̄) < 2 and M̄ M_h/(M_rd (M_r + M_h)) < 2.
+    Warnings tell of changes with which the loop would be unstable: larger gains, an arm heavier or
+    lighter by a factor of 3, torques or commands one period later.
 
     Parameters
     ----------
@@ -200,10 +214,12 @@ def check_stability(
         If a condition is violated or the inertia makes no sense; the message carries the value.
     """
     total = _total_inertia(config.joints, robot_inertia, arm_inertia)
-    if isinstance(config, ImbicConfig):
-        values, gains = _simple_conditions(config, total, arm_inertia), "M̄"
-    else:
-        values, gains = {}, "gains"
+    gains = "M̄" if isinstance(config, ImbicConfig) else "gains"
+    values = (
+        _simple_conditions(config, total, arm_inertia)
+        if isinstance(config, ImbicConfig) and config.observer is None
+        else {}
+    )
     warnings = [
         f"{name} = {value:.3g} is close to its stability limit {LIMIT:g}"
         for name, value in values.items()
@@ -213,12 +229,12 @@ def check_stability(
     later = known.model_copy(update={"torque_delay": known.torque_delay + config.period})
     later_command = known.model_copy(update={"command_delay": known.command_delay + 1})
 
-    def radius_of(k: int, assumed: RigDynamics, gain: float = 1.0) -> float:
+    def radius_of(k: int, assumed: RigDynamics, gain: float = 1.0, arm: float = 1.0) -> float:
         return spectral_radius(
             config,
             perturbed=k,
             robot_inertia=robot_inertia,
-            arm_inertia=arm_inertia,
+            arm_inertia=arm * arm_inertia,
             gain=gain,
             dynamics=assumed,
         )
@@ -232,21 +248,18 @@ def check_stability(
                 f"{k + 1} is perturbed, motion grows by a factor of {radius:.4g} per tick"
                 + _with(known)
             )
-        if not radius_of(k, known, 1.0 / WARNING_SHARE) < 1.0 + _GROWTH:
-            warnings.append(
-                f"with {gains} larger by {1.0 / WARNING_SHARE - 1.0:.0%} the loop would be "
-                f"unstable while joint {k + 1} is perturbed"
-            )
-        if not known.none and not radius_of(k, later) < 1.0 + _GROWTH:
-            warnings.append(
-                f"with torques read {1e3 * config.period:g} ms later the loop would be unstable "
-                f"while joint {k + 1} is perturbed"
-            )
-        if known.command_delay and not radius_of(k, later_command) < 1.0 + _GROWTH:
-            warnings.append(
-                f"with commands that act {1e3 * config.period:g} ms later the loop would be "
-                f"unstable while joint {k + 1} is perturbed"
-            )
+        changes = {
+            f"{gains} larger by {1.0 / WARNING_SHARE - 1.0:.0%}": (known, 1.0 / WARNING_SHARE, 1.0),
+            f"an arm {ARM_RANGE:g} times as heavy": (known, 1.0, ARM_RANGE),
+            f"an arm {ARM_RANGE:g} times as light": (known, 1.0, 1.0 / ARM_RANGE),
+            f"torques read {1e3 * config.period:g} ms later": (later, 1.0, 1.0),
+            f"commands that act {1e3 * config.period:g} ms later": (later_command, 1.0, 1.0),
+        }
+        warnings += [
+            f"with {change} the loop would be unstable while joint {k + 1} is perturbed"
+            for change, (assumed, gain, arm) in changes.items()
+            if not radius_of(k, assumed, gain, arm) < 1.0 + _GROWTH
+        ]
         radii.append(radius)
     return StabilityMargins(
         time_delay_estimation=next(iter(values.values()), None),
@@ -309,25 +322,35 @@ def spectral_radius(
     # A prompt reading is that of the last command, which is part of the state anyway.
     late = rig.delay + 1 if dynamics is not None and not dynamics.none else 0
     delay = 0 if dynamics is None else dynamics.command_delay
-    count = 6 + rig.states + late + delay
-    role = config.role(perturbed)
+    count = 7 + rig.states + late + delay
+    role, model = config.role(perturbed), config.model(perturbed)
     per_inertia = np.linalg.inv(robot_inertia + arm_inertia)
     # Everything is linear in the state: each of these (n, count·n) gives one vector of it.
     vectors = np.eye(count * n).reshape(count, n, count * n)
-    theta, velocity, theta_1, theta_2, ideal, torque = vectors[:6]
-    states, readings, under_way = np.split(vectors[6:], [rig.states, rig.states + late])
-    sensed_torque = readings[-1] if late else torque
-    measured = (theta - theta_1) / period
+    # Of the past: two angles, or what the observer makes of it.
+    theta, velocity, *past, ideal, torque = vectors[:7]
+    states, readings, under_way = np.split(vectors[7:], [rig.states, rig.states + late])
+    load = arm_inertia @ per_inertia @ (readings[-1] if late else torque)
+    if config.kind == IMBIC_OBSERVER:
+        angle, measured, known = past
+        acceleration = known + model[INVERSE] @ (torque - load)
+        error = theta - angle - period * measured - 0.5 * period**2 * acceleration
+        angle = theta - error + model[ANGLE_GAIN] @ error
+        measured = measured + period * acceleration + model[VELOCITY_GAIN] @ error
+        known = known + model[DISTURBANCE_GAIN] @ error
+        base, past = load, [angle, measured, known]
+    else:
+        angle, measured = theta, (theta - past[0]) / period
+        known = (theta - 2.0 * past[0] + past[1]) / period**2
+        base, past = torque, [theta, past[0], np.zeros_like(theta)]
     if isinstance(config, ImbicConfig):
         sensed, damping, stiffness = (
             np.diag(role[row] / role[INERTIA]) for row in (SENSED, DAMPING, STIFFNESS)
         )
-        load = arm_inertia @ per_inertia @ sensed_torque
-        u = -sensed @ load - damping @ measured - stiffness @ theta
+        u = -sensed @ load - damping @ measured - stiffness @ angle
         ideal = ideal + period * u
-        delayed = (theta - 2.0 * theta_1 + theta_2) / period**2
-        torque = torque + gain * config.model_inertia @ (
-            u + config.gamma * (ideal - measured) - delayed
+        torque = base + gain * config.model_inertia @ (
+            u + config.gamma * (ideal - measured) - known
         )
     else:
         damping, stiffness = np.diag(role[DAMPING]), np.diag(role[STIFFNESS])
@@ -339,8 +362,7 @@ def spectral_radius(
     following = (
         theta + period * velocity + per_inertia @ (rig.way[0] * drive + rig.way[1] * acting),
         velocity + per_inertia @ (rig.speed[0] * drive + rig.speed[1] * acting),
-        theta,
-        theta_1,
+        *past,
         ideal,
         torque,
         *(

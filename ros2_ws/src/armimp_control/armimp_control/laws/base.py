@@ -11,7 +11,10 @@ from armimp_common.errors import ConfigurationError
 THETA_1, THETA_2, IDEAL_VELOCITY, COMMAND, TICKS, OFFSET, SENSED_BEFORE = range(7)
 """Memory between ticks: the last two positions, ∫ u dt, the command sent, ticks since the start,
 distance of the target from θ_rd, and the first row of the role."""
-MEMORY_ROWS = 7
+ANGLE, VELOCITY, DISTURBANCE = 7, 8, 9
+"""Memory of the observer: angle (rad), velocity (rad/s), acceleration that no torque explains
+(rad/s²)."""
+MEMORY_ROWS = 10
 
 SENSED, INERTIA, DAMPING, STIFFNESS, APPROACH, DITHER, DITHER_ANGLE, TARE = range(8)
 """Role in a trial: share of τ_h' sensed; impedance that a joint is to show; what is left after a
@@ -19,10 +22,15 @@ tick of the distance of its target from θ_rd; amplitude (rad) and angle per tic
 in its target; what the torque transducer reads at rest (N·m), which the law takes from τ_h'."""
 ROLE_ROWS = 8
 
+INERTIA_MODEL, INVERSE, ANGLE_GAIN, VELOCITY_GAIN, DISTURBANCE_GAIN = range(5)
+"""Internal model in a trial, matrices (n, n): M̄ (kg·m²), and for the observer M̄⁻¹ and what an error
+of the encoders (rad) adds to angles (rad), velocities (rad/s) and accelerations (rad/s²)."""
+MODEL_ROWS = 5
+
 NO_JOINT = -1
 """Stands for the perturbed joint while all joints are locked."""
 
-IMBIC, PD = 0, 1
+IMBIC, PD, IMBIC_OBSERVER = 0, 1, 2
 """What tells the laws apart in compiled code."""
 
 

@@ -1,15 +1,28 @@
-"""IMBIC: internal-model-based impedance control by time-delay estimation and ideal velocity.
+"""IMBIC: internal-model-based impedance control with ideal velocity, and two internal models.
 
 The law (eq. 4–8 of the paper), once per tick k of length L::
 
     u    = M_rd⁻¹ [τ_Δ − τ_h' − B_rd θ̇ − K_rd (θ − θ_rd)]         desired acceleration
     v_id = ∫ u dt                                                ideal velocity
+
+On the perturbed joint τ_h' is the measured torque on the arm; on locked joints τ_h' = 0 and τ_Δ = 0
+and the target is stiff, so that they hold still whatever the arm does. Then, by time-delay
+estimation,
+
     τ_t  = τ_{t−L} + M̄ [u + Γ (v_id − θ̇) − θ̈_{t−L}]
 
-with θ̇ = (θ_k − θ_{k−1})/L and θ̈_{t−L} = (θ_k − 2θ_{k−1} + θ_{k−2})/L². On the perturbed joint τ_h'
-is the measured torque on the arm; on locked joints τ_h' = 0 and τ_Δ = 0 and the target is stiff,
-so that they hold still whatever the arm does. τ_{t−L} is the command actually sent, after
-saturation.
+with θ̇ = (θ_k − θ_{k−1})/L and θ̈_{t−L} = (θ_k − 2θ_{k−1} + θ_{k−2})/L², where τ_{t−L} is the command
+actually sent, after saturation. One count of an encoder is a torque of M̄ δ/L² there. Or with an
+observer of angles θ̂, velocities v̂, and accelerations d̂ that no known torque explains, which takes
+the place of the differences in u as well,
+
+    τ_t  = M̄ [u + Γ (v_id − v̂) − d̂] + τ_h .
+
+The torque on the arm is measured, so what is left for the observer is the robot alone::
+
+    a  = M̄⁻¹ (τ_{t−L} − τ_h) + d̂
+    e  = θ − (θ̂ + L v̂ + L²a/2)
+    θ̂ ← θ̂ + L v̂ + L²a/2 + G_θ e,    v̂ ← v̂ + L a + G_v e,    d̂ ← d̂ + G_d e
 
 When a joint gets locked, its target starts where the joint is and goes to θ_rd from there: a stiff
 target that jumps would ask for more torque than there is.
@@ -26,7 +39,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,14 +46,22 @@ from numpy.typing import NDArray
 from armimp_common.compiled import compiled
 from armimp_common.errors import ConfigurationError
 from armimp_control.laws.base import (
+    ANGLE,
+    ANGLE_GAIN,
     APPROACH,
     COMMAND,
     DAMPING,
+    DISTURBANCE,
+    DISTURBANCE_GAIN,
     DITHER,
     DITHER_ANGLE,
     IDEAL_VELOCITY,
     IMBIC,
+    IMBIC_OBSERVER,
     INERTIA,
+    INERTIA_MODEL,
+    INVERSE,
+    MODEL_ROWS,
     OFFSET,
     ROLE_ROWS,
     SENSED,
@@ -51,11 +71,68 @@ from armimp_control.laws.base import (
     THETA_1,
     THETA_2,
     TICKS,
+    VELOCITY,
+    VELOCITY_GAIN,
     check_numbers,
 )
 
 SECOND_TONE = 1.3
 """Frequency of the second sine of the dither, over that of the first."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Observer:
+    """What the observer has to expect; its gains are those of a steady-state Kalman filter.
+
+    Rounding of the encoders counts as white noise of variance δ²/12. Torques that nobody knows,
+    mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
+    which is seen in the motion of the perturbed joint is known at the locked ones before they move.
+
+    Parameters
+    ----------
+    resolution : δ, rad
+    perturbed, locked : (n,) rms change within a period of the unknown torque of each joint while it
+        is perturbed and while it is locked, N·m
+    """
+
+    resolution: float
+    perturbed: NDArray[np.float64]
+    locked: NDArray[np.float64]
+
+    def gains(
+        self, inverse: NDArray[np.float64], locked: NDArray[np.bool_], period: float
+    ) -> NDArray[np.float64]:
+        """G_θ, G_v (1/s) and G_d (1/s²), together (3, n, n).
+
+        Parameters
+        ----------
+        inverse : (n, n) M̄⁻¹, 1/(kg·m²)
+        locked : (n,) which joints are
+        period : L, s
+        """
+        # Only this law has to wait for the import.
+        from scipy.linalg import solve_discrete_are
+
+        n = len(inverse)
+        unit, none = np.eye(n), np.zeros((n, n))
+        # Angles, velocities, and the unknown torques against them.
+        transition = np.block(
+            [
+                [unit, period * unit, -0.5 * period**2 * inverse],
+                [none, unit, -period * inverse],
+                [none, none, unit],
+            ]
+        )
+        reads = np.hstack([unit, none, none])
+        walk = np.zeros((3 * n, 3 * n))
+        walk[2 * n :, 2 * n :] = np.diag(np.where(locked, self.locked, self.perturbed) ** 2)
+        rounding = self.resolution**2 / 12.0 * unit
+        covariance = solve_discrete_are(transition.T, reads.T, walk, rounding)
+        innovation = reads @ covariance @ reads.T + rounding
+        solved = np.linalg.solve(innovation, reads @ covariance)
+        gains: NDArray[np.float64] = solved.T.reshape(3, n, n)
+        gains[2] = -inverse @ gains[2]
+        return gains
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,6 +153,7 @@ class ImbicConfig:
     lock_approach : time constant with which the target of a joint that gets locked goes to θ_rd, s
     lock_dither : amplitude of each of two sines that a locked joint is to make, rad; 0 for none
     lock_dither_frequency : lower of their frequencies, Hz; the other is 1.3 times that
+    observer : the internal model; None for time-delay estimation
 
     Raises
     ------
@@ -95,8 +173,7 @@ class ImbicConfig:
     lock_approach: float = 0.05
     lock_dither: float = 0.0
     lock_dither_frequency: float = 35.0
-
-    kind: ClassVar[int] = IMBIC
+    observer: Observer | None = None
 
     def __post_init__(self) -> None:
         n = self.joints
@@ -120,9 +197,28 @@ class ImbicConfig:
             )
 
     @property
+    def kind(self) -> int:
+        """Which law it is in compiled code."""
+        return IMBIC if self.observer is None else IMBIC_OBSERVER
+
+    @property
     def joints(self) -> int:
         """Number of joints n."""
         return self.target_posture.size
+
+    def model(self, perturbed: int | None) -> NDArray[np.float64]:
+        """Internal model (MODEL_ROWS, n, n) in the same trial as :meth:`role`."""
+        rows = np.zeros((MODEL_ROWS, self.joints, self.joints))
+        rows[INERTIA_MODEL] = self.model_inertia
+        if self.observer is not None:
+            rows[INVERSE] = np.linalg.inv(self.model_inertia)
+            locked = self._locked(perturbed)
+            rows[ANGLE_GAIN:] = self.observer.gains(rows[INVERSE], locked, self.period)
+        return rows
+
+    def _locked(self, perturbed: int | None) -> NDArray[np.bool_]:
+        every = np.arange(self.joints)
+        return np.asarray(every != (every if perturbed is None else perturbed))
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
         """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
@@ -132,8 +228,7 @@ class ImbicConfig:
         target and θ_rd, amplitude (rad) and angle per tick (rad) of the dither in the target, tare
         (N·m; 0).
         """
-        every = np.arange(self.joints)
-        locked = every != (every if perturbed is None else perturbed)
+        locked = self._locked(perturbed)
         rows = np.empty((ROLE_ROWS, self.joints))
         rows[SENSED] = ~locked
         rows[INERTIA] = self.target_inertia
@@ -157,7 +252,37 @@ class ImbicConfig:
 
 
 @compiled
+def _observe(
+    theta: NDArray[np.float64],
+    tau_h: NDArray[np.float64],
+    role: NDArray[np.float64],
+    model: NDArray[np.float64],
+    period: float,
+    memory: NDArray[np.float64],
+    command: NDArray[np.float64],
+) -> None:
+    """Let ANGLE, VELOCITY and DISTURBANCE be those of this sample; ``command`` is overwritten."""
+    n = theta.size
+    for i in range(n):
+        command[i] = memory[COMMAND, i] - (tau_h[i] - role[TARE, i])
+    for i in range(n):
+        acceleration = memory[DISTURBANCE, i]
+        for j in range(n):
+            acceleration += model[INVERSE, i, j] * command[j]
+        memory[ANGLE, i] += period * (memory[VELOCITY, i] + 0.5 * period * acceleration)
+        memory[VELOCITY, i] += period * acceleration
+    for i in range(n):
+        command[i] = theta[i] - memory[ANGLE, i]
+    for i in range(n):
+        for j in range(n):
+            memory[ANGLE, i] += model[ANGLE_GAIN, i, j] * command[j]
+            memory[VELOCITY, i] += model[VELOCITY_GAIN, i, j] * command[j]
+            memory[DISTURBANCE, i] += model[DISTURBANCE_GAIN, i, j] * command[j]
+
+
+@compiled
 def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+    observer: bool,
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
@@ -173,10 +298,11 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
 
     Parameters
     ----------
+    observer : whether it is the internal model
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
     role : (8, n) from :meth:`ImbicConfig.role`
     target : (n,) θ_rd, rad
-    model : (n, n) M̄, kg·m²
+    model : (MODEL_ROWS, n, n) from :meth:`ImbicConfig.model`
     gamma, period : rad/s, s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick; COMMAND holds what was sent
     command : (n,) N·m, written
@@ -185,7 +311,9 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     ticks = memory[TICKS, 0]
     if ticks == 0.0:
         for i in range(n):
-            memory[THETA_1, i] = memory[THETA_2, i] = theta[i]
+            memory[THETA_1, i] = memory[THETA_2, i] = memory[ANGLE, i] = theta[i]
+    elif observer:
+        _observe(theta, tau_h, role, model, period, memory, command)
     memory[TICKS, 0] = ticks + 1.0
     for i in range(n):
         goal = target[i]
@@ -198,24 +326,26 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             tones = math.sin(angle) + math.sin(SECOND_TONE * angle)
             goal += memory[OFFSET, i] + role[DITHER, i] * tones
         memory[SENSED_BEFORE, i] = role[SENSED, i]
-        velocity = (theta[i] - memory[THETA_1, i]) / period
+        if observer:
+            angle, velocity = memory[ANGLE, i], memory[VELOCITY, i]
+            known = memory[DISTURBANCE, i]
+        else:
+            angle, velocity = theta[i], (theta[i] - memory[THETA_1, i]) / period
+            known = (theta[i] - 2.0 * memory[THETA_1, i] + memory[THETA_2, i]) / (period * period)
+            memory[THETA_2, i] = memory[THETA_1, i]
+            memory[THETA_1, i] = theta[i]
         u = (
             tau_delta[i]
             - role[SENSED, i] * (tau_h[i] - role[TARE, i])
             - role[DAMPING, i] * velocity
-            - role[STIFFNESS, i] * (theta[i] - goal)
+            - role[STIFFNESS, i] * (angle - goal)
         ) / role[INERTIA, i]
         memory[IDEAL_VELOCITY, i] += period * u
-        acceleration = (theta[i] - 2.0 * memory[THETA_1, i] + memory[THETA_2, i]) / (
-            period * period
-        )
-        memory[THETA_2, i] = memory[THETA_1, i]
-        memory[THETA_1, i] = theta[i]
-        command[i] = u + gamma * (memory[IDEAL_VELOCITY, i] - velocity) - acceleration
+        command[i] = u + gamma * (memory[IDEAL_VELOCITY, i] - velocity) - known
     for i in range(n):
-        total = memory[COMMAND, i]
+        total = tau_h[i] - role[TARE, i] if observer else memory[COMMAND, i]
         for j in range(n):
-            total += model[i, j] * command[j]
+            total += model[INERTIA_MODEL, i, j] * command[j]
         memory[COMMAND, i] = total
     for i in range(n):
         command[i] = memory[COMMAND, i]

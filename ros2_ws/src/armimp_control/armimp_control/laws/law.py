@@ -10,7 +10,16 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_common.status import Cause
-from armimp_control.laws.base import COMMAND, MEMORY_ROWS, NO_JOINT, PD, ROLE_ROWS, TARE
+from armimp_control.laws.base import (
+    COMMAND,
+    IMBIC_OBSERVER,
+    MEMORY_ROWS,
+    MODEL_ROWS,
+    NO_JOINT,
+    PD,
+    ROLE_ROWS,
+    TARE,
+)
 from armimp_control.laws.imbic import ImbicConfig, imbic
 from armimp_control.laws.pd import PdConfig, pd
 from armimp_control.safety_limiter import (
@@ -60,7 +69,8 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     law : `kind` of the configuration of the law
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
     role : (8, n) from the configuration of the law
-    target, model, gamma, period : (n,) θ_rd, rad; (n, n) M̄, kg·m²; Γ, rad/s; L, s
+    target, gamma, period : (n,) θ_rd, rad; Γ, rad/s; L, s
+    model : (MODEL_ROWS, n, n) from the configuration of the law
     rules : (RULE_ROWS, n) from :meth:`SafetyParameters.rules`
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
     limiter, journal : (LIMITER_ROWS, n) and (JOURNAL,) of the safety limiter, likewise
@@ -76,7 +86,20 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         if law == PD:
             pd(theta, tau_delta, role, target, period, memory, command)
         else:
-            imbic(theta, tau_h, tau_delta, role, target, model, gamma, period, memory, command)
+            observer = law == IMBIC_OBSERVER
+            imbic(
+                observer,
+                theta,
+                tau_h,
+                tau_delta,
+                role,
+                target,
+                model,
+                gamma,
+                period,
+                memory,
+                command,
+            )
     clipped = limit_command(command, rules, limiter, journal)
     if journal[STOPPED] != 0.0:
         memory[:] = 0.0
@@ -106,7 +129,7 @@ def _unpacked(
     d = c + RULE_ROWS * n
     e = d + MEMORY_ROWS * n
     f = e + LIMITER_ROWS * n
-    g = f + n * n
+    g = f + MODEL_ROWS * n * n
     h = g + JOURNAL
     return (
         w[:a].reshape((3, n)),
@@ -115,7 +138,7 @@ def _unpacked(
         w[c:d].reshape((RULE_ROWS, n)),
         w[d:e].reshape((MEMORY_ROWS, n)),
         w[e:f].reshape((LIMITER_ROWS, n)),
-        w[f:g].reshape((n, n)),
+        w[f:g].reshape((MODEL_ROWS, n, n)),
         w[g:h],
         w[h:],
     )
@@ -123,7 +146,7 @@ def _unpacked(
 
 def _packed(n: int) -> Arrays:
     """Zeros for :func:`_unpacked`."""
-    rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + n
+    rows = 5 + ROLE_ROWS + RULE_ROWS + MEMORY_ROWS + LIMITER_ROWS + MODEL_ROWS * n
     return np.zeros(rows * n + JOURNAL + 2)
 
 
@@ -179,9 +202,9 @@ class Controller:
         self._law, self._joints, self._all = config.kind, n, _packed(n)
         views = _unpacked(self._all, n)
         self.sample, posture, self.role, self.rules, self.memory, self._limiter = views[:6]
-        model, self._journal, scalars = views[6:]
+        self.model, self._journal, scalars = views[6:]
         self.command = posture[0]
-        posture[1], model[:] = config.target_posture, config.model_inertia
+        posture[1] = config.target_posture
         scalars[:] = config.gamma, config.period
         self.rules[:] = safety.rules(config.target_posture, config.period)
         self._tare = np.zeros(n)
@@ -211,7 +234,7 @@ class Controller:
 
     def perturb_joint(self, joint: int) -> None:
         """Make ``joint`` (0-based) the compliant one and lock the others, without a jump."""
-        self.role[:] = self.config.role(joint)
+        self.role[:], self.model[:] = self.config.role(joint), self.config.model(joint)
         self.role[TARE] = self._tare
 
     def lock(self) -> None:

@@ -28,6 +28,7 @@ from armimp_common.compiled import compiled
 from armimp_control.laws.base import (
     DAMPING,
     INERTIA,
+    MODEL_ROWS,
     PD,
     ROLE_ROWS,
     STIFFNESS,
@@ -76,10 +77,9 @@ class PdConfig:
             ("inertia", "frequency", "damping_ratio", "period"),
         )
 
-    @property
-    def model_inertia(self) -> NDArray[np.float64]:
-        """There is no internal model: (n, n) zeros."""
-        return np.zeros((self.joints, self.joints))
+    def model(self, _perturbed: int | None) -> NDArray[np.float64]:
+        """There is no internal model: (MODEL_ROWS, n, n) zeros."""
+        return np.zeros((MODEL_ROWS, self.joints, self.joints))
 
     @property
     def joints(self) -> int:

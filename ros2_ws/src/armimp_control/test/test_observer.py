@@ -1,0 +1,193 @@
+"""The law with an observer as its internal model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError
+from armimp_control import presets
+from armimp_control.laws.base import ANGLE_GAIN, DISTURBANCE_GAIN, INVERSE, VELOCITY_GAIN
+from armimp_control.laws.imbic import ImbicConfig, Observer
+from armimp_control.laws.law import Controller
+from armimp_control.stability import RigDynamics, check_stability, spectral_radius
+from support.safety import torque_only
+
+Array = NDArray[np.float64]
+PERIOD = 1e-3
+ROBOT = np.array([[0.3543, 0.1909], [0.1909, 0.1800]])
+ARM = np.array([[0.187, 0.084], [0.079, 0.060]])
+POSTURE = np.array([1.0945, 1.3484])
+COUNT = 2.0 * np.pi / 51200
+
+
+def _config(n: int = 2) -> ImbicConfig:
+    if n == 2:
+        return presets.imbic(ROBOT, POSTURE, "observer")
+    root = np.random.default_rng(n).normal(size=(n, n))
+    return presets.imbic(0.05 * root @ root.T + 0.2 * np.eye(n), np.zeros(n), "observer")
+
+
+def _plain(config: ImbicConfig, samples: Array, perturbed: int, limit: float) -> Array:
+    """Commands (ticks, n) by the equations as they stand on the page, with matrices.
+
+    ``samples`` (ticks, 3, n) are θ, τ_h and τ_Δ.
+    """
+    model, inertia = config.model(perturbed), config.model_inertia
+    locked = np.arange(config.joints) != perturbed
+    omega = config.lock_frequency
+    damping = np.where(locked, 2.0 * omega, config.target_damping / config.target_inertia)
+    stiffness = np.where(locked, omega**2, config.target_stiffness / config.target_inertia)
+    angle, velocity, unknown = (
+        samples[0, 0].copy(),
+        np.zeros(config.joints),
+        np.zeros(config.joints),
+    )
+    ideal = np.zeros(config.joints)
+    sent: list[Array] = []
+    start = samples[0, 0] - config.target_posture
+    for tick, (theta, tau_h, tau_delta) in enumerate(samples):
+        if tick:
+            known = np.linalg.inv(inertia) @ (sent[-1] - tau_h) + unknown
+            angle = angle + PERIOD * velocity + 0.5 * PERIOD**2 * known
+            velocity = velocity + PERIOD * known
+            error = theta - angle
+            angle = angle + model[ANGLE_GAIN] @ error
+            velocity = velocity + model[VELOCITY_GAIN] @ error
+            unknown = unknown + model[DISTURBANCE_GAIN] @ error
+        goal = config.target_posture + locked * start * np.exp(-tick * PERIOD / 0.05)
+        push = np.where(locked, 0.0, (tau_delta - tau_h) / config.target_inertia)
+        u = push - damping * velocity - stiffness * (angle - goal)
+        ideal = ideal + PERIOD * u
+        command = inertia @ (u + config.gamma * (ideal - velocity) - unknown) + tau_h
+        sent.append(np.clip(command, -limit, limit))
+    return np.array(sent)
+
+
+@pytest.mark.parametrize("limit", [1e9, 4.0])
+@pytest.mark.parametrize(("n", "perturbed"), [(1, 0), (2, 0), (2, 1), (4, 2)])
+def test_law_with_observer_is_that_of_its_equations(n: int, perturbed: int, limit: float) -> None:
+    config = _config(n)
+    random = np.random.default_rng(n)
+    samples = random.uniform(-1.0, 1.0, (150, 3, n))
+    samples[:, 0] = config.target_posture + 1e-4 * np.cumsum(samples[:, 0], axis=0)
+    samples[:, 2] *= np.arange(n) == perturbed
+    controller = Controller(config, safety=torque_only(limit))
+    controller.perturb_joint(perturbed)
+    expected = _plain(config, samples, perturbed, limit)
+    for (theta, tau_h, tau_delta), command in zip(samples, expected, strict=True):
+        controller.tick(theta, tau_h, tau_delta)
+        assert controller.command == pytest.approx(command, rel=1e-7, abs=1e-7)
+    assert (np.max(np.abs(expected)) == limit) == (limit < 100.0)
+
+
+def test_gains_are_those_that_the_riccati_recursion_comes_to() -> None:
+    observer = Observer(
+        resolution=COUNT, perturbed=np.array([0.4, 0.2]), locked=np.array([0.02, 0.01])
+    )
+    inverse, unit, none = np.linalg.inv(ROBOT), np.eye(2), np.zeros((2, 2))
+    step = np.block(
+        [
+            [unit, PERIOD * unit, -0.5 * PERIOD**2 * inverse],
+            [none, unit, -PERIOD * inverse],
+            [none, none, unit],
+        ]
+    )
+    noise = np.diag([0.0, 0.0, 0.0, 0.0, 0.4**2, 0.01**2])
+    covariance = np.diag([1e-6, 1e-6, 1e-2, 1e-2, 1.0, 1.0])
+    for _ in range(3000):
+        covariance = step @ covariance @ step.T + noise
+        gain = covariance[:, :2] @ np.linalg.inv(covariance[:2, :2] + COUNT**2 / 12.0 * unit)
+        covariance = covariance - gain @ covariance[:2]
+    gain[4:] = -inverse @ gain[4:]
+    found = observer.gains(inverse, np.array([False, True]), PERIOD).reshape(6, 2)
+    assert found == pytest.approx(gain, rel=1e-6, abs=1e-9 * np.max(np.abs(gain)))
+
+
+def test_friction_of_the_perturbed_joint_is_held_off_the_locked_one() -> None:
+    """A torque on joint 1 alone, seen at joint 1 alone, is answered at joint 1 alone."""
+    config = _config()
+    model = config.model(0)
+    torque = -config.model_inertia @ model[DISTURBANCE_GAIN] @ np.array([1e-3, 0.0])
+    seen_at_both = (
+        -config.model_inertia @ model[DISTURBANCE_GAIN] @ (model[INVERSE] @ np.array([-1e-3, 0.0]))
+    )
+    assert abs(torque[1]) < 0.05 * abs(torque[0])
+    assert abs(seen_at_both[1]) < 0.1 * abs(seen_at_both[0])
+
+
+def test_coarser_encoders_make_a_slower_observer_and_finer_ones_no_faster_one() -> None:
+    def gain(resolution: float) -> float:
+        observer = presets.observer(2, resolution)
+        locked = np.array([False, True])
+        return float(observer.gains(np.linalg.inv(ROBOT), locked, PERIOD)[2, 0, 0])
+
+    assert abs(gain(1e-3)) < 0.5 * abs(gain(COUNT))
+    assert gain(0.0) == gain(1e-6) == gain(presets.FINEST)
+
+
+def _growth(config: ImbicConfig, perturbed: int, delay: int) -> float:
+    """Factor per tick by which a deviation grows on a rig of pure inertia, measured."""
+    controller = Controller(config, safety=torque_only(1e300))
+    controller.perturb_joint(perturbed)
+    inverse = np.linalg.inv(ROBOT + ARM)
+    theta, velocity, acceleration = POSTURE + 1e-3, np.zeros(2), np.zeros(2)
+    under_way = [np.zeros(2)] * delay
+    sizes = np.zeros(1200)
+    for tick in range(sizes.size):
+        controller.tick(theta, ARM @ acceleration, np.zeros(2))
+        under_way.append(controller.command.copy())
+        acceleration = inverse @ under_way.pop(0)
+        theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
+        velocity = velocity + PERIOD * acceleration
+        sizes[tick] = np.max(np.abs(acceleration))
+    return float((np.max(sizes[1000:]) / np.max(sizes[600:800])) ** (1.0 / 400.0))
+
+
+@pytest.mark.parametrize("perturbed", [0, 1])
+@pytest.mark.parametrize("delay", [2, 3])
+def test_spectral_radius_of_the_loop_with_observer_is_its_growth(
+    delay: int, perturbed: int
+) -> None:
+    config = replace(_config(), gamma=200.0, lock_frequency=200.0)
+    radius = spectral_radius(
+        config,
+        perturbed=perturbed,
+        robot_inertia=ROBOT,
+        arm_inertia=ARM,
+        dynamics=RigDynamics(command_delay=delay),
+    )
+    assert radius > 1.005
+    assert _growth(config, perturbed, delay) == pytest.approx(radius, rel=2e-3)
+
+
+def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() -> None:
+    for delay in (0, 1):
+        margins = check_stability(
+            _config(),
+            robot_inertia=ROBOT,
+            arm_inertia=ARM,
+            dynamics=RigDynamics(command_delay=delay),
+        )
+        assert max(margins.spectral_radius) < 0.9995
+        assert not any("times as" in one for one in margins.warnings)
+        assert any("commands" in one for one in margins.warnings) == (delay == 1)
+    with pytest.raises(ConfigurationError, match=r"grows by .* act 2 periods late"):
+        check_stability(
+            _config(),
+            robot_inertia=ROBOT,
+            arm_inertia=ARM,
+            dynamics=RigDynamics(command_delay=2),
+        )
+
+
+def test_when_an_arm_three_times_as_heavy_would_swing_expect_a_warning() -> None:
+    margins = check_stability(
+        replace(_config(), gamma=170.0, lock_frequency=170.0),
+        robot_inertia=ROBOT,
+        arm_inertia=4.0 * ARM,
+    )
+    assert any("with an arm 3 times as heavy the loop" in one for one in margins.warnings)
