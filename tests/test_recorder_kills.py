@@ -51,15 +51,15 @@ begin = (trial - 1) * ticks * 1_000_000
 recording = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: None)
 
 def record():
-    recording.add_many(inbox.take(), lambda topic, error: None)
+    recording.add_many(synchronizer.take(), lambda topic, error: None)
 
 def on_samples(samples):
     if samples % TOGETHER == 0:
         record()
         recording.flush()
 
-inbox = StreamSynchronizer(on_samples)
-receivers = {topic: inbox.receiver(topic) for topic in DATA_STREAMS}
+synchronizer = StreamSynchronizer(on_samples=on_samples)
+receivers = {topic: synchronizer.receiver(topic) for topic in DATA_STREAMS}
 messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]
 began = time.monotonic()
 present = begin
