@@ -11,7 +11,7 @@ from armimp_bringup.orchestrator import run_experiment
 from support.stranger_campaign import BASE, Case, cases, judged
 
 SEED = 1
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("environment")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800), pytest.mark.usefixtures("environment")]
 
 
 @pytest.mark.parametrize("options", [{}, {"processes": "separate"}], ids=["composed", "separate"])
