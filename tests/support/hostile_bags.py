@@ -760,7 +760,7 @@ def database_that_is_a_hole(directory: Path) -> Arguments:
 @attack()
 def unfinished_bag_that_is_a_hole(directory: Path) -> Arguments:
     bag = provisional(directory, zstd_chunk(packed(experiment())), struct.pack("<BQ", 6, 1 << 39))
-    enlarged(bag / "bag.mcap")
+    enlarged(bag / "bag_0.mcap")
     return "estimate", str(bag)
 
 
@@ -783,8 +783,8 @@ def link_to_an_unfinished_bag_elsewhere(directory: Path) -> Arguments:
 @attack()
 def unfinished_storage_that_is_a_link(directory: Path) -> Arguments:
     bag = provisional(directory, zstd_chunk(packed(experiment())))
-    (bag / "bag.mcap").rename(directory.parent / WITNESS / "bag.mcap")
-    (bag / "bag.mcap").symlink_to(directory.parent / WITNESS / "bag.mcap")
+    (bag / "bag_0.mcap").rename(directory.parent / WITNESS / "bag.mcap")
+    (bag / "bag_0.mcap").symlink_to(directory.parent / WITNESS / "bag.mcap")
     return "estimate", str(bag)
 
 
