@@ -14,7 +14,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study.conditions import select_conditions
 from armimp_bringup.study.engine import condition_config
-from armimp_estimation.robot_balance import transducer_gains
+from armimp_estimation.robot_balance import imbalance
 from research.options import InvestigationOptions
 
 NAMES = "MBK"
@@ -47,10 +47,10 @@ def investigate(options: InvestigationOptions) -> int:
             lacks.append((float(np.max(result.fit.lack)), str(condition)))
             line = f"{condition}: lack {np.max(result.fit.lack):.2f}"
             if found.balance is not None:
-                gain, error = transducer_gains(found.balance.fit, result.fit)
-                gains.append((float(np.max(np.abs(1 / gain - 1))), str(condition)))
-                M = found.balance.fit.mbk.M
-                line += f" gain {gain.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"
+                share, error = imbalance(found.balance, result.fit)
+                gains.append((float(np.max(np.abs(share))), str(condition)))
+                M = found.balance.M
+                line += f" imbalance {share.round(3)} ± {error.round(3)} M_r {M.round(3).tolist()}"
             if result.fit.delay is not None:
                 delay = result.fit.delay
                 line += f" delay {1e6 * delay.told:.1f} ± {1e6 * delay.told_error:.1f} µs"

@@ -2,14 +2,19 @@
 
 Between the robot's drives and the arm nothing but the robot itself takes torque, so
 
-    H T_u - T_τ = (M_r s² + B_r s + K_r) R,    H = (1 - exp(-jωL))/jωL
+    H T_u - T_τ = (M_r s² + B_r s + K_r) R + F,    H = (1 - exp(-jωL))/jωL
 
 with the responses T_u of the commands, T_τ of the transducers and R of the angles to the
 perturbation, and the hold H of the commands. A robot in the plane has no stiffness beyond that of
-its friction, and its inertia is symmetric with positive eigenvalues. If the transducer of a joint
-shows g times the torque, then ``K_r = (1 - g)/g · K̂`` in its row, with the stiffness K̂ of the
-estimate. So wrong signs, units, gains and orders show without knowing arm or robot. What is wrong
-with commands, torques and angles in the same proportion doesn't.
+its friction F, and its inertia is symmetric with positive eigenvalues. The friction of a joint acts
+on its own motion alone, ``F_ik = (β_ik s + κ_ik) R_ik``, but is another one when the joint is
+locked, and moves little, than when it is perturbed. So off the diagonal of ``(H T_u - T_τ) R⁻¹``
+the terms ``(β s + κ) W`` with the motion ``W_ij = R_ij (R⁻¹)_jj`` of locked joints stand beside M,
+B and K, and what then is left there of viscosity and stiffness is no robot's: if the transducer of
+a joint shows g times the torque, it is ``(1 - g)/g`` times the B̂ and K̂ of the estimate in its row.
+So wrong signs, units, gains and orders show without knowing arm or robot. What is wrong with
+commands, torques and angles in the same proportion doesn't, nor does a gain above 1 where a locked
+joint that friction holds (κ > 0) explains it.
 """
 
 from __future__ import annotations
@@ -26,11 +31,12 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import LocalResponse, local_response
 from armimp_estimation.estimators.lpm import LpmConfig, unresolved
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import CommonDelay, FitConfig, MBKFit, fit_impedance
+from armimp_estimation.fit import CommonDelay, FitConfig, MBKFit, fit_weights
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.signal_quality import lost_motion
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -39,11 +45,8 @@ ComplexArray = NDArray[np.complex128]
 
 BAND = (0.25, 12.0)
 """Where inertia and stiffness are seen, Hz: below, friction is most of it."""
-GAIN_TOLERANCE = 0.03
-"""Share by which the torque of a transducer may differ from that of the command, beside chance.
-
-A spring at the robot is no fault, nor is friction, which looks like one.
-"""
+GAIN_TOLERANCE = 0.02
+"""Share by which the torque of a transducer may differ from that of the command, beside chance."""
 ASYMMETRY = 0.03
 """Share by which elements of the robot's inertia off the diagonal may differ from each other."""
 _ERRORS = 5.0
@@ -51,6 +54,11 @@ _NEGATIVE = 4.0
 _MOST_ORDERS = 4
 _CLEARLY = 0.3
 _NOT_ALL = 0.03
+_TAKEN = 0.15
+"""Standard error of the torque that friction takes from a locked joint, of that torque itself.
+
+It is not as linear as the terms that stand for it.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,19 +67,53 @@ class RobotBalance:
 
     Attributes
     ----------
-    fit : MBKFit
-        Inertia, viscosity and stiffness of the robot, with standard errors.
+    terms : ndarray, shape (5, n, n)
+        Inertia, viscosity and stiffness of the robot, and of the friction of locked joints β and κ,
+        which are 0 on the diagonal; SI units.
+    covariance : ndarray, shape (5, 5, n, n)
+        Of the terms of each element, with their lack of fit.
+    friction : ndarray, shape (n, n)
+        Share of what moves the robot that the friction of locked joints takes.
+    unseen : ndarray of bool, shape (n, n)
+        Where the encoder of a locked joint may miss its motion, so that friction may hold it.
     order : tuple of int
         Row of the commands that belongs to each joint.
     """
 
-    fit: MBKFit
+    terms: FloatArray
+    covariance: FloatArray
+    friction: FloatArray
+    unseen: NDArray[np.bool_]
     order: tuple[int, ...]
 
     @property
     def permuted(self) -> bool:
         """Whether commands are in another order than the joints."""
         return self.order != tuple(range(len(self.order)))
+
+    @property
+    def M(self) -> FloatArray:
+        """Inertia of the robot, kg·m², shape (n, n)."""
+        return self.terms[0]
+
+    @property
+    def M_se(self) -> FloatArray:
+        """Its standard errors."""
+        return np.asarray(np.hypot(self._errors[0], _TAKEN * self.friction * np.abs(self.M)))
+
+    @property
+    def K(self) -> FloatArray:
+        """Stiffness of the robot, N·m/rad, shape (n, n)."""
+        return self.terms[2]
+
+    @property
+    def K_se(self) -> FloatArray:
+        """Its standard errors."""
+        return self._errors[2]
+
+    @property
+    def _errors(self) -> FloatArray:
+        return np.sqrt(np.einsum("aaij->aij", self.covariance))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,7 +154,7 @@ class RobotResponses:
         """
         n = len(self.records)
         orders = list(itertools.permutations(range(n))) if n <= _MOST_ORDERS else [tuple(range(n))]
-        stiffness = [float(np.linalg.norm(self.balance(one).fit.mbk.K)) for one in orders]
+        stiffness = [float(np.linalg.norm(self.balance(one).K)) for one in orders]
         best = int(np.argmin(stiffness))
         return orders[best] if stiffness[best] < _CLEARLY * stiffness[0] else orders[0]
 
@@ -174,32 +216,98 @@ class RobotResponses:
             T=moving,
             R=stacked[:n],
         )
-        return RobotBalance(fit=fit_impedance(estimate, FitConfig())[1], order=order)
+        locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
+        return _fit_robot(estimate, locked, order, lost_motion(self.records) > 0.0)
 
 
-def transducer_gains(robot: MBKFit, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
-    """Gain g of each transducer against the commands, and its standard error.
-
-    With ``ρ = Σ_j K_r,ij K̂_ij / Σ_j K̂_ij²`` over the other joints j it is ``1/(1 + ρ)``. A spring
-    or friction in the joint i itself is in ``K_r,ii`` alone, so that is left out where it can be.
-    """
-    K = arm.mbk.K if len(arm.mbk.K) == 1 else arm.mbk.K * (1.0 - np.eye(len(arm.mbk.K)))
-    size = np.maximum(np.sum(K**2, axis=1), np.finfo(np.float64).tiny)
-    share = np.sum(robot.mbk.K * K, axis=1) / size
-    error = np.hypot(
-        np.sqrt(np.sum((robot.K_se * K) ** 2, axis=1)) / size,
-        # Where the arm hardly couples the joints its own errors count.
-        share * np.sqrt(np.sum((arm.K_se * K) ** 2, axis=1)) / size,
+def _fit_robot(
+    estimate: ImpedanceEstimate,
+    locked: ComplexArray,
+    order: tuple[int, ...],
+    unseen: NDArray[np.bool_],
+) -> RobotBalance:
+    """Fit what the commands move by that of the robot and of the friction of locked joints."""
+    n, s = estimate.joints, 2j * np.pi * estimate.f
+    terms, covariance = np.zeros((5, n, n)), np.zeros((5, 5, n, n))
+    friction = np.zeros((n, n))
+    robot = [s**2, s, np.ones_like(s)]
+    for i, j in np.ndindex(n, n):
+        beside = [] if i == j else [s * locked[i, j], locked[i, j]]
+        # Friction resists: where it would have to push, there is none that holds the joint.
+        for regressors in ([*robot, *beside], [*robot, *beside[:1]]):
+            values, errors = _least_squares(estimate, i, j, np.stack(regressors))
+            if values.size < 5 or values[4] > 0.0:
+                break
+        size = values.size
+        terms[:size, i, j], covariance[:size, :size, i, j] = values, errors
+        if beside:
+            taken = terms[3, i, j] * beside[0] + terms[4, i, j] * beside[1]
+            whole = float(np.linalg.norm(estimate.Z[i, j] / s))
+            friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, np.finfo(float).tiny)
+    return RobotBalance(
+        terms=terms, covariance=covariance, friction=friction, unseen=unseen, order=order
     )
-    return 1.0 / (1.0 + share), error / (1.0 + share) ** 2
 
 
-def negative_gains(robot: MBKFit, arm: MBKFit) -> FloatArray:
+def _least_squares(
+    estimate: ImpedanceEstimate, i: int, j: int, regressors: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Real coefficients (p,) of regressors (p, n_freq) in an element, and their covariance."""
+    options = FitConfig()
+    f, Z, variance = estimate.f, estimate.Z[i, j], estimate.variance[i, j]
+    weights = fit_weights(f, Z, variance, options.weight_floor, options.smoothing)
+    scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
+    scale[scale == 0.0] = 1.0
+    design = regressors / scale[:, None]
+    functionals = np.linalg.pinv(((np.conj(design) * weights) @ design.T).real) @ (design * weights)
+    values = (np.conj(functionals) @ Z).real
+    ratio = np.abs(Z - values @ design) ** 2 / variance
+    lack = max(1.0, float(np.sum(ratio)) / max(f.size - 0.5 * values.size, 1.0))
+    spread = functionals * np.sqrt(variance)
+    covariance = np.zeros((values.size, values.size))
+    for lag, rho in enumerate(estimate.bin_correlation[: f.size]):
+        product = rho * (np.conj(spread[:, : f.size - lag]) @ spread[:, lag:].T).real
+        covariance += product if lag == 0 else product + product.T
+    return values / scale, 0.5 * lack * covariance / np.outer(scale, scale)
+
+
+def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
+    """Share ``ρ = (1 - g)/g`` of the arm's torque that is no robot's, and its standard error, (n,).
+
+    By least squares from B and K of the joint's row, off the diagonal: a spring or friction of the
+    joint itself is on it. For a single joint it is that of K.
+    """
+    n = len(robot.order)
+    used = [2] if n == 1 else [1, 2]
+    shares, errors = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        mixed, square = 0.0, np.finfo(np.float64).tiny
+        doubt, held, own = 0.0, 0.0, 0.0
+        for j in range(n) if n == 1 else np.delete(np.arange(n), i):
+            arms = np.array([arm.mbk.M[i, j], arm.mbk.B[i, j], arm.mbk.K[i, j]])[used]
+            arms_se = np.array([arm.M_se[i, j], arm.B_se[i, j], arm.K_se[i, j]])[used]
+            information = np.linalg.pinv(robot.covariance[np.ix_(used, used)][:, :, i, j])
+            part = float(arms @ information @ arms)
+            mixed += float(arms @ information @ robot.terms[used, i, j])
+            square += part
+            doubt += part * robot.friction[i, j]
+            held += part * robot.unseen[i, j]
+            # Where the arm hardly couples the joints its own errors count.
+            own += float(arms_se @ information @ arms_se)
+        shares[i] = mixed / square
+        own_error = shares[i] * np.sqrt(own / square)
+        # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
+        doubt = _TAKEN * (max(doubt, held) if mixed < 0.0 else doubt) / square
+        errors[i] = np.linalg.norm((1.0 / np.sqrt(square), doubt, own_error))
+    return shares, errors
+
+
+def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     """Gains of transducers that a negative stiffness of the robot takes at least; 1: none.
 
     Springs and friction make that of a joint positive, so a transducer has to show too much.
     """
-    own, own_error = np.diag(robot.mbk.K), np.diag(robot.K_se)
+    own, own_error = np.diag(robot.K), np.diag(robot.K_se)
     K = np.diag(arm.mbk.K)
     beyond = (K > 0.0) & (own < -GAIN_TOLERANCE * K - _NEGATIVE * own_error)
     share = np.maximum(np.divide(own, K, out=np.zeros_like(own), where=beyond), -0.99)
@@ -219,7 +327,7 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
         What was estimated of the arm from the same trials.
     """
     problems = []
-    gains, errors = transducer_gains(balance.fit, arm)
+    shares, errors = imbalance(balance, arm)
     if balance.permuted:
         order = ", ".join(names[row] for row in np.argsort(balance.order))
         problems.append(
@@ -231,21 +339,17 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
         )
     wrong = []
     # Where locked joints are held by something else than commands, nothing has to balance.
-    shares, doubts = 1.0 / gains - 1.0, errors / gains**2
-    if (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * doubts).any():
+    if (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors).any():
         return problems
-    for name, gain, error in zip(names, gains, errors, strict=True):
+    for name, share, error in zip(names, shares, errors, strict=True):
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
-        if not abs(1.0 / gain - 1.0) <= GAIN_TOLERANCE + _ERRORS * error / gain**2:
+        if not abs(share) <= GAIN_TOLERANCE + _ERRORS * error:
             wrong.append(name)
-            problems.append(
-                Problem(
-                    code=ProblemCode.TORQUE_UNBALANCED,
-                    values={"name": name, "share": float(gain), "error": float(error)},
-                )
-            )
-    fit = balance.fit
-    for name, least in zip(names, negative_gains(fit, arm), strict=True):
+            gain = 1.0 / (1.0 + share)
+            unbalanced: dict[str, float | int | str] = {"name": name, "share": float(gain)}
+            unbalanced["error"] = float(error * gain**2)
+            problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=unbalanced))
+    for name, least in zip(names, negative_gains(balance, arm), strict=True):
         if least > 1.0 and name not in wrong:
             wrong.append(name)
             values: dict[str, float | int | str] = {
@@ -254,10 +358,10 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
                 "error": 0.0,
             }
             problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=values))
-    value, error = least_eigenvalue(fit.mbk.M, fit.M_se)
-    M = fit.mbk.M
+    M = balance.M
+    value, error = least_eigenvalue(M, balance.M_se)
     size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
-    uneven = np.abs(M - M.T) > ASYMMETRY * size + _ERRORS * np.hypot(fit.M_se, fit.M_se.T)
+    uneven = np.abs(M - M.T) > ASYMMETRY * size + _ERRORS * np.hypot(balance.M_se, balance.M_se.T)
     if value < -_ERRORS * error or uneven.any():
         inertia = "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in M) + "] kg·m²"
         problems.append(
