@@ -9,6 +9,8 @@ Half of that is corrected, and half is the standard error of the correction, bes
 with which the instant of the readings was known beforehand.
 """
 
+from __future__ import annotations
+
 import math
 from dataclasses import dataclass, replace
 
@@ -87,7 +89,7 @@ class Calibration:
                 )
 
     @classmethod
-    def undeclared(cls) -> "Calibration":
+    def undeclared(cls) -> Calibration:
         """What a transducer of a laboratory is assumed to have: 1 % of either."""
         return cls(gain=0.01, cross_talk=0.01, assumed=True)
 
@@ -159,6 +161,13 @@ class MBKFit:
     lack: FloatArray
     lack_limit: float
     delay: CommonDelay | None = None
+
+    def with_doubt(self, shift: FloatArray) -> MBKFit:
+        """Return the same with a change of M, B and K, (3, n, n), as one more standard error."""
+        flat = shift.ravel()
+        M_se, B_se, K_se = np.hypot(np.stack([self.M_se, self.B_se, self.K_se]), shift)
+        covariance = self.covariance + np.outer(flat, flat)
+        return replace(self, M_se=M_se, B_se=B_se, K_se=K_se, covariance=covariance)
 
 
 LACK_LIMIT = 2.0
@@ -296,7 +305,7 @@ def fit_impedance(
     return estimate, fit
 
 
-def _parameter_covariance(estimate: ImpedanceEstimate, problem: "_Elements") -> FloatArray:
+def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> FloatArray:
     """Covariance of all parameters.
 
     As the sandwich of one element, with the coherency κ of two: ``½ Σ_fg a_f b_g σ_f ς_g
@@ -356,7 +365,7 @@ def fit_column(
     f: FloatArray,
     impedance: ComplexArray,
     variance: FloatArray,
-    systematic: ComplexArray,
+    systematics: tuple[ComplexArray, ...],
     correlation: FloatArray,
     config: FitConfig,
     *,
@@ -369,7 +378,7 @@ def fit_column(
     ----------
     f : ndarray, shape (n_freq,)
         Frequencies, Hz.
-    impedance, variance, systematic : ndarray, shape (n, n_freq)
+    impedance, variance, each of systematics : ndarray, shape (n, n_freq)
         As those of an :class:`ImpedanceEstimate`.
     correlation : ndarray, shape (lags,)
         Of the errors of neighbouring frequencies.
@@ -395,8 +404,8 @@ def fit_column(
     problem = _Elements(
         f=f,
         Z=impedance,
-        noise=variance - np.abs(systematic) ** 2,
-        systematics=(systematic,),
+        noise=variance - sum(np.abs(one) ** 2 for one in systematics),
+        systematics=systematics,
         correlation=correlation,
         freedom=math.inf,
         options=config,

@@ -1,7 +1,7 @@
 """The whole identification: trials in; matrices, scores and a verdict out."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
-from armimp_estimation.nonlinearity import judge_stiffness
+from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, spoiled
 from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_order, judge_balance
@@ -232,7 +232,14 @@ def identify(
         lost = lost_motion(records)
         for k, record in enumerate(records):
             resolved = not lost[:, k].any()
-            problems += judge_stiffness(record, best.fit.mbk, hold, reading, resolved=resolved)
+            of_motion, shift = judge_linearity(
+                record, best.fit.mbk, hold, reading, resolved=resolved
+            )
+            problems += of_motion
+            if shift.any():
+                doubt = np.zeros((3, len(names), len(names)))
+                doubt[:, k, k] = shift
+                results = {n: replace(r, fit=r.fit.with_doubt(doubt)) for n, r in results.items()}
     balance = None
     if responses is not None:
         fit = (best if best is not None else first).fit

@@ -1,16 +1,21 @@
-"""Stiffness that depends on amplitude or changes over time, from what a linear arm leaves over.
+"""Torque that no linear arm makes: stiffness that changes, hysteresis, from what the fit leaves.
 
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
 perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
-spring of short range yields, ``θ̇³``, too; if stiffness changes over the trial, ``θ t``. The
-regressors are taken without what is in proportion to the angle or its first three derivatives, so
-that a linear arm gives zero on average, whatever the person does beside. What readings lack because
+spring of short range yields or something rubs, a play operator of the angle (the spring's stretch:
+Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if stiffness changes over the trial,
+``θ t``. The regressors are taken without what is in proportion to the angle or its first three
+derivatives, so that a linear arm gives zero on average, whatever the person does beside. That
+proportion times the coefficient is what the term does to M, B and K. What readings lack because
 torques jump with commands is put right before: commands that overcome friction would make it look
 like a bent spring. The trial is cut into parts, in each of which the coefficient is found anew: its
-scatter is its error, with no assumption about the spectrum of e.
+scatter is its error, with no assumption about the spectrum of e. Its ends are left out: there the
+derivatives of a record that is cut off ring.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,14 +29,85 @@ from armimp_estimation.torque_timing import TorqueReading
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
-BAND = (0.3, 15.0)
-"""Part of the spectrum that is looked at, Hz: below, a person's own torque is most of it."""
+BAND = ((0.2, 0.7), (11.0, 15.0))
+"""Edges of the part of the spectrum that is looked at, Hz: a person's own torque is mostly below.
+
+They are not sharp, so that the ends of the record soon die away.
+"""
 SIGNIFICANT = 4.5
-LARGE = {"amplitude": 0.01, "speed": 0.01, "time": 0.05}
-"""Shares of the stiffness beyond which M, B and K are those of this amplitude, or time, alone."""
+LARGE = {"amplitude": 0.03, "hysteresis": 0.05, "time": 0.05}
+"""Shares of the stiffness, or of M, B or K, beyond which these are of this motion, or time, alone.
+
+Smaller ones are in the standard errors.
+"""
+PLAY = 0.12
+"""Half of the play, in rms angles."""
+_ENDS = 3.0
+_MOST_ENDS = 0.2
 _PARTS = 20
 _NEGLIGIBLE = 0.003
 _LEAST = 10.0
+_CODES = {
+    "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
+    "hysteresis": ProblemCode.HYSTERESIS,
+    "time": ProblemCode.CHANGES_OVER_TIME,
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Deviation:
+    """One way in which the perturbed joint is not linear.
+
+    Attributes
+    ----------
+    share, error : float
+        Change of the stiffness from rest to the rms angle, or from begin to end, relative to it;
+        of hysteresis its share in the largest of M, B and K. And its standard error.
+    shift : ndarray, shape (3,)
+        What it adds to M, B and K of the joint itself, SI units.
+    """
+
+    share: float
+    error: float
+    shift: FloatArray
+
+
+class _Band:
+    """Signals of a record within the band, without its ends."""
+
+    def __init__(self, record: TrialRecord) -> None:
+        f = np.fft.rfftfreq(record.samples, 1.0 / record.rate)
+        (foot, top), (shoulder, end) = BAND
+        rise = np.clip((f - foot) / (top - foot), 0.0, 1.0)
+        fall = np.clip((end - f) / (end - shoulder), 0.0, 1.0)
+        passed = np.sin(0.5 * np.pi * rise) ** 2 * np.sin(0.5 * np.pi * fall) ** 2
+        inside = np.flatnonzero(passed)
+        self.samples = record.samples
+        self.bins = slice(int(inside[0]), int(inside[-1]) + 1)
+        self.f = np.asarray(f[self.bins], dtype=np.float64)
+        self.passed = passed[self.bins]
+        ends = int(min(_ENDS * record.rate, _MOST_ENDS * record.samples))
+        self.kept = slice(ends, record.samples - ends)
+
+    def of(self, signal: FloatArray) -> ComplexArray:
+        spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
+        return np.asarray(spectrum[..., self.bins] * self.passed)
+
+    def signal(self, values: ComplexArray) -> FloatArray:
+        """Whole signal, ends included."""
+        spectrum = np.zeros((*values.shape[:-1], self.samples // 2 + 1), dtype=np.complex128)
+        spectrum[..., self.bins] = values
+        signal: FloatArray = np.fft.irfft(spectrum, self.samples)
+        return signal
+
+
+def play(angle: FloatArray, half: float) -> FloatArray:
+    """Stretch of a spring that yields beyond `half`, (N,), in units of that: the play operator."""
+    stretch, rests = [], 0.0
+    for value in angle.tolist():
+        rests = min(max(rests, value - half), value + half)
+        stretch.append((value - rests) / half)
+    return np.array(stretch)
 
 
 def unexplained_torque(
@@ -60,109 +136,109 @@ def unexplained_torque(
     torque : ndarray, shape (N,)
         N·m.
     """
-    k, samples = record.perturbed_joint, record.samples
-    whole = np.asarray(np.fft.rfftfreq(samples, 1.0 / record.rate), dtype=np.float64)
-    inside = (whole >= BAND[0]) & (whole <= BAND[1])
-    f = whole[inside]
-
-    def within(signal: FloatArray) -> ComplexArray:
-        spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
-        return spectrum[..., inside]
-
-    def signal_of(values: ComplexArray) -> FloatArray:
-        spectrum = np.zeros((*values.shape[:-1], whole.size), dtype=np.complex128)
-        spectrum[..., inside] = values
-        signal: FloatArray = np.fft.irfft(spectrum, samples)
-        return signal
-
-    angle, torque = within(record.position), within(record.torque[k])
+    k, band = record.perturbed_joint, _Band(record)
+    angle, torque = band.of(record.position), band.of(record.torque[k])
     if jump is not None:
-        lacking = jump.missing(f, record.rate, reading)[k]
-        torque = torque + np.sum(lacking * within(command_steps(record, samples)), axis=0)
-        torque = torque / (reading or TorqueReading()).response(f)
-    motion = angle[k] * (2j * np.pi * f) ** np.arange(4)[:, None]
-    return signal_of(motion), signal_of(torque - np.sum(arm.impedance(f)[k] * angle, axis=0))
+        lacking = jump.missing(band.f, record.rate, reading)[k]
+        torque = torque + np.sum(lacking * band.of(command_steps(record, record.samples)), axis=0)
+        torque = torque / (reading or TorqueReading()).response(band.f)
+    motion = angle[k] * (2j * np.pi * band.f) ** np.arange(4)[:, None]
+    left = torque - np.sum(arm.impedance(band.f)[k] * angle, axis=0)
+    return band.signal(motion), band.signal(left)
 
 
-def change_of_stiffness(
+def deviations(
     record: TrialRecord,
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
-) -> dict[str, tuple[float, float]]:
-    """Change of the stiffness of the perturbed joint, and its standard error.
+) -> dict[str, Deviation]:
+    """In which ways the perturbed joint is not linear, by name.
 
     Parameters are those of :func:`unexplained_torque`.
 
     Returns
     -------
-    dict of str to (float, float)
-        ``"amplitude"``: from rest to the rms angle; ``"speed"``: of the torque, from rest to the
-        rms velocity; ``"time"``: from begin to end; as shares of the stiffness. Empty for trials of
-        less than 10 s.
+    dict of str to Deviation
+        ``"amplitude"``, ``"hysteresis"`` and ``"time"``; empty for trials of less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
+    band = _Band(record)
     motion, rest = unexplained_torque(record, arm, jump, reading)
-    size = float(np.std(motion[0]))
-    stiffness = float(arm.K[record.perturbed_joint][record.perturbed_joint])
-    if not (size > 0.0 and stiffness > 0.0):
+    sizes = np.std(motion, axis=1)
+    k = record.perturbed_joint
+    own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
+    if not (sizes[0] > 0.0 and own[2] > 0.0):
         return {}
-    linear = motion / np.std(motion, axis=1, keepdims=True)
-    x, v = linear[:2]
-    t = np.linspace(-0.5, 0.5, x.size)
+    linear = (motion / sizes[:, None])[:, band.kept]
+    x = motion[0] / sizes[0]
+    bent = {
+        "amplitude": x**3,
+        "hysteresis": play(motion[0], PLAY * float(sizes[0])),
+        "time": x * np.linspace(-0.5, 0.5, x.size),
+    }
     found = {}
-    for name, bent in (("amplitude", x**3), ("speed", v**3), ("time", x * t)):
-        regressor = bent - np.linalg.lstsq(linear.T, bent, rcond=None)[0] @ linear
-        products = np.array([np.sum(p * q) for p, q in _pairs(regressor, rest)])
-        squares = np.array([np.sum(p * p) for p, _ in _pairs(regressor, rest)])
+    for name, signal in bent.items():
+        regressor = band.signal(band.of(signal))[band.kept]
+        regressor -= np.linalg.lstsq(linear.T, regressor, rcond=None)[0] @ linear
+        parts = np.array_split(regressor, _PARTS)
+        pairs = zip(parts, np.array_split(rest[band.kept], _PARTS), strict=True)
+        products = np.array([np.sum(p * q) for p, q in pairs])
+        squares = np.array([np.sum(p * p) for p in parts])
         slope = float(np.sum(products) / np.sum(squares))
-        scatter = products - slope * squares
-        error = float(np.sqrt(np.sum(scatter**2)) / np.sum(squares))
-        # The slope of the torque over the angle: 3 x² of a cube, which is 3 at one rms.
-        factor = 1.0 if name == "time" else 3.0
-        relative = factor / (stiffness * size)
-        found[name] = (relative * slope, relative * error)
+        error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / np.sum(squares))
+        # What M, B and K are alike of it: the derivatives 2, 1, 0.
+        of_linear = np.linalg.lstsq(linear[2::-1].T, signal[band.kept], rcond=None)[0]
+        shift = slope * of_linear / sizes[2::-1]
+        if name == "hysteresis":
+            share = float(np.max(np.abs(shift / own)))
+        else:
+            # The slope of the torque over the angle: 3 x² of a cube, which is 3 at one rms.
+            share = (3.0 if name == "amplitude" else 1.0) * slope / (own[2] * sizes[0])
+        found[name] = Deviation(
+            share=share, error=abs(share * error / slope) if slope else 0.0, shift=shift
+        )
     return found
 
 
-def judge_stiffness(
+def judge_linearity(
     record: TrialRecord,
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
     *,
     resolved: bool = True,
-) -> list[Problem]:
-    """Find stiffness that isn't constant; parameters are those of :func:`unexplained_torque`.
+) -> tuple[list[Problem], FloatArray]:
+    """Find what isn't linear; parameters are those of :func:`unexplained_torque`.
 
     Where the motion of locked joints isn't `resolved`, its torque may look like that.
+
+    Returns
+    -------
+    problems : list of Problem
+    shift : ndarray, shape (3,)
+        Standard errors of M, B and K of the joint itself that come of it.
     """
     problems = []
-    codes = {
-        "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
-        "speed": ProblemCode.DEPENDS_ON_SPEED,
-        "time": ProblemCode.CHANGES_OVER_TIME,
-    }
-    for name, (share, error) in change_of_stiffness(record, arm, jump, reading).items():
-        if not abs(share) > SIGNIFICANT * error or abs(share) < _NEGLIGIBLE:
+    shift = np.zeros(3)
+    for name, one in deviations(record, arm, jump, reading).items():
+        if not abs(one.share) > SIGNIFICANT * one.error or abs(one.share) < _NEGLIGIBLE:
             continue
-        severity = Severity.ERROR if resolved and abs(share) > LARGE[name] else Severity.NOTE
+        if resolved:
+            shift = np.hypot(shift, one.shift)
+        severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE
         problems.append(
             Problem(
-                code=codes[name],
+                code=_CODES[name],
                 concern=Concern.PARAMETERS,
                 severity=severity,
                 trial=record.trial,
                 values={
                     "name": record.joint_names[record.perturbed_joint],
-                    "percent": 100.0 * share,
-                    "error": 100.0 * error,
+                    "percent": 100.0 * one.share,
+                    "error": 100.0 * one.error,
                 },
             )
         )
-    return problems
-
-
-def _pairs(left: FloatArray, right: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
-    return list(zip(np.array_split(left, _PARTS), np.array_split(right, _PARTS), strict=True))
+    return problems, shift

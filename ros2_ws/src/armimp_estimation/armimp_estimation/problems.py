@@ -94,7 +94,7 @@ class ProblemCode(str, Enum):
     STUCK = "stuck"
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
-    DEPENDS_ON_SPEED = "depends_on_speed"
+    HYSTERESIS = "hysteresis"
     CHANGES_OVER_TIME = "changes_over_time"
     LOCK_RATIO = "lock_ratio"
     LOCK_BIAS = "lock_bias"

@@ -94,7 +94,7 @@ class RobotBalance:
     @property
     def M(self) -> FloatArray:
         """Inertia of the robot, kg·m², shape (n, n)."""
-        return self.terms[0]
+        return np.asarray(self.terms[0])
 
     @property
     def M_se(self) -> FloatArray:
@@ -104,16 +104,16 @@ class RobotBalance:
     @property
     def K(self) -> FloatArray:
         """Stiffness of the robot, N·m/rad, shape (n, n)."""
-        return self.terms[2]
+        return np.asarray(self.terms[2])
 
     @property
     def K_se(self) -> FloatArray:
         """Its standard errors."""
-        return self._errors[2]
+        return np.asarray(self._errors[2])
 
     @property
     def _errors(self) -> FloatArray:
-        return np.sqrt(np.einsum("aaij->aij", self.covariance))
+        return np.asarray(np.sqrt(np.einsum("aaij->aij", self.covariance)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

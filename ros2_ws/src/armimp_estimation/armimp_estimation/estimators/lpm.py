@@ -51,10 +51,13 @@ class LpmConfig:
         :mod:`armimp_estimation.hold_correction`. Without commands in the records it has to be
         everything.
     skew_uncertainty : float
-        Relative standard error of the correction of what jumps, which no residual shows. With
-        encoders of finite resolution the command chatters, and friction answers within the
-        control period in a way that depends on the direction of motion: in simulation up to 2 %
-        of the correction are left (friction 3, resolution 3, perturbation 1).
+        Relative standard error of the correction of what jumps, which no residual shows, as far as
+        it is of the inertial torque.
+    friction_uncertainty : float
+        And as far as it is of torque that overcomes friction: with encoders of finite resolution
+        the command chatters, and friction answers within the control period in a way that depends
+        on the direction of motion. In simulation up to a tenth of the correction is left then
+        (friction 3, resolution 3, perturbation 1), whether D is estimated or known.
     timing_uncertainty : float
         Standard error with which the instant of torque readings is known where it was told, s.
         Where it was not, or the records refute that torques jump as it says, it is half a period.
@@ -67,13 +70,19 @@ class LpmConfig:
     span: float = 0.25
     reading: TorqueReading = field(default_factory=TorqueReading)
     skew_uncertainty: float = 0.02
+    friction_uncertainty: float = 0.1
     timing_uncertainty: float = 20e-6
     weight_floor: float = 0.005
 
     def __post_init__(self) -> None:
         if not 0.0 < self.span < np.inf:
             raise ConfigurationError(f"span must be positive, got {self.span!r} Hz")
-        for name in ("skew_uncertainty", "timing_uncertainty", "weight_floor"):
+        for name in (
+            "skew_uncertainty",
+            "friction_uncertainty",
+            "timing_uncertainty",
+            "weight_floor",
+        ):
             value = getattr(self, name)
             if not 0.0 <= value < np.inf:
                 raise ConfigurationError(f"{name} must not be negative, got {value!r}")
@@ -157,10 +166,10 @@ class LpmFull:
         torque = multiply(skew, stacked[n:])
         impedance = multiply(torque, inverse)
         uncorrected = self._without_skew(stacked[n : 2 * n], f, records[0].rate)
-        systematic = options.skew_uncertainty * multiply(torque - uncorrected, inverse)
+        skewed = self._doubts(multiply(torque - uncorrected, inverse))
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
-        systematics = (systematic, *unresolved(records, impedance, inverse))
+        systematics = (*skewed, *unresolved(records, impedance, inverse))
         half_period = 0.5 / records[0].rate
         delay_uncertainty = self._delay_uncertainty(jump, records[0].rate)
         if jump is None and delay_uncertainty == half_period:
@@ -238,8 +247,8 @@ class LpmFull:
         torque = multiply(skew, stacked[n:, None])[:, 0]
         impedance = torque / stacked[k]
         uncorrected = self._without_skew(stacked[n : 2 * n], f, record.rate)
-        systematic = self.config.skew_uncertainty * (torque - uncorrected) / stacked[k]
-        variance = np.abs(systematic) ** 2
+        systematics = self._doubts((torque - uncorrected) / stacked[k])
+        variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for i in range(n):
             coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
             coefficients[k] = -impedance[i]
@@ -250,13 +259,22 @@ class LpmFull:
             f,
             impedance,
             variance,
-            systematic,
+            systematics,
             correlation,
             options,
             delay_uncertainty=self._delay_uncertainty(jump, record.rate),
             delay_unknown=0.5 / record.rate,
         )
         return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
+
+    def _doubts(self, correction: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Standard errors of what was added to an impedance for the skew.
+
+        It is ``jωL/2`` times what jumps: imaginary for the inertial torque, which goes with s²,
+        and real for that of friction, which goes with s.
+        """
+        inertial = np.asarray(1j * self.config.skew_uncertainty * correction.imag)
+        return inertial, self.config.friction_uncertainty * correction.real.astype(np.complex128)
 
     def _skew(
         self, jump: HoldCorrection | None, f: FloatArray, rate: float, joints: int
