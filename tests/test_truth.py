@@ -19,6 +19,8 @@ QUICK = (
     "after",
     "command late 0.5 ms",
     "torque sign",
+    "torque gain of joint 2 0.9",
+    "short-range stiffness 1",
     "reflex 0.3, 40 ms",
     "voluntary 0.3 N·m",
 )
