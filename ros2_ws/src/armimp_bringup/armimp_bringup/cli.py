@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import atexit
 import inspect
+import logging
 import os
 import resource
 import sys
@@ -444,6 +445,8 @@ def program() -> NoReturn:
     To take everything apart that was imported would take the interpreter half a second.
     """
     repair_streams()
+    # Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)
     status = main()
     atexit._run_exitfuncs()
     try:
