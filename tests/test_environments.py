@@ -68,7 +68,7 @@ def test_letters_that_the_terminal_does_not_have_cost_no_result(
 @pytest.mark.parametrize(
     ("shell", "status", "said"),
     [
-        ('"$@" >&-', 0, b""),
+        pytest.param('"$@" >&-', 0, b"", marks=pytest.mark.slow),
         pytest.param('"$@" <&- >&- 2>&-', 0, b"", marks=pytest.mark.slow),
         ('"$@" >/dev/full', 1, b"armimp: No space left on device"),
         ('"$@" | head -0; exit ${PIPESTATUS[0]}', 1, b""),

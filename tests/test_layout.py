@@ -91,10 +91,10 @@ def imported(path: Path) -> set[str]:
     return found
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_modules_without_ros_can_be_imported_where_there_is_none(package: str) -> None:
-    names = [name for name, _ in modules(package) if name not in WITH_ROS]
-    assert names
+def test_modules_without_ros_can_be_imported_where_there_is_none() -> None:
+    everything = [name for package in PACKAGES for name, _ in modules(package)]
+    names = [name for name in everything if name not in WITH_ROS]
+    assert len(names) > 100
     program = (
         "import importlib, sys\n"
         f"for name in {sorted(ROS)!r}: sys.modules[name] = None\n"

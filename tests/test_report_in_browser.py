@@ -130,7 +130,9 @@ def test_the_page_itself_forbids_requests_and_foreign_scripts(page: Browser) -> 
     assert any("Content Security Policy" in line for line in page.said())
 
 
-@pytest.mark.parametrize("width", [360, 800, 1600])
+@pytest.mark.parametrize(
+    "width", [360, *(pytest.param(wider, marks=pytest.mark.slow) for wider in (800, 1600))]
+)
 def test_the_page_fits_any_screen(browser: Browser, valid: Path, width: int) -> None:
     browser.open(valid, width=width)
     assert browser.value("document.documentElement.scrollWidth") <= width
@@ -138,6 +140,7 @@ def test_the_page_fits_any_screen(browser: Browser, valid: Path, width: int) -> 
     assert 250 < browser.value(canvas) <= width
 
 
+@pytest.mark.slow
 def test_print_shows_everything_and_leaves_the_screen_as_it_was(page: Browser) -> None:
     width = "document.querySelector('#trace-1 .main-svg').getAttribute('width')"
     before = page.value(width)
@@ -155,6 +158,7 @@ def test_print_shows_everything_and_leaves_the_screen_as_it_was(page: Browser) -
     assert page.said() == []
 
 
+@pytest.mark.slow
 def test_hostile_names_do_nothing(browser: Browser, tmp_path: Path) -> None:
     names = [HOSTILE, "<a href='javascript:window.hacked = 1'>name</a>"]
     recording = synthetic_recording(joint_names=names, perturbed=(0, 1), ticks=5000)
@@ -169,6 +173,7 @@ def test_hostile_names_do_nothing(browser: Browser, tmp_path: Path) -> None:
     assert HOSTILE in browser.value("document.querySelector('h1').textContent")
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_report_of_an_invalid_result_too(
     browser: Browser, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

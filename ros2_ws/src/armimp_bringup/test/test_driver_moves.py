@@ -161,6 +161,7 @@ def test_moves_in_which_commands_were_held_up_are_made_anew() -> None:
     assert findings["stale commands"].verdict is Verdict.PASS
 
 
+@pytest.mark.slow
 def test_when_commands_are_held_up_again_and_again_expect_no_verdict() -> None:
     moves, findings = moved(Driver(held_up=lambda tick: tick % 500 < 10))
     assert moves.missing is Reason.INTERRUPTIONS

@@ -25,6 +25,7 @@ def names(directory: Path) -> set[str]:
     return {path.name for path in directory.iterdir() if path.is_file()}
 
 
+@pytest.mark.slow
 def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -120,6 +120,7 @@ def test_leakage_by_itself_is_not_taken_for_a_response() -> None:
     assert np.max(mistaken) < 0.005 * np.max(np.abs(everywhere))
 
 
+@pytest.mark.slow
 def test_variance_and_correlation_of_bins_are_those_of_noise() -> None:
     rng = np.random.default_rng(5)
     # White noise is all there is, so responses are errors; the variance of a bin of it is N.
