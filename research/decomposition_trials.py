@@ -14,11 +14,14 @@ from pydantic import JsonValue
 
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import SimulatedExperiment, run_together
-from armimp_bringup.parameters import node_parameters
+from armimp_bringup.offline import OfflineTrial, SimulatedExperiment, run_segments
+from armimp_bringup.parameters import Rig, node_parameters
 from armimp_bringup.study.engine import as_ready
 from armimp_bringup.terminal import progress
 from armimp_common.errors import ConfigurationError
+from armimp_common.status import Phase
+from armimp_control.perturbation import perturbation
+from armimp_control.sequence import Segment, timetable
 from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.registry import make_estimator
@@ -235,3 +238,44 @@ def scales(truth: FloatArray) -> FloatArray:
 def matrices(mbk: MBK) -> FloatArray:
     """M, B and K in one array, shape (3, n, n)."""
     return np.stack((mbk.M, mbk.B, mbk.K))
+
+
+def run_together(
+    rigs: Sequence[Rig], *, trials: int = 1, mixing: Sequence[FloatArray] | None = None
+) -> list[list[OfflineTrial]]:
+    """Run, side by side, trials in which every joint yields and is perturbed at once.
+
+    The perturbation of each joint in the first trial is that of its own trial in
+    :func:`armimp_bringup.offline.run_offline`; those of further trials are independent of them.
+
+    Parameters
+    ----------
+    rigs : as for :func:`armimp_bringup.offline.run_offline`
+    trials : how many, one after the other
+    mixing : for each rig, if given, an (n, n) matrix that makes τ_Δ out of these perturbations;
+        off its diagonal it couples the inputs
+
+    Returns
+    -------
+    list of list of OfflineTrial
+        For each rig, its trials in order.
+    """
+    n = rigs[0].plant.joints
+
+    def signals(segment: Segment) -> tuple[FloatArray, int | None]:
+        tau_delta = np.zeros((segment.ticks, len(rigs), n))
+        if segment.phase is Phase.PERTURB:
+            for (lane, rig), joint in itertools.product(enumerate(rigs), range(n)):
+                tau_delta[:, lane, joint] = perturbation(
+                    rig.perturbation,
+                    joint=joint,
+                    trial=segment.joint * n + joint + 1,
+                    ticks=segment.ticks,
+                    seed=rig.seed,
+                )
+            for lane, matrix in enumerate(mixing or ()):
+                tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T
+        return tau_delta, None
+
+    segments = timetable(rigs[0].sequence, joints=trials, tare=rigs[0].tare)
+    return run_segments(rigs, segments, signals)

@@ -165,7 +165,7 @@ def _outcomes(experiment: SimulatedExperiment, names: Sequence[str]) -> Iterator
     samples = experiment.records[0].samples
     welch = WelchConfig.for_samples(samples)
     for length in (samples, samples // 2):
-        shortened = experiment.shortened(length)
+        shortened = _shortened(experiment, length)
         for run in estimate(shortened, names, welch).values():
             yield Outcome.of(shortened, run)
 
@@ -198,3 +198,18 @@ def _print(cells: Sequence[Cell], plan: GrowthPlan) -> None:
             "bias and spread: rms over the elements; needed: recording for a spread of "
             f"{100.0 * plan.target:g} %\nof M, B and K; responses: estimated at once",
         )
+
+
+def _shortened(experiment: SimulatedExperiment, samples: int) -> SimulatedExperiment:
+    """The same as if each trial had ended after so many samples."""
+    records = tuple(
+        replace(
+            one,
+            perturbation=one.perturbation[:, :samples],
+            position=one.position[:, :samples],
+            torque=one.torque[:, :samples],
+            command=None if one.command is None else one.command[:, :samples],
+        )
+        for one in experiment.records
+    )
+    return replace(experiment, records=records)

@@ -68,49 +68,6 @@ def test_a_wrong_domain_ends_in_one_line_with_the_value_and_leaves_no_directory(
     assert not list(directory.iterdir())
 
 
-@pytest.mark.parametrize(
-    ("value", "quoted"),
-    [
-        ("x:y", "'x:y'"),
-        ("", "''"),
-        ("1,1", "1 is there twice"),
-        ("0:1:2:3", "'0:1:2:3'"),
-        ("0:" + "9" * 19, "9999999999999999998"),
-        ("٣", "'٣'"),
-        ("1\n,x", r"'1\n,x'"),
-    ],
-)
-def test_wrong_seeds_end_in_one_line_and_leave_no_directory(
-    directory: Path, value: str, quoted: str
-) -> None:
-    told = refused("reproduce", "--out", "new", "--seeds", value)
-    assert told.status == 2
-    assert quoted in told.err
-    assert not list(directory.iterdir())
-
-
-@pytest.mark.parametrize(
-    ("command", "option", "value", "quoted"),
-    [
-        ("reproduce", "--only", "nonsense", "'nonsense'"),
-        ("reproduce", "--only", "friction=9", "'9'"),
-        ("reproduce", "--only", "friction=1,friction=2", "friction is there twice"),
-        ("reproduce", "--only", "friction=1+\n", r"friction=1+\n"),
-        ("reproduce", "--workers", "0", "got 0"),
-        ("reproduce", "--duration", "-1", "'duration' = -1.0"),
-        ("reproduce", "--estimator", "foo", "'foo'"),
-    ],
-)
-def test_a_wrong_value_of_the_studies_ends_in_one_line_and_leaves_no_directory(
-    directory: Path, command: str, option: str, value: str, quoted: str
-) -> None:
-    out = () if option == "--out" else ("--out", "new")
-    told = refused(*command.split(), *out, option, value)
-    assert told.status == 2
-    assert quoted in told.err
-    assert not list(directory.iterdir())
-
-
 @pytest.mark.parametrize("out", ["../file", "../file/x", "/proc/here", LONG])
 def test_a_directory_that_cannot_be_made_is_named_before_anything_is_measured(out: str) -> None:
     assert out in refused("reproduce", "--out", out).err

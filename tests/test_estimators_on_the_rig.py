@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_bringup.offline import OfflineTrial, run_offline, run_together
+from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_bringup.parameters import Rig
 from armimp_control import presets as control_presets
 from armimp_control.safety_limiter import SafetyParameters
@@ -24,6 +24,7 @@ from armimp_estimation.trial import TrialData
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import PlantConfig
 from armimp_sim.voluntary import VoluntaryParameters
+from research.decomposition_trials import run_together
 from research.mimo import estimate_mimo
 
 pytestmark = pytest.mark.slow

@@ -6,9 +6,8 @@ period of the plant, sample k + 1. For the same seed the trajectories are equal 
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +47,7 @@ class OfflineTrial:
 
     Attributes
     ----------
-    joint : perturbed joint, 0-based; the first one if all were perturbed at once
+    joint : perturbed joint, 0-based; the first one if all joints yielded
     first_tick : tick of the first sample since the start of the experiment
     position, torque, command, perturbation : (n, N) rad, N·m, N·m, N·m
     clipped : number of clipped joint commands
@@ -159,8 +158,12 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     return worst
 
 
+Signals = Callable[[Segment], tuple[NDArray[np.float64], int | None]]
+"""Gives τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None for all joints."""
+
+
 def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
-    """Run experiments side by side.
+    """Run experiments side by side, with one perturbed joint in each trial.
 
     Parameters
     ----------
@@ -179,37 +182,22 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
         If the plant left the stability region of the integrator.
     """
     first = rigs[0]
-    segments = timetable(first.sequence, joints=first.plant.joints, tare=first.tare)
-    return _run(rigs, segments, together=False)
+    n = first.plant.joints
 
+    def signals(segment: Segment) -> tuple[NDArray[np.float64], int | None]:
+        tau_delta = np.zeros((segment.ticks, len(rigs), n))
+        if segment.phase is Phase.PERTURB:
+            for lane, rig in enumerate(rigs):
+                tau_delta[:, lane, segment.joint] = perturbation(
+                    rig.perturbation,
+                    joint=segment.joint,
+                    trial=segment.trial,
+                    ticks=segment.ticks,
+                    seed=rig.seed,
+                )
+        return tau_delta, segment.joint
 
-def run_together(
-    rigs: Sequence[Rig], *, trials: int = 1, mixing: Sequence[NDArray[np.float64]] | None = None
-) -> list[list[OfflineTrial]]:
-    """Run, side by side, trials in which every joint yields and is perturbed at once.
-
-    The perturbation of each joint in the first trial is that of its own trial in
-    :func:`run_offline`; those of further trials are independent of them.
-
-    Parameters
-    ----------
-    rigs : as for :func:`run_offline`
-    trials : how many, one after the other
-    mixing : for each rig, if given, an (n, n) matrix that makes τ_Δ out of these perturbations;
-        off its diagonal it couples the inputs
-
-    Returns
-    -------
-    list of list of OfflineTrial
-        For each rig, its trials in order.
-
-    Raises
-    ------
-    DataError, IntegrationError
-        As :func:`run_offline`.
-    """
-    segments = timetable(rigs[0].sequence, joints=trials, tare=rigs[0].tare)
-    return _run(rigs, segments, together=True, mixing=mixing)
+    return run_segments(rigs, timetable(first.sequence, joints=n, tare=first.tare), signals)
 
 
 def _tare(parameters: TareParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
@@ -221,14 +209,10 @@ def _tare(parameters: TareParameters, torque: NDArray[np.float64]) -> tuple[floa
     return found.offset
 
 
-def _run(
-    rigs: Sequence[Rig],
-    segments: Sequence[Segment],
-    *,
-    together: bool,
-    mixing: Sequence[NDArray[np.float64]] | None = None,
+def run_segments(
+    rigs: Sequence[Rig], segments: Sequence[Segment], signals: Signals
 ) -> list[list[OfflineTrial]]:
-    """Run a timetable with one perturbed joint in each trial, or with all of them together."""
+    """Run a timetable side by side, as :func:`run_offline`, with any perturbation."""
     first = rigs[0]
     if any((rig.sequence, rig.tare) != (first.sequence, first.tare) for rig in rigs):
         raise DataError("offline run: all rigs must have the same trial sequence")
@@ -253,20 +237,8 @@ def _run(
     trials: list[list[OfflineTrial]] = [[] for _ in rigs]
     tares = np.zeros((lanes, n))
     for segment in segments:
-        tau_delta = np.zeros((segment.ticks, lanes, n))
-        perturbed = range(n) if together else (segment.joint,)
-        if segment.phase is Phase.PERTURB:
-            for (lane, rig), joint in itertools.product(enumerate(rigs), perturbed):
-                tau_delta[:, lane, joint] = perturbation(
-                    rig.perturbation,
-                    joint=joint,
-                    trial=segment.joint * n + joint + 1 if together else segment.trial,
-                    ticks=segment.ticks,
-                    seed=rig.seed,
-                )
-            for lane, matrix in enumerate(mixing or ()):
-                tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T
-        role = NO_JOINT if segment.tare else None if together else segment.joint
+        tau_delta, yielding = signals(segment)
+        role = NO_JOINT if segment.tare else yielding
         roles = np.array([law.role(role) for law in configs])
         models = np.array([law.model(role) for law in configs])
         roles[:, TARE] = tares
@@ -311,7 +283,7 @@ def _run(
         for lane in range(lanes):
             trials[lane].append(
                 OfflineTrial(
-                    joint=0 if together else segment.joint,
+                    joint=yielding or 0,
                     first_tick=segment.first,
                     position=record[0, lane].copy(),
                     torque=record[1, lane].copy(),
@@ -391,10 +363,6 @@ class SimulatedExperiment:
         ]
         return identify(data, estimators, self.truth, options)
 
-    def shortened(self, samples: int) -> SimulatedExperiment:
-        """The same as if each trial had ended after so many samples."""
-        return replace(self, records=tuple(_shortened(one, samples) for one in self.records))
-
 
 def simulate(configs: Sequence[ExperimentConfig]) -> list[SimulatedExperiment]:
     """Run experiments side by side in the loop without ROS, with one trial for each joint.
@@ -416,13 +384,3 @@ def simulate(configs: Sequence[ExperimentConfig]) -> list[SimulatedExperiment]:
         SimulatedExperiment.of(config, one, of_config)
         for config, one, of_config in zip(configs, parameters, trials, strict=True)
     ]
-
-
-def _shortened(record: TrialRecord, samples: int) -> TrialRecord:
-    return replace(
-        record,
-        perturbation=record.perturbation[:, :samples],
-        position=record.position[:, :samples],
-        torque=record.torque[:, :samples],
-        command=None if record.command is None else record.command[:, :samples],
-    )

@@ -21,7 +21,7 @@ from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.study.store import ConditionResult, open_study, read_study
 from armimp_bringup.study.study import run_study
 from armimp_bringup.terminal import Display
-from armimp_common.errors import ArmimpError, ConfigurationError, DataError
+from armimp_common.errors import ConfigurationError, DataError
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=0+3,perturbation=2"], "1")
@@ -232,35 +232,6 @@ def test_two_processes_do_not_work_in_one_directory(tmp_path: Path) -> None:
             _open(tmp_path, software())
         other.stdin.close()
     _open(tmp_path, software())
-
-
-@pytest.mark.parametrize(
-    ("content", "complaint"),
-    [
-        (b"", "not the result of a condition: content: Invalid JSON"),
-        (b"{}", "not the result of a condition: config: Field required"),
-        (None, "is of friction 0, resolution 0, perturbation 2, seed 1, not friction 3"),
-    ],
-)
-def test_damaged_result_is_named_and_nothing_is_written_from_it(
-    results: list[ConditionResult], tmp_path: Path, content: bytes | None, complaint: str
-) -> None:
-    run_study(BASE, CONDITIONS, tmp_path, Recorded(results), figures=False)
-    before = _bytes(tmp_path)
-    path = tmp_path / "conditions" / f"{CONDITIONS[-1].name}.json"
-    first = path.with_name(f"{CONDITIONS[0].name}.json")
-    path.write_bytes(first.read_bytes() if content is None else content)
-    with pytest.raises(ArmimpError) as caught:
-        run_study(BASE, CONDITIONS, tmp_path, Recorded(results), figures=False)
-    assert str(caught.value).startswith(f"{path}: {complaint}")
-    assert len(str(caught.value).splitlines()) == 1
-    assert _bytes(tmp_path) == before
-
-
-def test_damaged_configuration_is_named(tmp_path: Path) -> None:
-    (tmp_path / "config.json").write_text("{")
-    with pytest.raises(DataError, match=r"config\.json: not the configuration of a study"):
-        _open(tmp_path, software())
 
 
 @pytest.mark.parametrize("text", ["", "{}", '[{"schema": 1}]'])
