@@ -122,9 +122,13 @@ class ExperimentConfig(BaseModel):
         description="How late torque readings are, s, for the estimates to correct; by default as "
         "simulated.",
     )
-    arm_sim: Overrides = Field(default={}, description="Parameters of that node to override.")
-    imbic_controller: Overrides = Field(default={}, description="Likewise.")
-    impedance_estimator: Overrides = Field(default={}, description="Likewise.")
+    arm_sim: Overrides = Field(default={}, description="Parameters of arm_sim to override.")
+    imbic_controller: Overrides = Field(
+        default={}, description="Parameters of imbic_controller to override."
+    )
+    impedance_estimator: Overrides = Field(
+        default={}, description="Parameters of impedance_estimator to override."
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -149,14 +153,14 @@ class Declared(BaseModel):
         default=None,
         ge=-0.1,
         le=0.1,
-        description="How late torque readings are beyond that, s, negative if they are early; by "
+        description="How late torque readings are beyond their timing, s, negative if early; by "
         "default as recorded with the bags, else fitted.",
     )
     torque_uncertainty: float | None = Field(
         default=None,
         ge=0.0,
         le=0.1,
-        description="Standard error of what is told of that, s; by default 20 µs.",
+        description="Standard error of the timing of torque readings, s; by default 20 µs.",
     )
     gain_uncertainty: float | None = Field(
         default=None,
@@ -181,7 +185,7 @@ class Declared(BaseModel):
         default=None,
         ge=200.0,
         le=4000.0,
-        description="Sampling rate, Hz, if an uncustomary one is right.",
+        description="Sampling rate, Hz, if the recording has an unusual one.",
     )
 
 
@@ -196,16 +200,16 @@ class CheckOptions(BaseModel):
     duration: float = Field(
         default=5.0, ge=1.0, le=3600.0, description="Length of the recording, s."
     )
-    move: bool = Field(default=False, description="Command torque too: nobody may be in the rig.")
+    move: bool = Field(default=False, description="Command torque; nobody may be in the rig.")
     # A slip of the keyboard must not become a blow.
     torque: float = Field(
-        default=1.0, gt=0.0, le=20.0, description="How much torque, N·m; at most 20."
+        default=1.0, gt=0.0, le=20.0, description="Torque of each push, N·m; at most 20."
     )
     most_motion: float = Field(
         default=0.3,
         gt=0.0,
         le=1.0,
-        description="Motion of a joint at which torque is taken away, rad; at most 1.",
+        description="Motion of a joint beyond which torque is taken away, rad; at most 1.",
     )
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Mapping
-from types import TracebackType
 
 import rclpy
 from rclpy.context import Context
@@ -98,12 +97,7 @@ class GraphContext:
     def __enter__(self) -> GraphContext:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -18,13 +18,14 @@ Kind = TypeVar("Kind")
 class SensorParameters(Schema):
     """Calibration of one kind of sensor; each value is one for all joints or one for each."""
 
-    resolution: tuple[float, ...] = Field(description="rad or N·m per count, at the sensor")
-    zero: tuple[int, ...] = Field(description="count at zero")
+    resolution: tuple[float, ...] = Field(description="resolution of the sensor (rad or N·m)")
+    zero: tuple[int, ...] = Field(description="count of the sensor at zero")
     sign: tuple[int, ...] = Field(
-        default=(1,), description="-1 where it counts against the direction of the joint, else 1"
+        default=(1,),
+        description="-1 where the sensor counts the other way than the joint, else 1",
     )
     gear: tuple[float, ...] = Field(
-        default=(1.0,), description="what it sees for 1 rad or 1 N·m of the joint"
+        default=(1.0,), description="what the sensor sees for 1 rad or 1 N·m of the joint"
     )
 
     def calibration(self, name: str, joints: int) -> tuple[Calibration, ...]:
@@ -42,7 +43,8 @@ class DriveParameters(Schema):
     """The drives; each value is one for all joints or one for each."""
 
     sign: tuple[int, ...] = Field(
-        default=(1,), description="-1 where it turns against the direction of the joint, else 1"
+        default=(1,),
+        description="-1 where the drive turns the other way than the joint, else 1",
     )
     gear: tuple[float, ...] = Field(
         default=(1.0,), description="turns of the drive for one of the joint"
@@ -63,7 +65,8 @@ class MockParameters(Schema):
         default=(0.0,), description="offset of the transducers (N·m), one for all joints or each"
     )
     drift: tuple[float, ...] = Field(
-        default=(0.0,), description="drift of the transducers (N·m/s), likewise"
+        default=(0.0,),
+        description="drift of the transducers (N·m/s), one for all joints or each",
     )
     delay: float = Field(
         default=0.0, ge=0.0, le=0.1, description="delay of the readings of torque (s)"
@@ -75,9 +78,10 @@ class MockParameters(Schema):
         default=0.0, ge=0.0, le=0.1, description="time constant of the drives (s); 0: none"
     )
     names: tuple[str, ...] = Field(
-        default=(), description="names of its joints in its frames; empty: as the driver's"
+        default=(),
+        description="names of the joints in the frames of the mock; empty: the same",
     )
-    seed: int = Field(default=1, ge=0, description="seed of the dropouts")
+    seed: int = Field(default=1, ge=0, description="seed of the frames that are lost")
 
 
 class DriverParameters(Schema):

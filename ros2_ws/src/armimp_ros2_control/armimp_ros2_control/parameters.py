@@ -23,15 +23,15 @@ class BridgeParameters(Schema):
     )
     names: tuple[str, ...] = Field(
         default=(),
-        description="what ros2_control calls them, in the same order; empty: by the same names",
+        description="names of the joints in ros2_control, in the same order; empty: the same names",
     )
     directions: tuple[int, ...] = Field(
         default=(),
-        description="1, or -1 for a joint whose angle and torque count the other way there",
+        description="1, or -1 for a joint that counts the other way in ros2_control",
     )
     torque_signs: tuple[int, ...] = Field(
         default=(),
-        description="1, or -1 where effort is the torque of the arm on the robot instead",
+        description="1, or -1 where the effort is the torque of the arm on the robot",
     )
     limits: ProtectionLimits = ProtectionLimits()
     realtime: SchedulingParameters = SchedulingParameters()
