@@ -16,7 +16,6 @@ from armimp_estimation.report.curves import (
     envelope,
     magnitude_range,
     phase_range,
-    true_curve,
 )
 from armimp_estimation.report.look import COLOURS, looks
 from armimp_estimation.report.result_plots import rows_of
@@ -102,13 +101,6 @@ def test_phase_is_shown_in_the_turn_next_to_zero(turns: int) -> None:
     ramp[0] += turns * 0.99 * np.pi
     one = curve(np.exp(1j * ramp))
     assert abs(np.median(one.phase) - 90.0) < 10.0
-
-
-def test_true_curve_is_that_of_the_matrices() -> None:
-    arm = MBK(M=np.eye(2), B=np.zeros((2, 2)), K=np.array([[4.0, 1.0], [1.0, 4.0]]))
-    one = true_curve(arm, np.array([0.1, 10.0]), 0, 1)
-    np.testing.assert_allclose(one.magnitude, 1.0)
-    np.testing.assert_array_equal(one.magnitude_band, [one.magnitude, one.magnitude])
 
 
 def test_one_wild_band_does_not_widen_the_axes() -> None:
