@@ -20,32 +20,6 @@ _INCOMPLETE = "trials_incomplete"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FrfColumn:
-    """Column k of the frequency response matrices, from the trial that perturbed joint k.
-
-    Attributes
-    ----------
-    joint : int
-        Joint k, 0-based.
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    R : ndarray, shape (n, n_freq)
-        Response of the angles, rad/(N·m).
-    T : ndarray, shape (n, n_freq)
-        Response of the torques on the arm, N·m/(N·m).
-    R_variance, T_variance : ndarray, shape (n, n_freq)
-        Variance of each complex value, from the power that is not coherent with the perturbation.
-    """
-
-    joint: int
-    f: FloatArray
-    R: ComplexArray
-    T: ComplexArray
-    R_variance: FloatArray
-    T_variance: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class FrfMatrix:
     """All columns of the frequency responses.
 
@@ -56,8 +30,6 @@ class FrfMatrix:
     R, T : ndarray, shape (n, n, n_freq)
         Responses of angles (rad/(N·m)) and torques; first index the responding, second the
         perturbed joint.
-    R_variance, T_variance : ndarray, shape (n, n, n_freq)
-        Variance of each complex value.
     covariance : ndarray, shape (n, 2n, 2n, n_freq)
         See :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`.
     """
@@ -65,9 +37,13 @@ class FrfMatrix:
     f: FloatArray
     R: ComplexArray
     T: ComplexArray
-    R_variance: FloatArray
-    T_variance: FloatArray
     covariance: ComplexArray
+
+    @property
+    def variance(self) -> FloatArray:
+        """Variance of each value of R and, below, of T, shape (2n, n, n_freq)."""
+        variance: FloatArray = np.einsum("kaaf->akf", self.covariance).real
+        return variance
 
 
 def noise_gain(trial: TrialSpectra) -> FloatArray:
@@ -125,58 +101,43 @@ def residual_power(trial: TrialSpectra, coefficients: ComplexArray) -> FloatArra
     return floored
 
 
-def frf_column(trial: TrialSpectra) -> FrfColumn:
-    """Column k of R and T from the spectra of the trial that perturbed joint k.
+def unexplained_power(trial: TrialSpectra, impedance: ComplexArray) -> FloatArray:
+    """Power density of ``τ_i - Σ_j Z_ij θ_j`` for an impedance of shape (n, n, n_freq), N·m/rad.
 
-    Raises
-    ------
-    DataError
-        If the trial has fewer than two segments or no perturbation in the band.
+    Returns
+    -------
+    ndarray, shape (n, n_freq)
+        By i, (N·m)²/Hz.
     """
-    gain = noise_gain(trial)
     n = trial.joints
-    response = trial.spectra.matrix[0, 1:] / trial.input_power
-    variance = np.empty(response.shape)
-    for row in range(2 * n):
-        coefficients = np.zeros((2 * n + 1, trial.f.size), dtype=np.complex128)
-        coefficients[0] = -response[row]
-        coefficients[1 + row] = 1.0
-        variance[row] = gain * residual_power(trial, coefficients)
-    return FrfColumn(
-        joint=trial.perturbed_joint,
-        f=trial.f,
-        R=response[:n].copy(),
-        T=response[n:].copy(),
-        R_variance=variance[:n].copy(),
-        T_variance=variance[n:].copy(),
-    )
+    coefficients = np.zeros((n, 2 * n + 1, trial.f.size), dtype=np.complex128)
+    coefficients[:, 1 : 1 + n] = -impedance
+    coefficients[np.arange(n), 1 + n + np.arange(n)] = 1.0
+    return np.stack([residual_power(trial, of_torque) for of_torque in coefficients])
 
 
 def frf_matrix(trials: Sequence[TrialSpectra]) -> FrfMatrix:
-    """Gather the columns of trials which :func:`order_trials` has put in order.
+    """Frequency responses from trials which :func:`order_trials` has put in order.
 
     Raises
     ------
     DataError
-        As :func:`frf_column`.
+        If a trial has fewer than two segments or no perturbation in the band.
     """
-    columns = [frf_column(trial) for trial in trials]
+    covariance = np.stack([_covariance(trial) for trial in trials])
+    responses = [trial.spectra.matrix[0, 1:] / trial.input_power for trial in trials]
+    stacked, n = np.stack(responses, axis=1), trials[0].joints
     return FrfMatrix(
-        f=columns[0].f,
-        R=np.stack([column.R for column in columns], axis=1),
-        T=np.stack([column.T for column in columns], axis=1),
-        R_variance=np.stack([column.R_variance for column in columns], axis=1),
-        T_variance=np.stack([column.T_variance for column in columns], axis=1),
-        covariance=np.stack([_covariance(trial) for trial in trials]),
+        f=trials[0].f, R=stacked[:n].copy(), T=stacked[n:].copy(), covariance=covariance
     )
 
 
 def _covariance(trial: TrialSpectra) -> ComplexArray:
     """Covariance of R and T of a trial: that of what the perturbation does not explain."""
-    matrix = trial.spectra.matrix
+    matrix, gain = trial.spectra.matrix, noise_gain(trial)
     crossed = matrix[0, 1:]
     explained = crossed[:, None] * np.conj(crossed[None]) / trial.input_power
-    covariance: ComplexArray = noise_gain(trial) * (np.swapaxes(matrix[1:, 1:], 0, 1) - explained)
+    covariance: ComplexArray = gain * (np.swapaxes(matrix[1:, 1:], 0, 1) - explained)
     return covariance
 
 

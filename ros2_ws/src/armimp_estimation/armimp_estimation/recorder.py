@@ -29,10 +29,10 @@ from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
-from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
 from armimp_estimation.stopping import PrecisionGoal, StoppingRule
 from armimp_estimation.timing import RECORD_KEY, Timing
-from armimp_estimation.trial import TrialAccumulator
+from armimp_estimation.trial import TrialSpectra, channels
 
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
@@ -319,8 +319,8 @@ class RunningTrial:
         self._streams, self._others = streams, others
         self._joint, self._rate, self._trial = joint, rate, trial
         self._lpm = lpm if lpm is not None else LpmFull()
-        self._accumulator = TrialAccumulator(
-            len(streams.joint_names), joint, rate, WelchConfig.for_samples(planned)
+        self._accumulator = SpectralAccumulator(
+            2 * len(streams.joint_names) + 1, rate, WelchConfig.for_samples(planned)
         )
         self._used = 0
         self._in_step = True
@@ -338,11 +338,12 @@ class RunningTrial:
             self._take()
             if self._accumulator.segments < 2:
                 return None
-            trial = self._accumulator.result()
+            spectra = self._accumulator.result()
         except DataError:
             return None
-        channels = trial.position_channel(self._joint), trial.torque_channel(self._joint)
-        motion, torque = (float(np.mean(coherence(trial.spectra, 0, one))) for one in channels)
+        trial = TrialSpectra(perturbed_joint=self._joint, spectra=spectra)
+        shown = trial.position_channel(self._joint), trial.torque_channel(self._joint)
+        motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
         return motion, torque
 
     def column(self, samples: int | None = None) -> FittedColumn | None:
@@ -393,7 +394,8 @@ class RunningTrial:
             raise DataError("a message cannot be decoded")
         if available <= self._used:
             return
-        self._accumulator.push(*(stream.values[:, new] for stream in streams))
+        new_values = (stream.values[:, new] for stream in streams)
+        self._accumulator.push(channels(self._joint, *new_values))
         # Whether a sample is missing, doubled or out of order on any stream.
         first, *others = (stream.stamps for stream in streams)
         steps = np.diff(first[max(self._used - 1, 0) : available])

@@ -150,7 +150,8 @@ def lock_ratio(trials: Sequence[TrialSpectra], frf: FrfMatrix) -> FloatArray:
         Row i is the joint that moves, column k the perturbed one; 1 on the diagonal.
     """
     power = np.stack([trial.input_power for trial in trials])
-    caused = np.sum((np.abs(frf.R) ** 2 - frf.R_variance) * power[None], axis=2)
+    noise = frf.variance[: len(frf.R)]
+    caused = np.sum((np.abs(frf.R) ** 2 - noise) * power[None], axis=2)
     # Not a number where the perturbed joint itself moves no more than by chance.
     own = np.where(np.diag(caused) > 0.0, np.diag(caused), np.nan)
     ratio: FloatArray = np.sqrt(np.maximum(caused, 0.0) / own[None])
@@ -172,7 +173,7 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
     n = frf.R.shape[0]
     bound = np.zeros((n, n))
     # What moves beyond chance; its noise would look like bias where torques are small.
-    R = np.sqrt(np.maximum(np.abs(frf.R) ** 2 - frf.R_variance, 0.0))
+    R = np.sqrt(np.maximum(np.abs(frf.R) ** 2 - frf.variance[:n], 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         for i in range(n):
             for k in range(n):

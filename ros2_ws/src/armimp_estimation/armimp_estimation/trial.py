@@ -65,66 +65,11 @@ class TrialSpectra:
         return replace(self, spectra=replace(self.spectra, matrix=matrix))
 
 
-class TrialAccumulator:
-    """Gathers the spectra of one trial while its samples arrive.
-
-    Parameters
-    ----------
-    joints : int
-        Number of joints n.
-    perturbed_joint : int
-        Joint k, 0-based.
-    rate : float
-        Samples per second, Hz.
-    config : WelchConfig
-        Segments and band.
-    """
-
-    def __init__(
-        self, joints: int, perturbed_joint: int, rate: float, config: WelchConfig | None = None
-    ) -> None:
-        self._joint = perturbed_joint
-        self._accumulator = SpectralAccumulator(2 * joints + 1, rate, config)
-
-    @property
-    def samples(self) -> int:
-        """Number of samples pushed so far."""
-        return self._accumulator.samples
-
-    @property
-    def segments(self) -> int:
-        """Number of complete segments so far."""
-        return self._accumulator.segments
-
-    def push(self, perturbation: FloatArray, position: FloatArray, torque: FloatArray) -> None:
-        """Append a block of m samples; each array has shape (n, m), in N·m, rad and N·m.
-
-        Raises
-        ------
-        DataError
-            If shapes disagree or a sample is not finite.
-        """
-        if not perturbation.shape == position.shape == torque.shape:
-            raise DataError(
-                f"block shapes differ: perturbation {perturbation.shape}, "
-                f"position {position.shape}, torque {torque.shape}"
-            )
-        k = self._joint
-        self._accumulator.push(np.concatenate((perturbation[k : k + 1], position, torque)))
-
-    def interrupt(self) -> None:
-        """Begin anew after a gap."""
-        self._accumulator.interrupt()
-
-    def result(self) -> TrialSpectra:
-        """Spectra of the samples so far.
-
-        Raises
-        ------
-        DataError
-            If there is no complete segment yet.
-        """
-        return TrialSpectra(perturbed_joint=self._joint, spectra=self._accumulator.result())
+def channels(
+    joint: int, perturbation: FloatArray, position: FloatArray, torque: FloatArray
+) -> FloatArray:
+    """Samples of a trial of a joint (0-based), each (n, m), as channels of `TrialSpectra`."""
+    return np.concatenate((perturbation[joint : joint + 1], position, torque))
 
 
 def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
@@ -200,13 +145,14 @@ class TrialData:
         if drift is not None and drift.significant:
             stretches = [drift.removed_from(stretch) for stretch in stretches]
             record = max(stretches, key=lambda stretch: stretch.samples)
-        accumulator = TrialAccumulator(record.joints, record.perturbed_joint, record.rate, config)
+        accumulator = SpectralAccumulator(2 * record.joints + 1, record.rate, config)
+        k = record.perturbed_joint
         for stretch in stretches:
             accumulator.interrupt()
-            accumulator.push(stretch.perturbation, stretch.position, stretch.torque)
+            accumulator.push(channels(k, stretch.perturbation, stretch.position, stretch.torque))
         try:
-            spectra = accumulator.result().corrected(reading or TorqueReading())
-            return cls(record=record, spectra=spectra)
+            spectra = TrialSpectra(perturbed_joint=k, spectra=accumulator.result())
+            return cls(record=record, spectra=spectra.corrected(reading or TorqueReading()))
         except DataError as error:
             gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"
             raise DataError(f"trial {record.trial}: {error}{gaps}", error.code) from error

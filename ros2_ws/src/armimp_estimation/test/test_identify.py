@@ -12,7 +12,7 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import TrialAccumulator, TrialData
+from armimp_estimation.trial import TrialData
 from armimp_estimation.verdict import Limits, judge_coherence, judge_locking
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
@@ -75,23 +75,6 @@ def test_order_of_trials_does_not_change_a_bit() -> None:
     data = trials()
     assert bits(identify(data, ESTIMATORS, None, CONFIG)) == bits(
         identify(data[::-1], ESTIMATORS, None, CONFIG)
-    )
-
-
-def test_trials_gathered_live_give_the_bits_of_whole_records() -> None:
-    offline = trials()
-    live = []
-    for trial in offline:
-        record = trial.record
-        gathering = TrialAccumulator(2, record.perturbed_joint, record.rate, CONFIG.welch)
-        for begin in range(0, record.samples, 77):
-            part = slice(begin, begin + 77)
-            gathering.push(
-                record.perturbation[:, part], record.position[:, part], record.torque[:, part]
-            )
-        live.append(TrialData(record=record, spectra=gathering.result()))
-    assert bits(identify(live, ESTIMATORS, None, CONFIG)) == bits(
-        identify(offline, ESTIMATORS, None, CONFIG)
     )
 
 

@@ -160,9 +160,7 @@ def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
         f=F[:2],
         R=np.repeat(R[:, :, None], 2, axis=2) + 0j,
         T=np.repeat(T[:, :, None], 2, axis=2) + 0j,
-        R_variance=np.zeros((2, 2, 2)),
-        T_variance=np.ones((2, 2, 2)),
-        covariance=np.ones((2, 4, 4, 2), dtype=np.complex128),
+        covariance=np.zeros((2, 4, 4, 2), dtype=np.complex128),
     )
     expected = [
         [4.0 / 5.0 * 0.3 / 8.0, 8.0 / 2.0 * 0.1 / 4.0],

@@ -5,8 +5,8 @@ from hypothesis import strategies as st
 
 from armimp_common.errors import DataError
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import TrialAccumulator, TrialData
+from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
+from armimp_estimation.trial import TrialData, channels
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = WelchConfig(segment=256, overlap=192)
@@ -47,22 +47,17 @@ def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: 
 @given(st.lists(st.integers(1, 400), min_size=1, max_size=20))
 def test_gathering_live_gives_the_bits_of_the_whole_record(sizes: list[int]) -> None:
     source = record()
-    live = TrialAccumulator(2, 1, source.rate, CONFIG)
+    live = SpectralAccumulator(5, source.rate, CONFIG)
     begin = 0
     for size in [*sizes, source.samples]:
         part = slice(begin, begin + size)
-        live.push(source.perturbation[:, part], source.position[:, part], source.torque[:, part])
+        signals = source.perturbation, source.position, source.torque
+        live.push(channels(1, *(signal[:, part] for signal in signals)))
         begin += size
     assert live.samples == source.samples
     assert live.segments == 12
     offline = TrialData.from_record(source, CONFIG).spectra
-    assert live.result().spectra.matrix.tobytes() == offline.spectra.matrix.tobytes()
-
-
-def test_when_blocks_have_different_shapes_expect_data_error() -> None:
-    live = TrialAccumulator(2, 0, 125.0, CONFIG)
-    with pytest.raises(DataError, match="block shapes differ"):
-        live.push(np.zeros((2, 3)), np.zeros((2, 3)), np.zeros((2, 4)))
+    assert live.result().matrix.tobytes() == offline.spectra.matrix.tobytes()
 
 
 def test_when_the_record_is_too_short_expect_its_trial_in_the_error() -> None:

@@ -9,7 +9,7 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate, confidence_radius
 from armimp_estimation.estimators.registry import IdentifyConfig, estimator_names, make_estimator
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso, invert, multiply
-from armimp_estimation.frf import frf_column, order_trials
+from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
@@ -61,14 +61,11 @@ def static_record(noise: float = 0.0) -> TrialRecord:
 
 
 def test_responses_of_a_static_system_are_its_gains() -> None:
-    column = frf_column(TrialData.from_record(static_record(), WELCH).spectra)
-    assert column.joint == 0
-    np.testing.assert_allclose(column.R[0], 0.5, rtol=1e-12)
-    np.testing.assert_allclose(column.R[1], 0.001, rtol=1e-12)
-    np.testing.assert_allclose(column.T[0], 3.0, rtol=1e-12)
-    np.testing.assert_allclose(column.T[1], -2.0, rtol=1e-12)
-    assert column.T_variance.max() < 1e-14
-    assert column.R_variance.max() < 1e-14
+    frf = frf_matrix([TrialData.from_record(static_record(), WELCH).spectra])
+    gains = np.concatenate((frf.R, frf.T))[:, 0]
+    expected = np.array([0.5, 0.001, 3.0, -2.0])[:, None] * np.ones(frf.f.size)
+    np.testing.assert_allclose(gains, expected, rtol=1e-12)
+    assert np.abs(frf.variance).max() < 1e-14
 
 
 def test_impedance_of_a_static_system_is_the_ratio_of_its_gains() -> None:
@@ -138,14 +135,14 @@ def test_variance_of_responses_is_that_of_repeated_experiments() -> None:
     motion = 1.0 / ((0.2 + arm.M[0, 0]) * s**2 + (4.0 + arm.B[0, 0]) * s + 30.0 + arm.K[0, 0])
     push = motion * (arm.M[1, 0] * s**2 + arm.B[1, 0] * s + arm.K[1, 0])
     columns = [
-        frf_column(TrialData.from_record(synthetic_trial(arm, 0, loop, seed), WELCH).spectra)
+        frf_matrix([TrialData.from_record(synthetic_trial(arm, 0, loop, seed), WELCH).spectra])
         for seed in range(300)
     ]
-    squares = np.mean([np.abs(c.R[0] - motion) ** 2 for c in columns], axis=0)
-    ratio = np.mean([c.R_variance[0] for c in columns], axis=0) / squares
+    squares = np.mean([np.abs(c.R[0, 0] - motion) ** 2 for c in columns], axis=0)
+    ratio = np.mean([c.variance[0, 0] for c in columns], axis=0) / squares
     assert 0.98 < ratio.mean() < 1.08
-    squares = np.mean([np.abs(c.T[1] - push) ** 2 for c in columns], axis=0)
-    ratio = np.mean([c.T_variance[1] for c in columns], axis=0) / squares
+    squares = np.mean([np.abs(c.T[1, 0] - push) ** 2 for c in columns], axis=0)
+    ratio = np.mean([c.variance[3, 0] for c in columns], axis=0) / squares
     assert 0.98 < ratio.mean() < 1.08
 
 
@@ -226,7 +223,7 @@ def test_when_there_is_one_segment_only_expect_data_error() -> None:
 def test_when_there_is_no_perturbation_expect_data_error() -> None:
     record = dataclasses.replace(static_record(), perturbation=np.zeros((2, 6144)))
     with pytest.raises(DataError, match="joint 1: no perturbation at"):
-        frf_column(TrialData.from_record(record, WELCH).spectra)
+        frf_matrix([TrialData.from_record(record, WELCH).spectra])
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -237,7 +234,7 @@ def test_when_the_perturbation_is_too_large_to_be_squared_expect_data_error(valu
     perturbation[0, 100] = value
     record = dataclasses.replace(record, perturbation=perturbation)
     with pytest.raises(DataError, match="joint 1: no perturbation at"):
-        frf_column(TrialData.from_record(record, WELCH).spectra)
+        frf_matrix([TrialData.from_record(record, WELCH).spectra])
 
 
 def test_when_the_perturbed_joint_does_not_move_expect_data_error() -> None:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceColumn, ImpedanceEstimate
-from armimp_estimation.estimators.welch import estimate_by_columns
-from armimp_estimation.frf import noise_gain, order_trials, residual_power
+from armimp_estimation.estimators.welch import estimate_by_columns, impedance_column
+from armimp_estimation.frf import noise_gain, order_trials
 from armimp_estimation.trial import TrialData, TrialSpectra
 
 FloatArray = NDArray[np.float64]
@@ -49,13 +49,7 @@ class Direct:
         torques = slice(trial.torque_channel(0), trial.torque_channel(trial.joints))
         impedance: ComplexArray = trial.spectra.matrix[channel, torques] / motion
         gain = noise_gain(trial) * trial.input_power / motion
-        variance = np.empty(impedance.shape)
-        for i in range(trial.joints):
-            coefficients = np.zeros((2 * trial.joints + 1, trial.f.size), dtype=np.complex128)
-            coefficients[channel] = -impedance[i]
-            coefficients[trial.torque_channel(i)] = 1.0
-            variance[i] = gain * residual_power(trial, coefficients)
-        return ImpedanceColumn(joint=k, f=trial.f, Z=impedance, variance=variance)
+        return impedance_column(trial, impedance, gain)
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.

@@ -16,11 +16,10 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceColumn, ImpedanceEstimate
 from armimp_estimation.frf import (
     FrfMatrix,
-    frf_column,
     frf_matrix,
     noise_gain,
     order_trials,
-    residual_power,
+    unexplained_power,
 )
 from armimp_estimation.trial import TrialData, TrialSpectra
 
@@ -51,23 +50,17 @@ class WelchSiso:
             If there are fewer than two segments, no perturbation or no motion of joint k.
         """
         k = trial.perturbed_joint
-        frf = frf_column(trial)
-        motion = np.abs(frf.R[k])
+        frf = frf_matrix([trial])
+        R, T = frf.R[k, 0], frf.T[:, 0]
+        motion = np.abs(R)
         if not (motion > 0.0).all():
             still = trial.f[~(motion > 0.0)][0]
             raise DataError(
                 f"joint {k + 1} does not follow its perturbation at {still:.4g} Hz",
                 "joint_does_not_move",
             )
-        impedance = frf.T / frf.R[k]
         gain = noise_gain(trial) / motion**2
-        variance = np.empty(impedance.shape)
-        for i in range(trial.joints):
-            coefficients = np.zeros((2 * trial.joints + 1, trial.f.size), dtype=np.complex128)
-            coefficients[trial.position_channel(k)] = -impedance[i]
-            coefficients[trial.torque_channel(i)] = 1.0
-            variance[i] = gain * residual_power(trial, coefficients)
-        return ImpedanceColumn(joint=k, f=trial.f, Z=impedance, variance=variance)
+        return impedance_column(trial, T / R, gain)
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.
@@ -116,16 +109,27 @@ class WelchFull:
         variance = np.zeros(impedance.shape)
         for k, trial in enumerate(spectra):
             gain = noise_gain(trial)
-            for i in range(n):
-                coefficients = np.zeros((2 * n + 1, frf.f.size), dtype=np.complex128)
-                coefficients[1 : 1 + n] = -impedance[i]
-                coefficients[trial.torque_channel(i)] = 1.0
-                disturbance = gain * residual_power(trial, coefficients)
-                variance[i] += disturbance * np.abs(inverse[k]) ** 2
+            disturbance = gain * unexplained_power(trial, impedance)
+            variance += disturbance[:, None] * np.abs(inverse[k]) ** 2
         estimate = matrix_estimate(self.name, spectra, frf, impedance, variance)
         taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
         estimate = with_disturbance(estimate, taken, inverse)
         return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record.rate))
+
+
+def impedance_column(
+    trial: TrialSpectra, impedance: ComplexArray, gain: FloatArray
+) -> ImpedanceColumn:
+    """Column k of an impedance, (n, n_freq), with the variance that torques beyond it leave.
+
+    The gain, shape (n_freq,), is that of the variance over the power density which the motion of
+    joint k doesn't explain.
+    """
+    k = trial.perturbed_joint
+    alone = np.zeros((trial.joints, *impedance.shape), dtype=np.complex128)
+    alone[:, k] = impedance
+    variance = gain * unexplained_power(trial, alone)
+    return ImpedanceColumn(joint=k, f=trial.f, Z=impedance, variance=variance)
 
 
 def known_biases(
