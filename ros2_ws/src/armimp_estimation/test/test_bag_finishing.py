@@ -24,9 +24,9 @@ LOST = 7
 """Messages that a killed writer takes with it below."""
 
 
-def unfinished(path: Path, messages: Sequence[Message] = MESSAGES, namespace: str = "") -> Path:
+def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
     """A bag as a killed writer leaves it, without its last messages."""
-    writer = BagWriter(path, metadata=METADATA, namespace=namespace)
+    writer = BagWriter(path, metadata=METADATA)
     for topic, log_time_ns, raw in messages[: len(messages) - LOST]:
         writer.write(topic, raw, log_time_ns)
     writer.flush()
@@ -36,9 +36,9 @@ def unfinished(path: Path, messages: Sequence[Message] = MESSAGES, namespace: st
     return path
 
 
-def finished(path: Path, namespace: str = "") -> Path:
+def finished(path: Path) -> Path:
     """The bag of a writer that got the same messages and lived."""
-    with BagWriter(path, metadata=METADATA, namespace=namespace) as writer:
+    with BagWriter(path, metadata=METADATA) as writer:
         for topic, log_time_ns, raw in MESSAGES[: len(MESSAGES) - LOST]:
             writer.write(topic, raw, log_time_ns)
     return path
@@ -48,13 +48,12 @@ def content_of(path: Path) -> dict[str, bytes]:
     return {entry.name: entry.read_bytes() for entry in path.iterdir()}
 
 
-@pytest.mark.parametrize("namespace", ["", "/lab/rig"])
-def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path, namespace: str) -> None:
-    path = unfinished(tmp_path / "a" / "bag", namespace=namespace)
+def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
+    path = unfinished(tmp_path / "a" / "bag")
     note = finish_bag(path)
     count = len(MESSAGES) - LOST
     assert note == f"{path}: its recorder did not finish it: finished now, with {count} messages"
-    assert content_of(path) == content_of(finished(tmp_path / "b" / "bag", namespace))
+    assert content_of(path) == content_of(finished(tmp_path / "b" / "bag"))
 
 
 def test_bag_written_by_the_block_is_finished_with_all_of_its_messages(tmp_path: Path) -> None:

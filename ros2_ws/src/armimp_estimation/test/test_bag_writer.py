@@ -178,15 +178,6 @@ class TestFormat:
         for name in ("bag_0.mcap", "metadata.yaml"):
             assert (files[0] / name).read_bytes() == (files[1] / name).read_bytes()
 
-    def test_namespace_is_put_before_relative_topics_only(self, tmp_path: Path) -> None:
-        messages = (*synthetic_recording(ticks=2).messages, (CLOCK, 2**40, b"\0\1\0\0abc"))
-        path = write(tmp_path / "bag", messages, namespace="/lab/rig")
-        with AnyReader([path]) as reader:
-            topics = {c.topic for c in reader.connections}
-        assert "/clock" in topics
-        assert "/lab/rig/joint_states" in topics
-        assert list(iterate_messages(path)) == list(messages)
-
     def test_only_recorded_topics_are_listed(self, tmp_path: Path) -> None:
         path = write(tmp_path / "bag", ((CLOCK, 5, b"\0\1\0\0"),))
         document = yaml.safe_load((path / "metadata.yaml").read_text())

@@ -8,9 +8,9 @@ from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.files import BAGS, read_storage
 from armimp_estimation.bags.mcap_writer import HEAD
-from armimp_estimation.bags.metadata import FILE_NAME, is_provisional, read_metadata
+from armimp_estimation.bags.metadata import FILE_NAME, absolute, is_provisional, read_metadata
 from armimp_estimation.bags.raw import RawMessages
-from armimp_estimation.bags.topics import contract_topic, namespace_of
+from armimp_estimation.bags.topics import contract_topic
 from armimp_estimation.bags.writer import BagWriter, storage_name
 
 
@@ -73,16 +73,14 @@ def finish_bags(directory: Path) -> list[str]:
 
 def _write_anew(path: Path, messages: RawMessages) -> bool:
     """Replace the files of a bag by new ones; false if it has topics of no recorder of ours."""
-    names = [contract_topic(name) for name, _ in messages.topics]
-    spaces = {namespace_of(name) for name, _ in messages.topics} - {None}
-    if None in names or len(spaces) > 1:
+    names = [contract_topic(name) or "" for name, _ in messages.topics]
+    if [absolute(name) for name in names] != [name for name, _ in messages.topics]:
         return False
     with tempfile.TemporaryDirectory(prefix=".finishing.", dir=path) as work:
         copy = Path(work) / path.name
-        namespace = "".join(space or "" for space in spaces)
-        with BagWriter(copy, metadata=messages.metadata, namespace=namespace) as writer:
+        with BagWriter(copy, metadata=messages.metadata) as writer:
             for topic, log_time_ns, payload in messages:
-                writer.write(names[topic] or "", payload, log_time_ns)
+                writer.write(names[topic], payload, log_time_ns)
         for name in (storage_name(path), FILE_NAME):
             (copy / name).replace(path / name)
     return True

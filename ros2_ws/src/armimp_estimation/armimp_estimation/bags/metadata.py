@@ -1,6 +1,6 @@
 """``metadata.yaml`` of a rosbag2 directory: written as Jazzy does, read from any version."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -123,7 +123,7 @@ def dump(value: object) -> str:
 
 def bag_information(
     file_name: str,
-    topics: Mapping[str, tuple[str, int]],
+    topics: Mapping[str, int],
     time_range: tuple[int, int],
     custom: Mapping[str, str],
 ) -> dict[str, Any]:
@@ -133,14 +133,14 @@ def bag_information(
     ----------
     file_name : str
         The storage file within the directory.
-    topics : mapping of str to tuple of str and int
-        Name of each topic in the bag, to its name in the contract and its number of messages.
+    topics : mapping of str to int
+        Name in the contract of each topic in the bag, and its number of messages.
     time_range : tuple of int
         Log times of the first and of the last message (ns).
     custom : mapping of str to str
         The ``custom_data``.
     """
-    count = sum(messages for _, messages in topics.values())
+    count = sum(topics.values())
     start = {"nanoseconds_since_epoch": time_range[0]}
     duration = {"nanoseconds": time_range[1] - time_range[0]}
     return {
@@ -152,7 +152,7 @@ def bag_information(
         "topics_with_message_count": [
             {
                 "topic_metadata": {
-                    "name": name,
+                    "name": absolute(topic),
                     "type": MESSAGE_TYPES[topic],
                     "serialization_format": "cdr",
                     "offered_qos_profiles": qos_profiles(topic),
@@ -160,7 +160,7 @@ def bag_information(
                 },
                 "message_count": messages,
             }
-            for name, (topic, messages) in topics.items()
+            for topic, messages in topics.items()
         ],
         "compression_format": "",
         "compression_mode": "",
@@ -206,13 +206,12 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
         If the file is not the metadata of a bag.
     """
     try:
-        document = _parse(read_text(file, _MOST_BYTES))
+        information = _information(read_text(file, _MOST_BYTES))
     except (OSError, UnicodeDecodeError) as error:
         raise BagError(f"{file}: cannot be read: {_reason(error)}") from None
     except _BROKEN as error:
         raise BagError(f"{file}: not valid YAML: {_yaml_reason(error)}") from None
-    information = document.get(_ROOT) if isinstance(document, dict) else None
-    if not isinstance(information, dict):
+    if not information:
         raise BagError(f"{file}: not the metadata of a bag: {_ROOT} is missing")
     paths = information.get("relative_file_paths")
     if (
@@ -235,13 +234,11 @@ def is_provisional(file: Path) -> bool:
     """
     try:
         text = read_text(file, _MOST_BYTES)
-        if _NO_MESSAGES not in text:
-            return False  # as nearly always: parsing takes longer
-        document = _parse(text)
+        # Parsing takes longer, and mostly there are messages.
+        information = _information(text) if _NO_MESSAGES in text else {}
     except (OSError, *_BROKEN):
         return False
-    information = document.get(_ROOT) if isinstance(document, dict) else None
-    return isinstance(information, dict) and information.get("message_count") == "0"
+    return information.get("message_count") == "0"
 
 
 def parse_custom_data(text: str) -> dict[str, str]:
@@ -250,21 +247,20 @@ def parse_custom_data(text: str) -> dict[str, str]:
     Text that cannot be read gives an empty result, since this copy is only a convenience.
     """
     try:
-        document = _parse(text)
+        return _custom(_information(text))
     except _BROKEN:
         return {}
-    if not isinstance(document, dict):
-        return {}
-    inner = document.get(_ROOT, document)
-    return _custom(inner) if isinstance(inner, dict) else {}
 
 
 _BROKEN: Final = (yaml.YAMLError, RecursionError, ValueError)
 
 
-def _parse(text: str) -> Any:
+def _information(text: str) -> dict[str, Any]:
+    """Content of a ``metadata.yaml``, with or without its root; empty if it is none."""
     # Strings only: the loader must not turn unquoted text such as 12:30 into numbers.
-    return load_yaml(text, TextLoader, aliases=True)
+    document = load_yaml(text, TextLoader, aliases=True)
+    inner = document.get(_ROOT, document) if isinstance(document, dict) else None
+    return inner if isinstance(inner, dict) else {}
 
 
 def _custom(information: Mapping[str, Any]) -> dict[str, str]:
@@ -284,15 +280,6 @@ def _yaml_reason(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def topic_names(topics: Sequence[str], namespace: str) -> dict[str, str]:
-    """Full name in the bag of each topic of the contract, under a namespace.
-
-    Parameters
-    ----------
-    topics : sequence of str
-        Names of the contract; those with a leading slash stay as they are.
-    namespace : str
-        E.g. ``/rig``; empty or ``/`` for the root.
-    """
-    prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
-    return {topic: topic if topic.startswith("/") else prefix + topic for topic in topics}
+def absolute(topic: str) -> str:
+    """Full name of a topic of the contract in the root namespace, where bags are recorded."""
+    return topic if topic.startswith("/") else f"/{topic}"

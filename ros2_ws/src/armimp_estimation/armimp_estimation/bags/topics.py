@@ -21,12 +21,6 @@ def contract_topic(name: str) -> str | None:
     return next((topic for topic in MESSAGE_TYPES if _prefix(name, topic) is not None), None)
 
 
-def namespace_of(name: str) -> str | None:
-    """Namespace of the name of a topic in a bag; None if that is never under one."""
-    topic = contract_topic(name)
-    return None if topic is None or topic.startswith("/") else _prefix(name, topic)
-
-
 def resolve_topics(
     recorded: Sequence[tuple[str, str]], *, bag: str, namespace: str | None = None
 ) -> dict[str, int]:

@@ -13,11 +13,11 @@ from armimp_common.errors import BagError, ConfigurationError
 from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES
 from armimp_estimation.bags.mcap_writer import McapFile
 from armimp_estimation.bags.metadata import (
+    absolute,
     bag_information,
     dump,
     message_definition,
     qos_profiles,
-    topic_names,
     write_metadata,
 )
 
@@ -42,8 +42,6 @@ class BagWriter:
         Directory of the bag, which must not exist; parent directories are made.
     metadata : mapping of str to str
         Stored as ``custom_data`` of ``metadata.yaml`` and as MCAP metadata record ``armimp``.
-    namespace : str
-        Prefix of the topic names in the bag.
 
     Raises
     ------
@@ -53,13 +51,12 @@ class BagWriter:
         If a metadata value is not a string.
     """
 
-    def __init__(self, path: Path, *, metadata: Mapping[str, str], namespace: str = "") -> None:
+    def __init__(self, path: Path, *, metadata: Mapping[str, str]) -> None:
         for key, value in metadata.items():
             if not isinstance(key, str) or not isinstance(value, str):
                 raise ConfigurationError(f"bag metadata {key!r} is not a string: {value!r}")
         self._path = path
         self._custom = dict(metadata)
-        self._names = topic_names(list(MESSAGE_TYPES), namespace)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._closed = False
@@ -71,7 +68,7 @@ class BagWriter:
                 self._file.add_metadata(METADATA_RECORD, self._custom)
                 # A killed recording keeps this one; it lists all topics, since players make their
                 # publishers from the list.
-                write_metadata(path, self._information(self._names))
+                write_metadata(path, self._information(MESSAGE_TYPES))
             except OSError:
                 self._file.abandon()
                 raise
@@ -203,13 +200,13 @@ class BagWriter:
         return self._register(topic) if channel is None else channel
 
     def _register(self, topic: str) -> int:
-        if topic not in self._names:
+        if topic not in MESSAGE_TYPES:
             raise BagError(f"{self._path}: topic is not part of the contract: {topic!r}")
         definition = message_definition(MESSAGE_TYPES[topic])
         if definition.type not in self._schemas:
             self._schemas[definition.type] = self._file.add_schema(definition.type, definition.text)
         channel = self._file.add_channel(
-            self._names[topic],
+            absolute(topic),
             self._schemas[definition.type],
             {
                 "offered_qos_profiles": dump(qos_profiles(topic)),
@@ -222,8 +219,9 @@ class BagWriter:
     def _information(self, topics: Iterable[str]) -> dict[str, Any]:
         """Content of ``metadata.yaml`` with some topics."""
         counts = {t: self._file.counts.get(self._channels.get(t, 0), 0) for t in topics}
-        named = {self._names[topic]: (topic, count) for topic, count in counts.items()}
-        return bag_information(storage_name(self._path), named, self._file.time_range, self._custom)
+        return bag_information(
+            storage_name(self._path), counts, self._file.time_range, self._custom
+        )
 
     @contextmanager
     def _one_line(self) -> Iterator[None]:
