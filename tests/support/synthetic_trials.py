@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -126,3 +129,30 @@ def _noise(rng: np.random.Generator, samples: int, shape: FloatArray, rms: float
     spectrum[0] = 0.0
     actual = float(np.std(np.fft.irfft(spectrum, samples)))
     return spectrum * (rms / actual)
+
+
+# As 50 s at 1 kHz in resolution, band and number of segments, with an eighth of the samples.
+WELCH = WelchConfig(segment=1024, overlap=768)
+LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
+THREE_JOINT_ARM = MBK(
+    M=np.array([[0.3, 0.1, 0.02], [0.09, 0.1, 0.015], [0.021, 0.014, 0.01]]),
+    B=np.array([[0.9, 0.3, 0.05], [0.25, 0.5, 0.06], [0.04, 0.07, 0.1]]),
+    K=np.array([[12.0, 4.0, 0.8], [3.0, 8.0, 1.1], [0.9, 0.7, 2.0]]),
+)
+
+
+def synthetic_trials(
+    loop: SyntheticConfig = LOOP, seed: int = 1, arm: MBK = TWO_JOINT_ARM
+) -> list[TrialData]:
+    """Trials of all joints of an arm, with their spectra."""
+    return [
+        TrialData.from_record(synthetic_trial(arm, joint, loop, seed), WELCH)
+        for joint in range(arm.joints)
+    ]
+
+
+def relative_error(estimate: ImpedanceEstimate, arm: MBK) -> float:
+    """Worst element of the rms error over frequency, relative to the rms of the element."""
+    true = arm.impedance(estimate.f)
+    error = np.sum(np.abs(estimate.Z - true) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
+    return float(np.sqrt(np.max(error)))

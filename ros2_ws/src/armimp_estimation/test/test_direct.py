@@ -10,19 +10,20 @@ from armimp_common.errors import DataError
 from armimp_estimation.estimators.direct import Direct
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
-from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import (
+    LOOP,
+    TWO_JOINT_ARM,
+    WELCH,
+    synthetic_trials,
+)
 
 FloatArray = NDArray[np.float64]
 
-WELCH = WelchConfig(segment=1024, overlap=768)
-LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
 PUSHED = dataclasses.replace(LOOP, voluntary=1.0)
 SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
 OTHERS: list[Estimator] = [
@@ -30,13 +31,6 @@ OTHERS: list[Estimator] = [
     WelchFull(),
     LpmFull(config=LpmConfig(reading=SIMULTANEOUS)),
 ]
-
-
-def trials(loop: SyntheticConfig, seed: int = 1) -> list[TrialData]:
-    return [
-        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), WELCH)
-        for joint in range(2)
-    ]
 
 
 def pushed_record(seed: int) -> TrialRecord:
@@ -57,7 +51,7 @@ def pushed_record(seed: int) -> TrialRecord:
 
 
 def test_without_disturbance_it_finds_the_true_impedance() -> None:
-    estimate = Direct().estimate(trials(LOOP))
+    estimate = Direct().estimate(synthetic_trials(LOOP))
     true = TWO_JOINT_ARM.impedance(estimate.f)
     error = np.sum(np.abs(estimate.Z - true) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
     assert np.sqrt(np.max(error)) < 0.005
@@ -78,7 +72,7 @@ def test_when_the_subject_pushes_expect_bias_here_and_none_in_the_others() -> No
     # Real parts of relative errors, averaged over the band where the subject pushes.
     errors: dict[str, list[FloatArray]] = {}
     for seed in range(30):
-        data = trials(PUSHED, seed)
+        data = synthetic_trials(PUSHED, seed)
         for estimator in (Direct(), *OTHERS):
             estimate = estimator.estimate(data)
             band = estimate.f < 2.0
@@ -96,14 +90,14 @@ def test_when_the_subject_pushes_expect_bias_here_and_none_in_the_others() -> No
 
 
 def test_its_standard_errors_do_not_know_of_the_bias() -> None:
-    fit = fit_mbk(Direct().estimate(trials(dataclasses.replace(LOOP, voluntary=3.0))))
+    fit = fit_mbk(Direct().estimate(synthetic_trials(dataclasses.replace(LOOP, voluntary=3.0))))
     off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.B_se
     assert off[0, 0] > 4.0
 
 
 def test_variance_is_that_of_repeated_experiments_outside_the_loop() -> None:
     loop = dataclasses.replace(LOOP, torque_noise=0.5)
-    estimates = [Direct().estimate(trials(loop, seed)) for seed in range(80)]
+    estimates = [Direct().estimate(synthetic_trials(loop, seed)) for seed in range(80)]
     true = TWO_JOINT_ARM.impedance(estimates[0].f)
     squares = np.mean([np.abs(e.Z - true) ** 2 for e in estimates], axis=0)
     ratio = np.mean(np.mean([e.variance for e in estimates], axis=0) / squares, axis=2)
@@ -112,16 +106,7 @@ def test_variance_is_that_of_repeated_experiments_outside_the_loop() -> None:
     assert 0.94 < inside < 0.97
 
 
-def test_registry_knows_it() -> None:
-    assert isinstance(make_estimator("direct", IdentifyConfig()), Direct)
-
-
 def test_when_the_perturbed_joint_does_not_move_expect_data_error() -> None:
     record = dataclasses.replace(pushed_record(1), position=np.zeros((1, 6144)))
     with pytest.raises(DataError, match=r"joint 1 does not move at 0\.1221 Hz"):
         Direct().estimate([TrialData.from_record(record, WELCH)])
-
-
-def test_when_a_joint_has_no_trial_expect_its_number_and_name() -> None:
-    with pytest.raises(DataError, match=r"no trial perturbs joint 2 \(joint_2\)"):
-        Direct().estimate(trials(LOOP)[:1])

@@ -125,10 +125,6 @@ def test_truth_has_no_part_in_the_verdict() -> None:
     assert (vaf < 50.0).all()
 
 
-def test_without_truth_there_is_no_vaf() -> None:
-    assert identify(trials(), ["welch_siso"], None, CONFIG).estimators["welch_siso"].vaf is None
-
-
 def test_when_a_joint_has_no_trial_expect_its_name_in_the_error() -> None:
     with pytest.raises(DataError, match=r"no trial perturbs joint 1 \(joint_1\)"):
         identify(trials()[1:], ESTIMATORS, None, CONFIG)
@@ -149,13 +145,6 @@ def test_an_estimator_of_ones_own_gives_what_one_with_a_name_gives() -> None:
     np.testing.assert_array_equal(
         own.estimators["own"].fit.mbk.B, named.estimators["welch_siso"].fit.mbk.B
     )
-
-
-def test_when_an_estimator_of_ones_own_has_a_name_that_is_taken_expect_configuration_error() -> (
-    None
-):
-    with pytest.raises(ConfigurationError, match="'welch_full', 'welch_full'"):
-        identify(trials(), ["welch_full", WelchSiso(name="welch_full")], TWO_JOINT_ARM, CONFIG)
 
 
 def test_when_the_truth_is_of_another_arm_expect_configuration_error() -> None:

@@ -99,17 +99,6 @@ def test_blocks_of_any_size_give_bit_identical_matrices(
     assert accumulator.result().matrix.tobytes() == spectra_of(x, config).matrix.tobytes()
 
 
-def test_default_spectra_of_single_samples_and_of_other_layouts_are_bit_identical() -> None:
-    x = signals(5, 10_500)
-    whole = spectra_of(x, WelchConfig(), 1000.0)
-    single = SpectralAccumulator(5, 1000.0)
-    for sample in range(x.shape[1]):
-        single.push(x[:, sample : sample + 1])
-    assert single.result().matrix.tobytes() == whole.matrix.tobytes()
-    fortran = spectra_of(np.asfortranarray(x), WelchConfig(), 1000.0)
-    assert fortran.matrix.tobytes() == whole.matrix.tobytes()
-
-
 def test_a_result_on_the_way_does_not_disturb_the_final_one() -> None:
     x = signals(2, 300)
     accumulator = SpectralAccumulator(2, RATE, SMALL)
@@ -119,22 +108,6 @@ def test_a_result_on_the_way_does_not_disturb_the_final_one() -> None:
     assert early.segments == 7
     assert early.matrix.tobytes() == spectra_of(x[:, :170]).matrix.tobytes()
     assert accumulator.result().matrix.tobytes() == spectra_of(x).matrix.tobytes()
-
-
-def test_matrix_is_hermitian_and_its_diagonal_the_power() -> None:
-    spectra = spectra_of(signals(3, 500))
-    np.testing.assert_allclose(
-        spectra.matrix, np.conj(np.swapaxes(spectra.matrix, 0, 1)), rtol=1e-14, atol=1e-18
-    )
-    for channel in range(3):
-        assert (spectra.power(channel) > 0.0).all()
-
-
-def test_offset_of_a_channel_does_not_matter() -> None:
-    x = signals(2, 500)
-    np.testing.assert_allclose(
-        spectra_of(x + np.array([[300.0], [-20.0]])).matrix, spectra_of(x).matrix, rtol=1e-9
-    )
 
 
 @pytest.mark.parametrize(

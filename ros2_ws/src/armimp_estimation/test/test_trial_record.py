@@ -23,11 +23,6 @@ def record(**changes: Any) -> TrialRecord:
     return TrialRecord(**(values | changes))
 
 
-def test_counts_and_duration_follow_from_the_arrays() -> None:
-    made = record()
-    assert (made.joints, made.samples, made.duration) == (2, 5, 0.005)
-
-
 def test_arrays_of_any_layout_become_contiguous_float64_with_the_same_values() -> None:
     values = np.arange(10, dtype=np.float32).reshape(5, 2).T
     made = record(position=values)
