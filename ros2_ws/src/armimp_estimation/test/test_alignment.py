@@ -496,6 +496,13 @@ def test_what_follows_clipped_commands_is_left_out_without_being_asked(
     assert not trial.judged(allow_gaps=False, most_excluded=excluded / TICKS)
 
 
+def test_a_trial_of_clipped_commands_alone_has_nothing_to_estimate_from() -> None:
+    *others, last = statuses_of(RECORDING)
+    clipped = replace(last, clipped=TICKS, clipped_intervals=f"0-{TICKS}")
+    trial = assemble(RECORDING.by_topic(), [*others, clipped])
+    assert_refused(trial, ProblemCode.NOTHING_RECORDED, healed=False)
+
+
 def test_clipped_at_an_unknown_time_is_a_problem() -> None:
     *others, last = statuses_of(RECORDING)
     trial = assemble(RECORDING.by_topic(), [*others, replace(last, clipped=3)])

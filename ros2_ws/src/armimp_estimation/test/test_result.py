@@ -162,11 +162,11 @@ def test_live_trials_and_those_read_from_bags_give_equal_results_to_the_bit(
 
 
 def test_a_trial_without_any_sample_is_named_and_its_result_has_a_reason() -> None:
-    empty = replace(LIVE[1], segments=())
+    nothing = Problem(code=ProblemCode.NOTHING_RECORDED, trial=2)
+    empty = replace(LIVE[1], segments=(), problems=(nothing,))
     result = result_of([LIVE[0], empty])
-    (missing,) = result.summary.faults
-    assert (missing.code, missing.trial) == (ProblemCode.NOTHING_RECORDED, empty.trial)
-    assert str(missing) in result_message(result).message
+    assert result.summary.faults == [nothing]
+    assert str(nothing) in result_message(result).message
 
 
 @pytest.mark.parametrize("trials", [LIVE[:1], LIVE[1:], [], [LIVE[0], LIVE[0]]])

@@ -72,6 +72,8 @@ _REFUSED = frozenset(
     }
 )
 """Problems with which no part of a trial may be estimated."""
+_ANY_REFUSED = _REFUSED | _HEALED | {ProblemCode.TRIAL_ABORTED}
+"""Problems with which a trial may not be estimated as a whole."""
 
 
 class StreamCount(JsonModel):
@@ -201,14 +203,8 @@ class Trial:
             Estimate from the intact parts of a trial that was aborted or lost samples, or had some
             that were repeated, out of order or not finite.
         """
-        refused = _REFUSED if allow_gaps else _REFUSED | _HEALED | {ProblemCode.TRIAL_ABORTED}
-        found = [one for one in self.problems if one.code in refused]
-        if not found and not self.segments:
-            # What gaps may heal has left nothing.
-            found = [*self.problems] or [
-                Problem(code=ProblemCode.NOTHING_RECORDED, trial=self.trial)
-            ]
-        return found
+        refused = _REFUSED if allow_gaps and self.segments else _ANY_REFUSED
+        return [one for one in self.problems if one.code in refused]
 
     def judged(self, *, allow_gaps: bool, most_excluded: float) -> list[Problem]:
         """Return all problems of the trial, those that its intact parts do not have as notes.
@@ -225,8 +221,6 @@ class Trial:
             one.model_copy(update={"severity": Severity.NOTE}) if one.code in healed else one
             for one in self.problems
         ]
-        if not self.problems:
-            found += self.refusals(allow_gaps=allow_gaps)
         share = self.statistics.excluded_share
         if self.segments and not share <= most_excluded:
             values = {"percent": 100.0 * share, "limit": 100.0 * most_excluded}
@@ -350,7 +344,7 @@ def assemble_trial(
     counts = {topic: one.statistics(last_ns) for topic, one in aligned.items()}
     leading = aligned[PERTURBATION]
     counts[COMMANDS], foreign = _count_commands(streams, leading)
-    found = [*_of_window(window, aligned, stamps, numbers), *_of_streams(aligned, counts)]
+    found = [*_of_window(window, stamps, numbers), *_of_streams(aligned, counts)]
     found += _of_commands(window, leading, counts[COMMANDS], foreign)
     for first, last in window.clipped_intervals:
         # A command acts until the next sample, which is the first to show it.
@@ -370,6 +364,8 @@ def assemble_trial(
             found.append(problem(ProblemCode.NO_PERTURBATION))
     if window.clipped and not window.clipped_intervals:
         found.append(problem(ProblemCode.CLIPPED_UNKNOWN, count=window.clipped))
+    if not segments and _ANY_REFUSED.isdisjoint(one.code for one in found):
+        found.append(problem(ProblemCode.NOTHING_RECORDED))
     within = {topic: one.stamps for topic, one in aligned.items()}
     found += judge_stamps(within, period, trial=window.trial, planned=planned)
     return Trial(
@@ -475,16 +471,11 @@ def _span(window: TrialWindow, aligned: Mapping[str, _Aligned]) -> int:
 
 
 def _of_window(
-    window: TrialWindow,
-    aligned: Mapping[str, _Aligned],
-    stamps: NDArray[np.int64],
-    numbers: NDArray[np.int64],
+    window: TrialWindow, stamps: NDArray[np.int64], numbers: NDArray[np.int64]
 ) -> Iterator[Problem]:
     """What the controller says against the trial, and stamps that do not belong together."""
     if window.fault is not None:
         yield window.fault
-    elif not aligned[PERTURBATION].present.size:
-        yield problem(ProblemCode.NOTHING_RECORDED)
     close = np.flatnonzero(np.diff(numbers) == 0)
     if close.size:
         apart = int(stamps[close[0] + 1] - stamps[close[0]])
