@@ -17,7 +17,8 @@ from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import TORQUE_SENSORS, TRIAL
-from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+from armimp_estimation.bags import BagWriter, read_bag
+from support.synthetic_bags import iterate_messages
 
 SHORT = ["run", "--duration", "2", "--seed", "5"]
 

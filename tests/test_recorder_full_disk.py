@@ -17,12 +17,12 @@ from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ArmimpError, BagError
 from armimp_common.status import Progress
 from armimp_common.topics import TRIAL
-from armimp_estimation.bags import BagWriter, iterate_messages
+from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.recorder import TrialRecorder
-from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_bags import Message, iterate_messages, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
 MESSAGES = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10).messages

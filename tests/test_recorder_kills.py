@@ -20,12 +20,13 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.status import Progress
-from armimp_estimation.bags import iterate_messages, read_bag
+from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.problems import ProblemCode
 from support.fault_figures import Figures
 from support.recordings import recorded_arm
+from support.synthetic_bags import iterate_messages
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
@@ -43,6 +44,7 @@ from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.alignment.synchronizer import TOGETHER, StreamSynchronizer
 from armimp_estimation.recorder import TrialRecorder
 from support.recordings import recorded_arm
+from support.synthetic_bags import iterate_messages
 
 directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 arm = recorded_arm(samples)

@@ -14,9 +14,10 @@ from armimp_bringup.offline import OfflineTrial
 from armimp_common.cdr import CommandDecoder, JointStateDecoder
 from armimp_common.status import TrialStatus
 from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, TRIAL, VALUE_FIELD
-from armimp_estimation.bags import iterate_messages, read_bag
+from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.summary import Summary
+from support.synthetic_bags import iterate_messages
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,13 +4,14 @@ No physics engine: the loop is solved in the frequency domain over one period of
 perturbation, so the only errors of an estimate are those of the estimator.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate, confidence_radius
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
@@ -156,3 +157,12 @@ def relative_error(estimate: ImpedanceEstimate, arm: MBK) -> float:
     true = arm.impedance(estimate.f)
     error = np.sum(np.abs(estimate.Z - true) ** 2, axis=2) / np.sum(np.abs(true) ** 2, axis=2)
     return float(np.sqrt(np.max(error)))
+
+
+def share_within(estimates: Sequence[ImpedanceEstimate], true: ComplexArray, level: float) -> float:
+    """Share of values that are within their confidence circle about the truth, N·m/rad."""
+    inside = [
+        np.abs(one.Z - true) <= confidence_radius(one.variance, one.averages, level)
+        for one in estimates
+    ]
+    return float(np.mean(inside))

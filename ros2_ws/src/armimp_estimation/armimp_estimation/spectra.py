@@ -84,10 +84,6 @@ class WelchConfig:
         """Samples from the beginning of one segment to that of the next."""
         return self.segment - self.overlap
 
-    def segments_in(self, samples: int) -> int:
-        """Number of complete segments in a record of so many samples."""
-        return max(0, (samples - self.overlap) // self.step)
-
     def frequencies(self, rate: float) -> FloatArray:
         """Frequencies of the kept bins, Hz, for a sampling rate in Hz."""
         first, stop = self.bins(rate)

@@ -10,8 +10,8 @@ from rosbags.typesys import Stores, get_typestore
 from armimp_common import topics
 from armimp_common.errors import BagError, DataError
 from armimp_common.topics import PERIOD_NS
-from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
-from support.synthetic_bags import Message, assert_same, synthetic_recording
+from armimp_estimation.bags import BagWriter, read_bag
+from support.synthetic_bags import Message, assert_same, iterate_messages, synthetic_recording
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)

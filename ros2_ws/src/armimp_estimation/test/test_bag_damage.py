@@ -16,10 +16,10 @@ from rosbags.typesys import Stores, get_typestore
 
 from armimp_common import topics
 from armimp_common.errors import BagError, DataError
-from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.record import TrialRecord
 from support.fault_figures import Figures
-from support.synthetic_bags import synthetic_recording
+from support.synthetic_bags import iterate_messages, synthetic_recording
 
 TICKS = 160
 RECORDING = synthetic_recording(ticks=TICKS)

@@ -12,11 +12,11 @@ from armimp_common import topics
 from armimp_common.errors import BagError
 from armimp_common.topics import CLOCK, PERIOD_NS
 from armimp_estimation.alignment.trial_segmenter import ORDER, stamps_in_step
-from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
 from support.fault_figures import Figures
-from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_bags import Message, iterate_messages, synthetic_recording
 
 MESSAGES = synthetic_recording(ticks=160).messages
 METADATA = {"seed": "1", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}

@@ -21,12 +21,13 @@ from armimp_common.topics import (
     TRIAL,
     VALUE_FIELD,
 )
-from armimp_estimation.bags import BagWriter, iterate_messages, read_bag
+from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.metadata import message_definition
 from support.synthetic_bags import (
     Message,
     SyntheticRecording,
     assert_same,
+    iterate_messages,
     synthetic_recording,
 )
 

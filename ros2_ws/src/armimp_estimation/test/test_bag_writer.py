@@ -31,13 +31,12 @@ from armimp_common.topics import (
 from armimp_estimation.bags import (
     BagWriter,
     expected_bytes,
-    iterate_messages,
     read_bag,
     require_free_space,
 )
 from armimp_estimation.bags.mcap_writer import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
 from armimp_estimation.bags.metadata import message_definition, qos_profiles
-from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_bags import Message, iterate_messages, synthetic_recording
 
 METADATA = {"schema": "1", "seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
 

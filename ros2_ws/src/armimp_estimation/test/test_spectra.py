@@ -95,7 +95,7 @@ def test_blocks_of_any_size_give_bit_identical_matrices(
     for begin, end in itertools.pairwise(edges):
         accumulator.push(x[:, begin:end])
     assert accumulator.samples == samples
-    assert accumulator.segments == config.segments_in(samples)
+    assert accumulator.segments == max(0, (samples - config.overlap) // config.step)
     assert accumulator.result().matrix.tobytes() == spectra_of(x, config).matrix.tobytes()
 
 
@@ -108,13 +108,6 @@ def test_a_result_on_the_way_does_not_disturb_the_final_one() -> None:
     assert early.segments == 7
     assert early.matrix.tobytes() == spectra_of(x[:, :170]).matrix.tobytes()
     assert accumulator.result().matrix.tobytes() == spectra_of(x).matrix.tobytes()
-
-
-@pytest.mark.parametrize(
-    ("samples", "segments"), [(0, 0), (8191, 0), (8192, 1), (10239, 1), (10240, 2), (50_000, 21)]
-)
-def test_number_of_segments_counts_complete_ones_only(samples: int, segments: int) -> None:
-    assert WelchConfig().segments_in(samples) == segments
 
 
 def test_when_the_record_is_shorter_than_a_segment_expect_both_lengths_in_the_error() -> None:

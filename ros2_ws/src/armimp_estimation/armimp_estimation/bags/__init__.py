@@ -1,13 +1,12 @@
 """Bags: rosbag2 recordings of experiments, written here and read from anywhere."""
 
-from armimp_estimation.bags.reader import BagContent, iterate_messages, read_bag
+from armimp_estimation.bags.reader import BagContent, read_bag
 from armimp_estimation.bags.writer import BagWriter, expected_bytes, require_free_space
 
 __all__ = [
     "BagContent",
     "BagWriter",
     "expected_bytes",
-    "iterate_messages",
     "read_bag",
     "require_free_space",
 ]

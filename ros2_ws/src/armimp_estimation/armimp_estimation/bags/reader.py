@@ -74,7 +74,9 @@ class BagContent:
         raw : bytes
             The serialised message.
         """
-        return _messages(self._raw, self._contract_names)
+        for index, log_time_ns, payload in self._raw:
+            if index in self._contract_names:
+                yield self._contract_names[index], log_time_ns, payload
 
 
 def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -> BagContent:
@@ -100,7 +102,11 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         If the path is not a readable bag, or the bag lacks something; the message is one line
         that names the file. A trial that is there but spoiled raises only in `records`.
     """
-    raw, found = _read(path, namespace, trust=trust)
+    raw = read_storage(path, contract_topic, trust=trust)
+    if not raw.payloads:
+        cut = f"; the file {raw.cut}" if raw.cut else ""
+        raise BagError(f"{path}: no messages of an experiment in it{cut}")
+    found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
     require_topics(found, bag=str(path))
     by_index = raw.by_topic()
     messages = {
@@ -135,48 +141,6 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         _raw=raw,
         _contract_names={index: topic for topic, index in found.items()},
     )
-
-
-def iterate_messages(
-    path: Path, *, namespace: str | None = None
-) -> Iterator[tuple[str, int, bytes]]:
-    """Iterate over the messages of the contract in a bag, in recorded order.
-
-    Nothing is required of the content: there need not be a trial in it.
-
-    Parameters
-    ----------
-    path : Path
-        As for `read_bag`.
-    namespace : str, optional
-        As for `read_bag`.
-
-    Returns
-    -------
-    iterator
-        Of name in the contract, log time (ns) and serialised message.
-
-    Raises
-    ------
-    BagError
-        At the call, if the path is not a readable bag.
-    """
-    raw, found = _read(path, namespace, trust=False)
-    return _messages(raw, {index: topic for topic, index in found.items()})
-
-
-def _read(path: Path, namespace: str | None, *, trust: bool) -> tuple[RawMessages, dict[str, int]]:
-    raw = read_storage(path, contract_topic, trust=trust)
-    if not raw.payloads:
-        cut = f"; the file {raw.cut}" if raw.cut else ""
-        raise BagError(f"{path}: no messages of an experiment in it{cut}")
-    return raw, resolve_topics(raw.topics, bag=str(path), namespace=namespace)
-
-
-def _messages(raw: RawMessages, names: Mapping[int, str]) -> Iterator[tuple[str, int, bytes]]:
-    for index, log_time_ns, payload in raw:
-        if index in names:
-            yield names[index], log_time_ns, payload
 
 
 def _joint_names(metadata: Mapping[str, str], perturbation: Sequence[bytes]) -> tuple[str, ...]:

@@ -147,10 +147,6 @@ class ImpedanceEstimate:
             variance -= np.abs(common) ** 2
         return replace(self, variance=np.maximum(variance, 0.0), systematics=())
 
-    def confidence_radius(self, level: float = 0.95) -> FloatArray:
-        """Radius of the confidence circle of each value, N·m/rad, shape (n, n, n_freq)."""
-        return confidence_radius(self.variance, self.averages, level)
-
 
 class Estimator(Protocol):
     """A way to get the impedance matrix from the trials of one decomposition."""
