@@ -245,19 +245,6 @@ class TestEveryByte:
 
 
 class TestChangedBytes:
-    @settings(max_examples=300, deadline=None)
-    @given(data=st.data())
-    def test_own_bag_is_read_or_refused(
-        self, own: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
-    ) -> None:
-        whole = bytearray(storage_file(own).read_bytes())
-        for _ in range(data.draw(st.integers(1, 3))):
-            where = data.draw(st.integers(0, len(whole) - 1))
-            whole[where] = data.draw(st.integers(0, 255))
-        file = tmp_path_factory.getbasetemp() / "changed.mcap"
-        file.write_bytes(whole)
-        samples_or_refusal(file)
-
     @settings(max_examples=150, deadline=None)
     @given(data=st.data())
     def test_foreign_bag_gives_no_other_error(

@@ -14,10 +14,8 @@ from rosbags.typesys import Stores, get_typestore
 from armimp_common.errors import BagError
 from armimp_common.topics import (
     CLOCK,
-    COMMANDS,
     JOINT_STATES,
     MESSAGE_TYPES,
-    TORQUE_SENSORS,
     TRIAL,
     VALUE_FIELD,
 )
@@ -359,34 +357,8 @@ class TestTopics:
         path = write_rosbags(tmp_path / "bag", messages)
         assert_reads(path)
 
-    def test_wrong_type_is_named(self, tmp_path: Path) -> None:
-        def rename(topic: str) -> str:
-            return "/torque_sensors" if topic == COMMANDS else "/x" + absolute(topic)
-
-        path = write_rosbags(tmp_path / "bag", without(TORQUE_SENSORS), rename=rename, custom=False)
-        assert refusal(path) == (
-            f"{path}: topic /torque_sensors is of type std_msgs/msg/Float64MultiArray, "
-            "not sensor_msgs/msg/JointState"
-        )
-
     def test_other_encoding_is_named(self, tmp_path: Path) -> None:
         path = write_mcap(tmp_path / "bag.mcap", encoding="json")
         assert refusal(path) == (
             f"{path}: topic /imbic_controller/trial is encoded as 'json', not as cdr"
         )
-
-    @pytest.mark.parametrize("topic", VALUE_FIELD)
-    def test_stream_without_messages(self, tmp_path: Path, topic: str) -> None:
-        path = tmp_path / "bag"
-        with Writer(path, version=9) as writer:
-            connections = {
-                name: writer.add_connection(absolute(name), MESSAGE_TYPES[name], typestore=STORE)
-                for name in {name for name, _, _ in RECORDING.messages}
-            }
-            for name, log_time_ns, raw in without(topic):
-                writer.write(connections[name], log_time_ns, raw)
-        assert refusal(path) == f"{path}: no messages of {topic}"
-
-    def test_bag_of_other_topics(self, tmp_path: Path) -> None:
-        path = write_rosbags(tmp_path / "bag", [("chatter", 1, b"\0\1\0\0")])
-        assert refusal(path) == f"{path}: no messages of an experiment in it"

@@ -4,13 +4,10 @@ import base64
 import hashlib
 import json
 import re
-import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
 
 from armimp_common import topics
@@ -270,35 +267,12 @@ def test_a_summary_alone_is_enough_and_what_lacks_is_said(directory: Path, tmp_p
     assert f"trial of {result.joint_names[0]} 10000 0" in words
 
 
-def test_curves_of_another_size_are_not_drawn(directory: Path, tmp_path: Path) -> None:
-    target = altered(directory, tmp_path / "three")
-    with np.load(target / "frf.npz") as curves:
-        larger: dict[str, Any] = {
-            name: np.pad(values, ((0, 1), (0, 1), (0, 0))) if values.ndim == 3 else values
-            for name, values in curves.items()
-        }
-    np.savez(target / "frf.npz", **larger)
-    result = load_result(target, [])
-    assert result.curves == {}
-    assert "not a file of impedance curves" in result.notes[0]
-
-
 def test_bags_may_be_elsewhere(directory: Path, tmp_path: Path) -> None:
     target = altered(directory, tmp_path / "replayed")
     bag = directory / "bags" / "session"
     result = load_result(target, [bag, bag])
     assert [one.trial for one in result.trials] == [1, 2]
     assert tuple(result.joint_names) == recorded_arm().records[0].joint_names
-
-
-def test_the_same_trial_twice_is_shown_twice(directory: Path, tmp_path: Path) -> None:
-    bag = directory / "bags" / "session"
-    copy = tmp_path / "session"
-    shutil.copytree(bag, copy)
-    target = altered(directory, tmp_path / "twice")
-    page = Page(report_page(load_result(target, [bag, copy])))
-    assert len([name for name in page.ids() if name.startswith("trace-")]) == 4
-    assert len(set(page.ids())) == len(page.ids())
 
 
 def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> None:

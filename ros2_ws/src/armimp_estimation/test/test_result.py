@@ -31,7 +31,7 @@ from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude, load_result
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
-from armimp_estimation.summary import Summary, TruthSummary, read_summary, write_summary
+from armimp_estimation.summary import TruthSummary, read_summary, write_summary
 from armimp_estimation.timing import RECORD_KEY, Timing, latest_metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, segments_for
@@ -529,37 +529,6 @@ def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None
         write_summary(tmp_path / "nowhere" / "summary.json", COMPLETE.summary)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "content"),
-        ("[]", "content"),
-        ('{"schema": 2}', "schema"),
-        ('{"schema": 1, "config": {}, "joints": "two"}', "joints"),
-        (
-            json.dumps(json.loads(COMPLETE.summary.model_dump_json(by_alias=True)) | {"red": 1}),
-            "red",
-        ),
-    ],
-)
-def test_when_the_file_is_no_summary_expect_file_and_place_in_one_line(
-    text: str, message: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "summary.json"
-    with pytest.raises(DataError, match=r"summary.json: No such file"):
-        read_summary(path)
-    path.write_text(text)
-    with pytest.raises(DataError, match=f"summary.json: not a summary: {message}") as caught:
-        read_summary(path)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("values", [{"delay": 2.0}, {"cutoff": -1.0}, {"order": 9}])
-def test_a_torque_reading_out_of_range_is_refused(values: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="torque reading"):
-        TorqueReading(**values)  # type: ignore[arg-type]
-
-
 def curves_of(identification: Identification) -> dict[str, ImpedanceCurve]:
     return {name: ImpedanceCurve.of(one) for name, one in identification.estimators.items()}
 
@@ -599,23 +568,3 @@ def test_covariances_of_responses_and_parameters_contain_the_standard_errors(
         np.testing.assert_allclose(np.sqrt(np.diag(fit.covariance)), errors, rtol=1e-12)
         correlation = fit.covariance / np.outer(errors, errors)
         assert np.linalg.eigvalsh(correlation).min() > 0.0
-
-
-@pytest.mark.parametrize("content", [b"", b"nonsense", b"PK\x03\x04 cut"])
-def test_when_the_file_holds_no_curves_expect_its_name_in_the_error(
-    content: bytes, tmp_path: Path
-) -> None:
-    path = tmp_path / "frf.npz"
-    path.write_bytes(content)
-    with pytest.raises(DataError, match=r"frf.npz: not a file of impedance curves"):
-        read_frf(path)
-    np.savez(path, f=np.ones(2), Z_x=np.ones((1, 1, 2)))
-    with pytest.raises(DataError, match="T_x"):
-        read_frf(path)
-
-
-def test_a_summary_needs_values_for_all_joints() -> None:
-    content = json.loads(COMPLETE.summary.model_dump_json(by_alias=True))
-    content["trials"][0]["lock_ratio"] = [1.0]
-    with pytest.raises(ValueError, match="lock_ratio has 1 values for 2 joints"):
-        Summary.model_validate(content)
