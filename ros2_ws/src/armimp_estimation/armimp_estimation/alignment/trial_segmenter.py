@@ -7,7 +7,6 @@ stamps, and the commands of the same ordinal numbers, since every tick has one o
 
 from __future__ import annotations
 
-import heapq
 import struct
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -76,10 +75,12 @@ class TrialSegmenter:
         self._sink, self._on_complete, self._on_begin = sink, on_complete, on_begin
         self._waiting_statuses: deque[TrialStatus] = deque()
         self._commands: deque[bytes] = deque()
-        self._stamps_without_command: deque[int] = deque()
+        self._unanswered: deque[int] = deque()
+        """Stamps of perturbations whose command has not come."""
         self._led_ns = -1
         self._odd_ns: int | None = None
-        self._early = _nothing_early()
+        self._queues = {topic: _queue() for topic in DATA_STREAMS}
+        """Stamps and messages that no trial has or has passed over."""
         self._forget()
 
     @property
@@ -136,18 +137,19 @@ class TrialSegmenter:
             If it is too short to have a stamp.
         """
         if topic == COMMANDS:
-            if self._stamps_without_command:
-                self._accept(COMMANDS, message, self._stamps_without_command.popleft())
-            else:
-                self._commands.append(message)
-            return
-        stamp_ns = stamp_of(message)
-        self._accept(topic, message, stamp_ns)
-        for answered_ns in self._answered(stamp_ns) if topic == PERTURBATION else ():
-            if self._commands:
-                self._accept(COMMANDS, self._commands.popleft(), answered_ns)
-            else:
-                self._stamps_without_command.append(answered_ns)
+            self._commands.append(message)
+        else:
+            stamp_ns = stamp_of(message)
+            self._enqueue(topic, stamp_ns, message)
+            if topic == PERTURBATION:
+                self._unanswered += self._answered(stamp_ns)
+        while self._commands and self._unanswered:
+            self._enqueue(COMMANDS, self._unanswered.popleft(), self._commands.popleft())
+        self._go_on()
+
+    def _enqueue(self, topic: str, stamp_ns: int, message: bytes) -> None:
+        self._queues[topic].append((stamp_ns, message))
+        self._latest[topic] = stamp_ns
 
     def _answered(self, stamp_ns: int) -> tuple[int, ...]:
         """Stamps (ns) of perturbations with which commands go, now that this one has come.
@@ -187,8 +189,14 @@ class TrialSegmenter:
     def finish(self) -> None:
         """Complete the present trial with what there is, if its perturbation has begun."""
         begun = self._start_ns is not None
-        if begun:
-            self._release_all()
+        for topic in _FOLLOWERS if begun else ():
+            # Some wait behind samples that came after the end.
+            queue, self._queues[topic] = self._queues[topic], _queue()
+            for stamp_ns, message in queue:
+                if stamp_ns <= self._up_to_ns:
+                    self._keep(topic, message, stamp_ns)
+                else:
+                    self._queues[topic].append((stamp_ns, message))
         statuses, streams = self.statuses, self.streams
         self._forget()
         if begun:
@@ -202,40 +210,56 @@ class TrialSegmenter:
         self._start_ns, self._ticks = status.start_ns, status.ticks
         planned = status.ticks * PERIOD_NS
         self._end_ns = status.start_ns + planned + int(planned * _DRIFT) - PERIOD_NS // 2
-        early, self._early = self._early, _nothing_early()
-        for stamp_ns, topic, message in heapq.merge(*early.values(), key=lambda entry: entry[0]):
-            self._accept(topic, message, stamp_ns)
+        self._up_to_ns = status.start_ns - 1
+        for topic, queue in self._queues.items():
+            self._latest[topic] = queue[-1][0] if queue else -1
+        self._go_on()
 
     @property
     def _led(self) -> int:
         return self.streams.count(PERTURBATION)
 
-    def _accept(self, topic: str, message: bytes, stamp_ns: int) -> None:
+    def _go_on(self) -> None:
+        """Keep what belongs to the trial as far as its perturbation has come."""
         if self._start_ns is None:
-            self._early[topic].append((stamp_ns, topic, message))
             return
-        if stamp_ns < self._start_ns:
-            return
-        self._latest[topic] = stamp_ns
-        if topic == PERTURBATION and not self._finished and stamp_ns < self._end_ns:
-            self._lead(message, stamp_ns)
-        elif topic != PERTURBATION and stamp_ns <= self._up_to_ns and not self._early[topic]:
-            self._keep(topic, message, stamp_ns)
-        else:
-            # Behind those that wait, so that the order of arrival is kept.
-            self._early[topic].append((stamp_ns, topic, message))
-            self._finished = self._finished or topic == PERTURBATION
+        leading = self._queues[PERTURBATION]
+        while leading and not self._finished:
+            stamp_ns, message = leading[0]
+            if stamp_ns >= self._end_ns:
+                self._finished = True
+                break
+            leading.popleft()
+            if stamp_ns >= self._start_ns:
+                self._up_to_ns = max(stamp_ns, self._up_to_ns)
+                for topic in (JOINT_STATES, TORQUE_SENSORS):
+                    self._follow(topic)
+                self._keep(PERTURBATION, message, stamp_ns)
+                self._follow(COMMANDS)
+                self._finished = self._led >= self._ticks
+        for topic in _FOLLOWERS:
+            self._follow(topic)
+        self._complete_if_all_there()
+
+    def _follow(self, topic: str) -> None:
+        """Keep what has waited for the perturbation to come up to its stamp, in its order."""
+        waiting = self._queues[topic]
+        while waiting:
+            stamp_ns, message = waiting[0]
             if stamp_ns <= self._up_to_ns:
-                self._release(topic)
-        if self._finished:
-            self._complete_if_all_there()
+                waiting.popleft()
+                self._keep(topic, message, stamp_ns)
+            elif len(waiting) > 1 and stamp_ns - waiting[1][0] > _ASTRAY_NS:
+                waiting.rotate(-1)
+            else:
+                return
 
     def _take_together(self, messages: Mapping[str, Sequence[bytes]]) -> int:
         """Keep ticks of the present trial all at once where nothing is out of the ordinary.
 
         Returns how many.
         """
-        in_step = not (self._commands or self._stamps_without_command or any(self._early.values()))
+        in_step = not (self._commands or self._unanswered or any(self._queues.values()))
         if self._start_ns is None or self._finished or not in_step:
             return 0
         stamps = stamps_in_step(messages)[: self._ticks - self._led]
@@ -250,44 +274,14 @@ class TrialSegmenter:
         self._latest = dict.fromkeys(DATA_STREAMS, self._up_to_ns)
         self._finished = self._led >= self._ticks
         self._sink(stamps, kept)
-        if self._finished:
-            self._complete_if_all_there()
+        self._complete_if_all_there()
         return len(stamps)
 
-    def _lead(self, message: bytes, stamp_ns: int) -> None:
-        """A perturbation extends the trial up to its stamp."""
-        self._up_to_ns = max(stamp_ns, self._up_to_ns)
-        for topic in _FOLLOWERS:
-            self._release(topic)
-        self._keep(PERTURBATION, message, stamp_ns)
-        self._finished = self._led >= self._ticks
-
-    def _release(self, topic: str) -> None:
-        """Keep what has waited for the perturbation to come up to its stamp, in its order."""
-        waiting = self._early[topic]
-        while waiting:
-            if waiting[0][0] <= self._up_to_ns:
-                early_ns, _, early = waiting.popleft()
-                self._keep(topic, early, early_ns)
-            elif len(waiting) > 1 and waiting[0][0] - waiting[1][0] > _ASTRAY_NS:
-                waiting.rotate(-1)
-            else:
-                return
-
-    def _release_all(self) -> None:
-        """Keep what belongs to the trial and waits behind samples that came after its end."""
-        for topic in _FOLLOWERS:
-            waiting = list(self._early[topic])
-            self._early[topic].clear()
-            for early_ns, _, early in waiting:
-                if early_ns <= self._up_to_ns:
-                    self._keep(topic, early, early_ns)
-                else:
-                    self._early[topic].append((early_ns, topic, early))
-
     def _keep(self, topic: str, message: bytes, stamp_ns: int) -> None:
-        self.streams.add(topic, (message,))
-        self._sink((stamp_ns,), {topic: (message,)})
+        """Keep a message unless it is from before the trial."""
+        if self._start_ns is not None and stamp_ns >= self._start_ns:
+            self.streams.add(topic, (message,))
+            self._sink((stamp_ns,), {topic: (message,)})
 
     def _complete_if_all_there(self) -> None:
         if not (self._finished and self._left):
@@ -330,5 +324,5 @@ def stamps_in_step(messages: Mapping[str, Sequence[bytes]]) -> list[int]:
     return stamps if stamps[0] >= 0 and all(map(lt, stamps, stamps[1:])) else []
 
 
-def _nothing_early() -> dict[str, deque[tuple[int, str, bytes]]]:
-    return {topic: deque(maxlen=_KEPT_EARLY) for topic in DATA_STREAMS}
+def _queue() -> deque[tuple[int, bytes]]:
+    return deque(maxlen=_KEPT_EARLY)
