@@ -52,7 +52,7 @@ from armimp_estimation.messages import (
     progress_message,
     result_message,
 )
-from armimp_estimation.metadata import READING_KEYS
+from armimp_estimation.metadata import READING_KEYS, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result, summarise
 from armimp_estimation.summary import (
@@ -62,7 +62,6 @@ from armimp_estimation.summary import (
     TrialSummary,
     WallSummary,
 )
-from armimp_estimation.timing import Timing
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters

@@ -235,8 +235,7 @@ def read_bag(*bags: str | Path) -> Recording:
         If the bags don't belong together, or a trial has lost samples.
     """
     from armimp_bringup.offline_estimate import read_bags
-    from armimp_estimation.metadata import calibration_of, reading_of
-    from armimp_estimation.timing import latest_metadata
+    from armimp_estimation.metadata import calibration_of, latest_metadata, reading_of
 
     contents = read_bags([Path(bag) for bag in bags])
     records = []

@@ -20,10 +20,10 @@ from armimp_estimation.metadata import (
     TIMING_KEY,
     UNCERTAINTY_KEY,
     Metadata,
+    latest_metadata,
 )
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result, conclude
-from armimp_estimation.timing import latest_metadata
 from armimp_estimation.torque_timing import TorqueTiming
 
 _TIMINGS = {

@@ -38,11 +38,11 @@ from armimp_common.status import (
 from armimp_estimation.bags import expected_bytes, require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.messages import RESULT_NAME
+from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.result import conclude
 from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary, write_summary
-from armimp_estimation.timing import RECORD_KEY, Timing
 
 PARAMETERS_FILE = "parameters.yaml"
 LOGS = "logs"

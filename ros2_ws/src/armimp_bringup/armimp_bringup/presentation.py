@@ -17,6 +17,7 @@ from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
 from armimp_common.process import age
 from armimp_common.status import Phase
+from armimp_estimation.metadata import Timing
 from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import (
@@ -27,7 +28,6 @@ from armimp_estimation.summary import (
     WallSummary,
     write_summary,
 )
-from armimp_estimation.timing import Timing
 
 _TOO_BUSY = (ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY)
 _COUNTS = ("duplicated", "contradictory", "reordered", "late")

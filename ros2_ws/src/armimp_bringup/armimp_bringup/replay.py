@@ -31,9 +31,9 @@ from armimp_common.status import Phase, Progress, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.bags import BagContent
 from armimp_estimation.bags.statuses import encode_trial_status
+from armimp_estimation.metadata import latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.summary import Summary
-from armimp_estimation.timing import latest_metadata
 
 _CLASSES: dict[str, type[Any]] = {
     topics.JOINT_STATES: JointState,

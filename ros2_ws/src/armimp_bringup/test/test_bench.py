@@ -17,7 +17,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import TimingFigures
-from armimp_estimation.timing import Timing
+from armimp_estimation.metadata import Timing
 
 Benchmark = Callable[[object], list[Measured]]
 

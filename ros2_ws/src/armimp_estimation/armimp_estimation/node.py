@@ -50,12 +50,11 @@ from armimp_estimation.messages import (
     progress_message,
     result_message,
 )
-from armimp_estimation.metadata import Metadata
+from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.result import Result, conclude
-from armimp_estimation.timing import RECORD_KEY, Timing
 from armimp_estimation.trial import TrialData, segments_for
 
 _LATE_PERIOD = 0.005

@@ -26,12 +26,12 @@ from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
 from armimp_estimation.stopping import PrecisionGoal, StoppingRule
-from armimp_estimation.timing import RECORD_KEY, Timing
 from armimp_estimation.trial import TrialSpectra, channels
 
 _RATE = NS_PER_S / PERIOD_NS

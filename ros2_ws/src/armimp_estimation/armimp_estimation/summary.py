@@ -20,8 +20,8 @@ from armimp_estimation.atomic_write import read_bytes, write_atomically
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
+from armimp_estimation.metadata import Timing
 from armimp_estimation.problems import Concern, Problem, Severity, spoiled
-from armimp_estimation.timing import Timing
 from armimp_estimation.torque_timing import TorqueReading
 
 SUMMARY_FILE = "summary.json"

@@ -23,7 +23,7 @@ from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.messages import result_message
-from armimp_estimation.metadata import Metadata, reading_of
+from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata, reading_of
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -32,7 +32,6 @@ from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude, load_result
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
 from armimp_estimation.summary import TruthSummary, read_summary, write_summary
-from armimp_estimation.timing import RECORD_KEY, Timing, latest_metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, segments_for
 from support.recordings import recorded_arm
