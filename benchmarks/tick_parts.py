@@ -14,7 +14,6 @@ from armimp_common.errors import DataError, MalformedMessageError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import (
     COMMANDS,
-    DATA_STREAMS,
     JOINT_STATES,
     NS_PER_S,
     PERTURBATION,
@@ -22,9 +21,10 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_control.trial_sequencer import TrialSequencer
-from armimp_estimation.alignment.synchronizer import TOGETHER, StreamSynchronizer
+from armimp_estimation.alignment.synchronizer import TOGETHER
 from armimp_estimation.recorder import TrialRecorder
 from armimp_sim.simulator import SimulatedRig
+from support.streams import fed_synchronizer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +54,7 @@ class _Loop:
         self.rig = SimulatedRig(parameters.simulator)
         self.statuses: list[TrialStatus] = []
         self.experiment = TrialSequencer(parameters.controller, self.statuses.append)
-        self.inbox = StreamSynchronizer()
-        self.receivers = {topic: self.inbox.receiver(topic) for topic in DATA_STREAMS}
+        self.inbox, self.receivers = fed_synchronizer()
         self.recording = TrialRecorder(
             names, directory, parameters.estimator.bag_metadata(), lambda *_: None
         )

@@ -39,12 +39,12 @@ MOST_LOST = 100
 RECORDER = """
 import os, struct, sys, time
 from pathlib import Path
-from armimp_common.topics import DATA_STREAMS, TRIAL
+from armimp_common.topics import TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
-from armimp_estimation.alignment.synchronizer import TOGETHER, StreamSynchronizer
+from armimp_estimation.alignment.synchronizer import TOGETHER
 from armimp_estimation.recorder import TrialRecorder
 from support.recordings import recorded_arm
-from support.synthetic_bags import iterate_messages
+from support.streams import fed_synchronizer
 
 directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
 arm = recorded_arm(samples)
@@ -60,8 +60,7 @@ def on_samples(samples):
         record()
         recording.flush()
 
-synchronizer = StreamSynchronizer(on_samples=on_samples)
-receivers = {topic: synchronizer.receiver(topic) for topic in DATA_STREAMS}
+synchronizer, receivers = fed_synchronizer(on_samples)
 messages = [m for m in arm.messages if begin <= m[1] < begin + ticks * 1_000_000]
 began = time.monotonic()
 present = begin

@@ -26,7 +26,6 @@ from armimp_common.topics import (
 from armimp_estimation import scores
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
-from armimp_estimation.alignment.synchronizer import StreamSynchronizer
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
@@ -38,6 +37,7 @@ from armimp_estimation.stopping import PrecisionGoal, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.recordings import recorded_arm
+from support.streams import fed_synchronizer
 from support.synthetic_bags import Message, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, synthetic_trial
@@ -64,11 +64,11 @@ class Desk:
     problems: list[Problem] = field(default_factory=list)
     goal: PrecisionGoal | None = None
     together: int = 1
-    synchronizer: StreamSynchronizer = field(default_factory=StreamSynchronizer)
     decisions: list[StoppingDecision] = field(default_factory=list)
     led: int = 0
 
     def __post_init__(self) -> None:
+        self.synchronizer, self.receivers = fed_synchronizer()
         self.recorder = TrialRecorder(
             self.names, self.directory, METADATA, self.on_finished, goal=self.goal
         )
@@ -85,7 +85,7 @@ class Desk:
                 self.recorder.add_many(self.synchronizer.take(), self.refuse)
                 self.recorder.add_status(decode_trial_status(raw))
             elif self.together > 1:
-                self.synchronizer.receiver(topic)(raw)
+                self.receivers[topic](raw)
                 self.led += topic == PERTURBATION
                 if topic == PERTURBATION and self.led % self.together == 0:
                     self.recorder.add_many(self.synchronizer.take(), self.refuse)

@@ -4,7 +4,8 @@ import pytest
 
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.topics import COMMANDS, DATA_STREAMS, JOINT_STATES, PERTURBATION
-from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
+from armimp_estimation.alignment.synchronizer import FETCHED
+from support.streams import fed_synchronizer
 
 
 class Post:
@@ -13,8 +14,7 @@ class Post:
     def __init__(self) -> None:
         self.told: list[int] = []
         self.times_behind = 0
-        self.synchronizer = StreamSynchronizer(None, self.told.append, self._on_behind)
-        self.deliver = {topic: self.synchronizer.receiver(topic) for topic in DATA_STREAMS}
+        self.synchronizer, self.deliver = fed_synchronizer(self.told.append, self._on_behind)
 
     def _on_behind(self) -> None:
         self.times_behind += 1

@@ -20,9 +20,9 @@ from armimp_common.topics import (
     TRIAL,
 )
 from armimp_estimation.alignment.streams import Streams
-from armimp_estimation.alignment.synchronizer import StreamSynchronizer
 from armimp_estimation.alignment.trial_segmenter import TrialSegmenter
 from armimp_estimation.bags.statuses import decode_trial_status
+from support.streams import fed_synchronizer
 from support.synthetic_bags import SyntheticRecording, synthetic_recording
 
 SETTLE, TICKS, REST = 4, 30, 5
@@ -52,8 +52,8 @@ class Desk:
     """A segmenter with a diary; messages go to it one by one, or so many ticks together."""
 
     def __init__(self, together: int = 0) -> None:
-        self.together, self.heard, self.synchronizer = together, 0, StreamSynchronizer()
-        self.receivers = {topic: self.synchronizer.receiver(topic) for topic in DATA_STREAMS}
+        self.together, self.heard = together, 0
+        self.synchronizer, self.receivers = fed_synchronizer()
         self.events: list[tuple[str, int]] = []
         self.sunk: list[tuple[str, bytes, int]] = []
         self.trials: list[Collected] = []

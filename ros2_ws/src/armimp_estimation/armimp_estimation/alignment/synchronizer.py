@@ -28,9 +28,8 @@ class StreamSynchronizer:
 
     Parameters
     ----------
-    sources : mapping of str to callable, optional
-        For each of :data:`FETCHED`: gives the messages that have come since it was called last. By
-        default they are handed in, too, as no middleware keeps them.
+    sources : mapping of str to callable
+        For each of :data:`FETCHED`: gives the messages that have come since it was called last.
     on_samples : callable, optional
         Called with the number of samples of which all messages have come, whenever it has passed
         another multiple of :data:`armimp_common.topics.RECEIVED_EVERY`; with that multiple.
@@ -40,31 +39,14 @@ class StreamSynchronizer:
 
     def __init__(
         self,
-        sources: Mapping[str, Callable[[], Sequence[bytes]]] | None = None,
+        sources: Mapping[str, Callable[[], Sequence[bytes]]],
         on_samples: Callable[[int], None] = lambda _: None,
         on_behind: Callable[[], None] = lambda: None,
     ) -> None:
         self._on_samples, self._on_behind = on_samples, on_behind
         self._waiting: dict[str, list[bytes]] = {topic: [] for topic in DATA_STREAMS}
-        self._handed: dict[str, list[bytes]] = {topic: [] for topic in FETCHED}
-        self._sources = {
-            topic: self._emptied(topic) if sources is None else sources[topic] for topic in FETCHED
-        }
+        self._sources = {topic: sources[topic] for topic in FETCHED}
         self.open()
-
-    def receiver(self, topic: str) -> Callable[[bytes], None]:
-        """What takes the messages of a topic that are handed in."""
-        return self.receive if topic == PERTURBATION else self._handed[topic].append
-
-    def _emptied(self, topic: str) -> Callable[[], Sequence[bytes]]:
-        handed = self._handed[topic]
-
-        def take() -> Sequence[bytes]:
-            taken = handed.copy()
-            handed.clear()
-            return taken
-
-        return take
 
     def open(self) -> None:
         """Begin anew, as if nothing had come."""
