@@ -1,7 +1,7 @@
 """When each trial of a recording took place, and which joint was perturbed in it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -129,50 +129,43 @@ def windows_from_statuses(statuses: Sequence[TrialStatus]) -> tuple[TrialWindow,
     tuple of TrialWindow
         One for every trial whose perturbation began, in their order.
     """
-    windows: list[TrialWindow] = []
-    known: set[tuple[int, int]] = set()
-    current: TrialWindow | None = None
+    found: dict[tuple[int, int], list[TrialStatus]] = {}
     for status in statuses:
-        if status.phase is Phase.SETTLE:
-            _close(current, windows)
-            current = None
-            continue
-        if status.start_ns is not None and (
-            current is None or (current.trial, current.start_ns) != (status.trial, status.start_ns)
-        ):
-            _close(current, windows)
-            current = None
-            if (status.trial, status.start_ns) in known:
-                continue  # the last status again, as a latched topic may repeat it
-            known.add((status.trial, status.start_ns))
-            current = TrialWindow(
-                trial=status.trial,
-                joint=status.joint,
-                joint_name=status.joint_name,
-                start_ns=status.start_ns,
-                ticks=status.ticks,
-                seed=status.seed,
-                ended=False,
-            )
-        if current is None:
-            continue
-        fault = fault_of(status)
-        before = None if current.fault is None else current.fault.code
-        if fault is not None and (
-            fault.code is ProblemCode.TRIAL_ABORTED or before in (None, ProblemCode.SAMPLES_LOST)
-        ):
-            current = replace(current, fault=fault)
-        if status.ticks < current.ticks:
-            saved = current.saved + current.ticks - status.ticks
-            current = replace(current, ticks=status.ticks, saved=saved)
-        current = _with_clipping(current, status)
-        if status.tare:
-            current = replace(current, tare=status.tare)
-        if status.phase is not Phase.PERTURB:
-            current = replace(current, ended=True)
-    if current is not None:
-        windows.append(current)
-    return tuple(windows)
+        if status.phase is not Phase.SETTLE and status.start_ns is not None:
+            # Those of a trial may come again later, as a latched topic repeats the last one.
+            found.setdefault((status.trial, status.start_ns), []).append(status)
+    return tuple(
+        _window(start_ns, of_trial, ended=statuses[-1] is not of_trial[-1])
+        for (_, start_ns), of_trial in found.items()
+    )
+
+
+def _window(start_ns: int, statuses: Sequence[TrialStatus], *, ended: bool) -> TrialWindow:
+    """Window of a trial from all of its statuses."""
+    first = statuses[0]
+    ticks = min(status.ticks for status in statuses)
+    faults = [fault for status in statuses if (fault := fault_of(status)) is not None]
+    aborted = [one for one in faults if one.code is ProblemCode.TRIAL_ABORTED]
+    spoiled = [one for one in faults if one.code is ProblemCode.TRIAL_SPOILED]
+    clipped, intervals = 0, ""
+    for status in statuses:
+        if status.clipped or status.clipped_intervals:
+            clipped, intervals = status.clipped, status.clipped_intervals
+    limits = [part.split("-") for part in intervals.split()]
+    return TrialWindow(
+        trial=first.trial,
+        joint=first.joint,
+        joint_name=first.joint_name,
+        start_ns=start_ns,
+        ticks=ticks,
+        seed=first.seed,
+        ended=ended or any(status.phase is not Phase.PERTURB for status in statuses),
+        fault=next(iter([*aborted[-1:], *spoiled, *faults[-1:]]), None),
+        clipped=clipped,
+        clipped_intervals=tuple((int(start), int(end)) for start, end in limits),
+        saved=first.ticks - ticks,
+        tare=next((one.tare for one in reversed(statuses) if one.tare), ()),
+    )
 
 
 def fault_of(status: TrialStatus) -> Problem | None:
@@ -186,15 +179,6 @@ def fault_of(status: TrialStatus) -> Problem | None:
     else:
         return None
     return Problem(code=code, trial=status.trial, values={"reason": reason})
-
-
-def _with_clipping(window: TrialWindow, status: TrialStatus) -> TrialWindow:
-    """Take over how many commands were clipped, and when."""
-    if not status.clipped and not status.clipped_intervals:
-        return window
-    limits = [part.split("-") for part in status.clipped_intervals.split()]
-    intervals = tuple((int(first), int(last)) for first, last in limits)
-    return replace(window, clipped=status.clipped, clipped_intervals=intervals)
 
 
 def infer_windows(
@@ -285,8 +269,3 @@ def require_few_trials(trials: int) -> None:
     """
     if trials > _MOST_TRIALS:
         raise DataError(f"{trials} trials are more than the {_MOST_TRIALS} of one recording")
-
-
-def _close(current: TrialWindow | None, windows: list[TrialWindow]) -> None:
-    if current is not None:
-        windows.append(replace(current, ended=True))
