@@ -8,13 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
 
 from armimp_common import topics
 from armimp_common.cdr import JointStateDecoder, JointStateEncoder
 from armimp_common.topics import PERIOD_NS
-from armimp_estimation.bags import BagWriter
+from support.bag_files import STORE, write_bag, write_foreign
 from support.command import Told, behaved, call, refused
 from support.recordings import recorded_arm
 from support.synthetic_bags import Message
@@ -22,28 +20,17 @@ from support.synthetic_bags import Message
 SAMPLES = 1800
 MESSAGES = recorded_arm(SAMPLES).messages
 NAMES = recorded_arm(SAMPLES).records[0].joint_names
-STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = dict(topics.MESSAGE_TYPES)
 Change = Callable[[Message], Message | None]
 
 
 def write(path: Path, messages: Sequence[Message] = MESSAGES, **metadata: str) -> Path:
-    with BagWriter(path, metadata=metadata) as writer:
-        for topic, log_time_ns, raw in messages:
-            writer.write(topic, raw, log_time_ns)
-    return path
+    return write_bag(path, messages, metadata)
 
 
 def foreign(path: Path, messages: Sequence[Message], types: dict[str, str] = TYPES) -> Path:
     """As ``ros2 bag record`` would have it, with whatever types."""
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections = {
-            topic: writer.add_connection("/" + topic, types[topic], typestore=STORE)
-            for topic in dict.fromkeys(message[0] for message in messages)
-        }
-        for topic, log_time_ns, raw in messages:
-            writer.write(connections[topic], log_time_ns, raw)
-    return path
+    return write_foreign(path, (("/" + m[0], types[m[0]], *m[1:]) for m in messages))
 
 
 def changed(change: Change) -> list[Message]:

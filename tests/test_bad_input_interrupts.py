@@ -10,7 +10,7 @@ from typing import NoReturn
 
 import pytest
 
-from armimp_estimation.bags import BagWriter
+from support.bag_files import write_bag
 from support.command import call
 from support.recordings import recorded_arm
 
@@ -49,9 +49,7 @@ def test_while_it_measures_expect_one_line() -> None:
 
 def test_a_replay_leaves_an_invalid_result(tmp_path: Path) -> None:
     bag, out = tmp_path / "bag", tmp_path / "out"
-    with BagWriter(bag, metadata={}) as writer:
-        for topic, log_time_ns, raw in recorded_arm(20_000).messages:
-            writer.write(topic, raw, log_time_ns)
+    write_bag(bag, recorded_arm(20_000).messages, {})
     with program("replay", str(bag), "--out", str(out)) as process:
         assert process.stderr is not None
         while not process.stderr.readline().startswith("trial 1/2"):

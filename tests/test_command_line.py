@@ -18,7 +18,7 @@ from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import TORQUE_SENSORS, TRIAL
 from armimp_estimation.bags import BagWriter, read_bag
-from support.synthetic_bags import iterate_messages
+from support.bag_files import iterate_messages
 
 SHORT = ["run", "--duration", "2", "--seed", "5"]
 
@@ -275,3 +275,6 @@ def test_when_the_bound_of_errors_is_no_share_expect_the_text(
     assert main(["run", "--target-error", text, "--out", str(out)]) == 2
     assert told in capfd.readouterr().err
     assert not out.exists()
+
+
+# MISSING

@@ -11,8 +11,8 @@ import pytest
 
 from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES, VALUE_FIELD
 from armimp_sim.presets import JOINT_NAMES
+from support.bag_files import iterate_messages
 from support.runs import FinishedRun
-from support.synthetic_bags import iterate_messages
 
 LAYOUTS = Path(__file__).resolve().parents[1] / "ros2_ws/src/armimp_bringup/layouts"
 JOINTS = JOINT_NAMES[2]

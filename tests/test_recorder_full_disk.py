@@ -22,7 +22,8 @@ from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.recorder import TrialRecorder
-from support.synthetic_bags import Message, iterate_messages, synthetic_recording
+from support.bag_files import iterate_messages
+from support.synthetic_bags import Message, synthetic_recording
 
 NAMES = ("shoulder", "elbow")
 MESSAGES = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10).messages

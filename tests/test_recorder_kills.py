@@ -24,9 +24,9 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.problems import ProblemCode
+from support.bag_files import iterate_messages
 from support.fault_figures import Figures
 from support.recordings import recorded_arm
-from support.synthetic_bags import iterate_messages
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from armimp_estimation.bags import BagWriter, read_bag
+from armimp_estimation.bags import read_bag
 from armimp_estimation.result import conclude
+from support.bag_files import write_bag
 from support.recordings import recorded_arm
 from support.synthetic_bags import Message
 from support.synthetic_trials import TWO_JOINT_ARM
@@ -65,9 +66,7 @@ def make_result(
         The directory.
     """
     bag = directory / "bags" / "session"
-    with BagWriter(bag, metadata=metadata) as writer:
-        for topic, time_ns, raw in recorded_arm().messages if messages is None else messages:
-            writer.write(topic, raw, time_ns)
+    write_bag(bag, recorded_arm().messages if messages is None else messages, metadata)
     content = read_bag(bag)
     conclude(
         [replace(trial, bag="bags/session") for trial in content.trials],

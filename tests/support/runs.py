@@ -17,7 +17,7 @@ from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, TRIAL, VALUE
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.summary import Summary
-from support.synthetic_bags import iterate_messages
+from support.bag_files import iterate_messages
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,3 +114,6 @@ class Run(Protocol):
 
     def __call__(self, **options: Any) -> FinishedRun:
         """Run it."""
+
+
+# MISSING

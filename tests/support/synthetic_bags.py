@@ -5,14 +5,12 @@ The numbers have no physical meaning: a random walk as position, noise as torque
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.errors import BagError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import (
     COMMANDS,
@@ -23,9 +21,7 @@ from armimp_common.topics import (
     TORQUE_SENSORS,
     TRIAL,
 )
-from armimp_estimation.bags.files import read_storage
 from armimp_estimation.bags.statuses import encode_trial_status
-from armimp_estimation.bags.topics import contract_topic, resolve_topics
 from armimp_estimation.record import TrialRecord
 
 Message: TypeAlias = tuple[str, int, bytes]
@@ -183,19 +179,3 @@ def assert_same(record: TrialRecord, expected: TrialRecord) -> None:
         np.testing.assert_array_equal(values, getattr(expected, name))
     for name in ("start_ns", "perturbed_joint", "joint_names", "rate", "trial"):
         assert getattr(record, name) == getattr(expected, name)
-
-
-def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Message]:
-    """The messages of the contract in a bag, in which there need not be a trial.
-
-    Raises
-    ------
-    BagError
-        At the call, if the path is not a readable bag or has no message.
-    """
-    raw = read_storage(path, contract_topic)
-    if not raw.payloads:
-        raise BagError(f"{path}: no messages")
-    found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
-    names = {index: topic for topic, index in found.items()}
-    return ((names[index], time, payload) for index, time, payload in raw if index in names)

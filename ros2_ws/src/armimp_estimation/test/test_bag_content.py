@@ -5,23 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
-from rosbags.typesys import Stores, get_typestore
 
 from armimp_common import topics
 from armimp_common.errors import BagError, DataError
 from armimp_common.topics import PERIOD_NS
-from armimp_estimation.bags import BagWriter, read_bag
-from support.synthetic_bags import Message, assert_same, iterate_messages, synthetic_recording
+from armimp_estimation.bags import read_bag
+from support.bag_files import STORE, iterate_messages, write_bag
+from support.synthetic_bags import Message, assert_same, synthetic_recording
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)
 
 
 def write(path: Path, messages: Sequence[Message] = RECORDING.messages, **metadata: str) -> Path:
-    with BagWriter(path, metadata=metadata) as writer:
-        for topic, log_time_ns, raw in messages:
-            writer.write(topic, raw, log_time_ns)
-    return path
+    return write_bag(path, messages, metadata)
 
 
 def joint_state(

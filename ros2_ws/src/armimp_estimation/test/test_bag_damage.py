@@ -11,15 +11,14 @@ from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
-from armimp_common import topics
 from armimp_common.errors import BagError, DataError
-from armimp_estimation.bags import BagWriter, read_bag
+from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
+from support.bag_files import iterate_messages, typed, write_bag, write_foreign
 from support.fault_figures import Figures
-from support.synthetic_bags import iterate_messages, synthetic_recording
+from support.synthetic_bags import synthetic_recording
 
 TICKS = 160
 RECORDING = synthetic_recording(ticks=TICKS)
@@ -29,24 +28,7 @@ MESSAGES = list(RECORDING.messages)
 @pytest.fixture(scope="module")
 def own(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("own") / "bag"
-    with BagWriter(path, metadata={"seed": "1", "joint_names": '["shoulder", "elbow"]'}) as writer:
-        for topic, log_time_ns, raw in MESSAGES:
-            writer.write(topic, raw, log_time_ns)
-    return path
-
-
-def foreign(path: Path, storage: StoragePlugin, mode: CompressionMode) -> Path:
-    store = get_typestore(Stores.ROS2_JAZZY)
-    writer = Writer(path, version=9, storage_plugin=storage)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        connections = {
-            topic: writer.add_connection("/" + topic, topics.MESSAGE_TYPES[topic], typestore=store)
-            for topic in {topic for topic, _, _ in MESSAGES}
-        }
-        for topic, log_time_ns, raw in MESSAGES:
-            writer.write(connections[topic], log_time_ns, raw)
-    return path
+    return write_bag(path, MESSAGES, {"seed": "1", "joint_names": '["shoulder", "elbow"]'})
 
 
 def storage_file(bag: Path) -> Path:
@@ -134,7 +116,7 @@ class TestTruncation:
     def test_foreign_bag_cut_anywhere_is_read_or_refused(
         self, tmp_path: Path, storage: StoragePlugin, mode: CompressionMode
     ) -> None:
-        bag = foreign(tmp_path / "bag", storage, mode)
+        bag = write_foreign(tmp_path / "bag", typed(MESSAGES), storage=storage, mode=mode)
         file = storage_file(bag)
         whole = file.read_bytes()
         step = max(len(whole) // 150, 1)
@@ -178,10 +160,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag of so few samples that every byte of it can be tried."""
     path = tmp_path_factory.mktemp("small") / "bag"
     messages = [m for m in MESSAGES if m[1] < MESSAGES[0][1] + 60_000_000]
-    with BagWriter(path, metadata={"joint_names": '["shoulder", "elbow"]'}) as writer:
-        for topic, log_time_ns, raw in messages:
-            writer.write(topic, raw, log_time_ns)
-    return path
+    return write_bag(path, messages, {"joint_names": '["shoulder", "elbow"]'})
 
 
 @pytest.mark.slow
@@ -254,7 +233,7 @@ class TestChangedBytes:
         storage = data.draw(st.sampled_from([StoragePlugin.MCAP, StoragePlugin.SQLITE3]))
         bag = base / f"foreign_{storage.name}"
         if not bag.exists():
-            foreign(bag, storage, CompressionMode.NONE)
+            write_foreign(bag, typed(MESSAGES), storage=storage)
         whole = bytearray(storage_file(bag).read_bytes())
         start = data.draw(st.integers(0, len(whole) - 1))
         part = data.draw(st.binary(min_size=1, max_size=40))

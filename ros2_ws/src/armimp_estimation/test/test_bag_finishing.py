@@ -15,8 +15,9 @@ from armimp_estimation.alignment.trial_segmenter import ORDER, stamps_in_step
 from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
+from support.bag_files import iterate_messages, write_bag
 from support.fault_figures import Figures
-from support.synthetic_bags import Message, iterate_messages, synthetic_recording
+from support.synthetic_bags import Message, synthetic_recording
 
 MESSAGES = synthetic_recording(ticks=160).messages
 METADATA = {"seed": "1", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
@@ -38,10 +39,7 @@ def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
 
 def finished(path: Path) -> Path:
     """The bag of a writer that got the same messages and lived."""
-    with BagWriter(path, metadata=METADATA) as writer:
-        for topic, log_time_ns, raw in MESSAGES[: len(MESSAGES) - LOST]:
-            writer.write(topic, raw, log_time_ns)
-    return path
+    return write_bag(path, MESSAGES[: len(MESSAGES) - LOST], METADATA)
 
 
 def content_of(path: Path) -> dict[str, bytes]:

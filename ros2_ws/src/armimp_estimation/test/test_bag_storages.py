@@ -1,6 +1,7 @@
 import shutil
 import sqlite3
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -8,43 +9,30 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import Stores, get_typestore
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from armimp_common.errors import BagError
 from armimp_common.topics import (
-    CLOCK,
     JOINT_STATES,
     MESSAGE_TYPES,
     TRIAL,
-    VALUE_FIELD,
 )
 from armimp_estimation.bags import BagWriter, read_bag
-from armimp_estimation.bags.metadata import message_definition
+from armimp_estimation.bags.metadata import absolute, message_definition
+from support.bag_files import iterate_messages, typed, write_bag, write_foreign
 from support.synthetic_bags import (
     Message,
     SyntheticRecording,
     assert_same,
-    iterate_messages,
     synthetic_recording,
 )
 
-STORE = get_typestore(Stores.ROS2_JAZZY)
 RECORDING = synthetic_recording(perturbed=(0, 1), ticks=120, settle=30, rest=20)
 METADATA = {"schema": "1", "seed": "1", "joint_names": '["shoulder", "elbow"]'}
 
-Rename = Callable[[str], str]
-
-
-def absolute(topic: str) -> str:
-    return topic if topic.startswith("/") else "/" + topic
-
 
 def write_ours(path: Path, messages: Sequence[Message] = RECORDING.messages) -> Path:
-    with BagWriter(path, metadata=METADATA) as writer:
-        for topic, log_time_ns, raw in messages:
-            writer.write(topic, raw, log_time_ns)
-    return path
+    return write_bag(path, messages, METADATA)
 
 
 def write_rosbags(
@@ -53,22 +41,11 @@ def write_rosbags(
     *,
     storage: StoragePlugin = StoragePlugin.SQLITE3,
     mode: CompressionMode = CompressionMode.NONE,
-    rename: Rename = absolute,
     version: int = 9,
-    custom: bool = True,
 ) -> Path:
-    writer = Writer(path, version=9 if version == 9 else 8, storage_plugin=storage)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        for key, value in METADATA.items() if custom else ():
-            writer.set_custom_data(key, value)
-        connections = {}
-        for topic in dict.fromkeys(topic for topic, _, _ in messages):
-            kind = MESSAGE_TYPES.get(topic, "std_msgs/msg/String")
-            connections[topic] = writer.add_connection(rename(topic), kind, typestore=STORE)
-        for topic, log_time_ns, raw in messages:
-            writer.write(connections[topic], log_time_ns, raw)
-    return path
+    return write_foreign(
+        path, typed(messages), storage=storage, mode=mode, version=version, metadata=METADATA
+    )
 
 
 def write_mcap(
@@ -78,7 +55,6 @@ def write_mcap(
     compression: CompressionType = CompressionType.NONE,
     chunking: bool = True,
     encoding: str = "cdr",
-    rename: Rename = absolute,
 ) -> Path:
     with path.open("wb") as file:
         writer = McapWriter(
@@ -94,7 +70,7 @@ def write_mcap(
         for topic in dict.fromkeys(topic for topic, _, _ in messages):
             definition = message_definition(MESSAGE_TYPES[topic])
             schema = writer.register_schema(definition.type, "ros2msg", definition.text.encode())
-            channels[topic] = writer.register_channel(rename(topic), encoding, schema)
+            channels[topic] = writer.register_channel(absolute(topic), encoding, schema)
         for topic, log_time_ns, raw in messages:
             writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)
         writer.finish()
@@ -273,23 +249,14 @@ class TestStorages:
 class TestTopics:
     @pytest.mark.parametrize("prefix", ["/rig", "/lab/rig_2"])
     def test_namespace_is_found(self, tmp_path: Path, prefix: str) -> None:
-        path = write_rosbags(tmp_path / "bag", rename=lambda topic: prefix + absolute(topic))
+        path = write_foreign(tmp_path / "bag", typed(RECORDING.messages, prefix))
         assert_reads(path)
         assert read_bag(path).topics[TRIAL] == f"{prefix}/imbic_controller/trial"
 
     def test_two_rigs_need_a_choice(self, tmp_path: Path) -> None:
         other = synthetic_recording(ticks=20, seed=5)
-        path = tmp_path / "bag"
-        with Writer(path, version=9) as writer:
-            for rig, recording in (("", RECORDING), ("/left", other)):
-                connections = {
-                    topic: writer.add_connection(
-                        rig + absolute(topic), MESSAGE_TYPES[topic], typestore=STORE
-                    )
-                    for topic in {topic for topic, _, _ in recording.messages}
-                }
-                for topic, log_time_ns, raw in recording.messages:
-                    writer.write(connections[topic], log_time_ns, raw)
+        both = (*typed(RECORDING.messages), *typed(other.messages, "/left"))
+        path = write_foreign(tmp_path / "bag", both)
         assert refusal(path) == (
             f"{path}: holds the topics of several rigs, choose a namespace: /, /left"
         )
@@ -302,52 +269,30 @@ class TestTopics:
 
     def test_needed_topics_decide_between_namesakes(self, tmp_path: Path) -> None:
         stray = (JOINT_STATES, 2**40, b"\0\1\0\0 not of this rig")
-        path = tmp_path / "bag"
-        with Writer(path, version=9) as writer:
-            connections = {
-                topic: writer.add_connection(
-                    "/rig" + absolute(topic), MESSAGE_TYPES[topic], typestore=STORE
-                )
-                for topic in {topic for topic, _, _ in RECORDING.messages}
-            }
-            arm = writer.add_connection(
-                "/joint_states", "sensor_msgs/msg/JointState", typestore=STORE
-            )
-            for topic, log_time_ns, raw in RECORDING.messages:
-                writer.write(connections[topic], log_time_ns, raw)
-            writer.write(arm, *stray[1:])
-        assert_reads(path)
+        messages = (*typed(RECORDING.messages, "/rig"), *typed([stray]))
+        assert_reads(write_foreign(tmp_path / "bag", messages))
 
     def test_topics_under_different_namespaces_are_found_while_unique(self, tmp_path: Path) -> None:
-        def rename(topic: str) -> str:
-            return "/driver" + absolute(topic) if "imbic" not in topic else "/ctl/" + topic
-
-        assert_reads(write_rosbags(tmp_path / "bag", rename=rename))
+        parts = (
+            typed([m], "/ctl" if m[0].startswith("imbic") else "/driver")
+            for m in RECORDING.messages
+        )
+        assert_reads(write_foreign(tmp_path / "bag", chain.from_iterable(parts)))
 
     def test_namesake_without_a_complete_rig_is_ambiguous(self, tmp_path: Path) -> None:
-        names = {JOINT_STATES: "/a/joint_states", CLOCK: "/b/joint_states"}
-        path = tmp_path / "bag"
-        with Writer(path, version=9) as writer:
-            connections = {
-                topic: writer.add_connection(
-                    names.get(topic, "/c" + absolute(topic)),
-                    "sensor_msgs/msg/JointState",
-                    typestore=STORE,
-                )
-                for topic in (*VALUE_FIELD, CLOCK)
-            }
-            for topic, log_time_ns, raw in without(TRIAL):
-                if topic in connections:
-                    writer.write(connections[topic], log_time_ns, raw)
+        parts = (typed([m], "/a" if m[0] == JOINT_STATES else "/c") for m in without(TRIAL))
+        namesake = typed([(JOINT_STATES, 2**40, b"\0\1\0\0")], "/b")
+        path = write_foreign(tmp_path / "bag", chain(*parts, namesake))
         assert refusal(path) == (
             f"{path}: joint_states is ambiguous: /a/joint_states, /b/joint_states"
         )
 
     def test_similar_names_do_not_match(self, tmp_path: Path) -> None:
-        path = write_rosbags(
-            tmp_path / "bag",
-            rename=lambda t: "/my_joint_states" if t == JOINT_STATES else absolute(t),
+        similar = (
+            (name.replace("/joint_states", "/my_joint_states"), *rest)
+            for name, *rest in typed(RECORDING.messages)
         )
+        path = write_foreign(tmp_path / "bag", similar)  # type: ignore[arg-type]
         assert refusal(path) == f"{path}: has no joint positions: no topic joint_states"
 
     def test_extra_topics_are_ignored(self, tmp_path: Path) -> None:

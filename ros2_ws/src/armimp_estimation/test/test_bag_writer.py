@@ -36,16 +36,14 @@ from armimp_estimation.bags import (
 )
 from armimp_estimation.bags.mcap_writer import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
 from armimp_estimation.bags.metadata import message_definition, qos_profiles
-from support.synthetic_bags import Message, iterate_messages, synthetic_recording
+from support.bag_files import iterate_messages, write_bag
+from support.synthetic_bags import Message, synthetic_recording
 
 METADATA = {"schema": "1", "seed": "7", "joint_names": '["shoulder", "elbow"]', "note": "12:30\nü"}
 
 
-def write(path: Path, messages: tuple[Message, ...], **options: str) -> Path:
-    with BagWriter(path, metadata=METADATA, **options) as writer:
-        for topic, log_time_ns, raw in messages:
-            writer.write(topic, raw, log_time_ns)
-    return path
+def write(path: Path, messages: tuple[Message, ...]) -> Path:
+    return write_bag(path, messages, METADATA)
 
 
 def one_line(error: pytest.ExceptionInfo[BagError]) -> str:

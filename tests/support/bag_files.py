@@ -1,0 +1,71 @@
+"""Bags that tests write and read: those of our recorder, and those of others."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from armimp_common.errors import BagError
+from armimp_common.topics import MESSAGE_TYPES
+from armimp_estimation.bags import BagWriter
+from armimp_estimation.bags.files import read_storage
+from armimp_estimation.bags.metadata import absolute
+from armimp_estimation.bags.topics import contract_topic, resolve_topics
+from support.synthetic_bags import Message
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+
+def write_bag(path: Path, messages: Iterable[Message], metadata: Mapping[str, str]) -> Path:
+    """Write a bag as our recorder does."""
+    with BagWriter(path, metadata=metadata) as writer:
+        for topic, log_time_ns, raw in messages:
+            writer.write(topic, raw, log_time_ns)
+    return path
+
+
+def typed(messages: Iterable[Message], prefix: str = "") -> Iterator[tuple[str, str, int, bytes]]:
+    """Messages of the contract under a namespace, each with full name and type of its topic."""
+    for topic, time, raw in messages:
+        kind = MESSAGE_TYPES.get(topic, "std_msgs/msg/String")
+        yield prefix + absolute(topic), kind, time, raw
+
+
+def write_foreign(
+    path: Path,
+    messages: Iterable[tuple[str, str, int, bytes]],
+    *,
+    storage: StoragePlugin = StoragePlugin.MCAP,
+    mode: CompressionMode = CompressionMode.NONE,
+    version: int = 9,
+    metadata: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a bag as ``ros2 bag record`` does: name and type of the topic of each message."""
+    writer = Writer(path, version=9 if version == 9 else 8, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    with writer:
+        for key, value in (metadata or {}).items():
+            writer.set_custom_data(key, value)
+        connections = {}
+        for name, kind, time, raw in messages:
+            if name not in connections:
+                connections[name] = writer.add_connection(name, kind, typestore=STORE)
+            writer.write(connections[name], time, raw)
+    return path
+
+
+def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Message]:
+    """The messages of the contract in a bag, in which there need not be a trial.
+
+    Raises
+    ------
+    BagError
+        At the call, if the path is not a readable bag or has no message.
+    """
+    raw = read_storage(path, contract_topic)
+    if not raw.payloads:
+        raise BagError(f"{path}: no messages")
+    found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
+    names = {index: topic for topic, index in found.items()}
+    return ((names[index], time, payload) for index, time, payload in raw if index in names)
