@@ -47,19 +47,25 @@ def run(parameters: NodeParameters, delay: int) -> tuple[Identification, int]:
     experiment = TrialSequencer(parameters.controller, statuses.append)
     rig = SimulatedRig(parameters.simulator)
     under_way = deque([(0.0,) * rig.position.size] * delay)
-    perturbation, position, torque = [], [], []
+    perturbation, position, torque, command = [], [], [], []
     for tick in range(10**6):
         position.append(rig.position.copy())
         torque.append(rig.torque.copy())
         experiment.answer(tick * PERIOD_NS, position[-1].tolist(), torque[-1].tolist())
         perturbation.append(experiment.tau_delta.copy())
+        command.append(experiment.command.copy())
         if experiment.finished:
             break
         under_way.append(tuple(experiment.command.tolist()))
         rig.step(under_way.popleft())
     assert experiment.fault == ""
     found = identified(
-        parameters, statuses, perturbation=perturbation, position=position, torque=torque
+        parameters,
+        statuses,
+        perturbation=perturbation,
+        position=position,
+        torque=torque,
+        command=command,
     )
     return found, sum(experiment.clipped.values())
 

@@ -43,6 +43,7 @@ def run(missed_share: float) -> tuple[Identification, float]:
     )
     rng = np.random.default_rng(8)
     perturbation: list[Vector] = []
+    commands: list[Vector] = []
     waiting: list[tuple[float, ...]] = []
     late_for = 0
     paced.begin()
@@ -50,6 +51,7 @@ def run(missed_share: float) -> tuple[Identification, float]:
         theta, tau_h = samples[-1]
         experiment.answer(tick * PERIOD_NS, theta.tolist(), tau_h.tolist())
         perturbation.append(experiment.tau_delta.copy())
+        commands.append(experiment.command.copy())
         if experiment.finished:
             break
         # One command in time at least between two runs of missed ones, for the watchdog's sake.
@@ -74,6 +76,7 @@ def run(missed_share: float) -> tuple[Identification, float]:
         perturbation=perturbation,
         position=[theta for theta, _ in samples],
         torque=[tau_h for _, tau_h in samples],
+        command=commands,
     )
     figures = paced.figures()
     return found, figures.missed / figures.ticks

@@ -27,6 +27,7 @@ def identified(
     perturbation: Samples,
     position: Samples,
     torque: Samples,
+    command: Samples,
 ) -> Identification:
     """Identify the simulated arm by `lpm_full`.
 
@@ -34,7 +35,7 @@ def identified(
     ----------
     parameters : of the nodes
     statuses : what the experiment announced
-    perturbation, position, torque : (n,) of all ticks since the start, N·m, rad, N·m
+    perturbation, position, torque, command : (n,) of all ticks since the start, N·m, rad, N·m, N·m
     """
     trials = []
     for status in statuses:
@@ -50,6 +51,7 @@ def identified(
             perturbation=np.array(perturbation[span]).T,
             position=np.array(position[span]).T,
             torque=np.array(torque[span]).T,
+            command=np.array(command[span]).T,
             start_ns=status.start_ns,
             seed=status.seed,
         )
