@@ -22,22 +22,32 @@ from scipy.signal import butter, sosfilt
 FloatArray = NDArray[np.float64]
 
 SUBSTEPS = 20
-INERTIA = np.array([[0.187, 0.084], [0.079, 0.060]])
-DAMPING = np.array([[0.651, 0.239], [0.236, 0.407]])
-STIFFNESS = np.array([[7.967, 3.187], [1.663, 6.901]])
-ROBOT = np.array([[0.41, 0.17], [0.17, 0.15]])
-POSTURE = np.array([1.1, 1.35])
-NAMES = ("shoulder", "elbow")
+INERTIA = np.array([[0.187, 0.084, 0.008], [0.079, 0.060, 0.006], [0.008, 0.006, 0.005]])
+DAMPING = np.array([[0.651, 0.239, 0.03], [0.236, 0.407, 0.04], [0.03, 0.04, 0.09]])
+STIFFNESS = np.array([[7.967, 3.187, 0.4], [1.663, 6.901, 0.6], [0.3, 0.5, 1.8]])
+ROBOT = np.array([[0.41, 0.17, 0.015], [0.17, 0.15, 0.012], [0.015, 0.012, 0.011]])
+POSTURE = np.array([1.1, 1.35, 0.2])
+PUSH = (2.5, 1.5, 0.3)
+"""Standard deviations of the perturbations, N·m."""
+RATCHET = 120.0
+"""Poles of the cogging, for each radian."""
+NAMES = ("shoulder", "elbow", "wrist")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mismatch:
     """What is not as the estimator would like it; times in s, SI units."""
 
+    joints: int = 2
+    """How many of shoulder, elbow and wrist."""
+    robot: float = 1.0
+    """Inertia of the robot, times the value above."""
+    multisine: bool = False
+    """Whether the perturbation repeats itself every 10 s, with lines up to 20 Hz."""
     rate: float = 1000.0
     duration: float = 50.0
     level: float = 1.0
-    """Of the perturbation: 1 gives standard deviations of 2.5 and 1.5 N·m."""
+    """Of the perturbation: 1 gives standard deviations of 2.5, 1.5 and 0.3 N·m."""
     inertia: float = 1.0
     damping: float = 1.0
     stiffness: float = 1.0
@@ -56,6 +66,10 @@ class Mismatch:
     friction: float = 0.15
     stick: float = 0.02
     """Speed at which friction reaches three quarters of its size, rad/s: less lets joints rest."""
+    bristle: float = 0.0
+    """Stiffness of joints that friction holds, N·m/rad (LuGre); 0: friction of speed alone."""
+    cogging: float = 0.0
+    """Torque of the motors' poles on the robot, N·m."""
     viscosity: float = 0.1
     lock: float = 150.0
     """Natural frequency of locked joints, rad/s (at most a sixth of the rate)."""
@@ -94,10 +108,11 @@ class Recording:
 
 def arm_of(mismatch: Mismatch) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return M, B and K of the arm at small amplitude."""
+    n = mismatch.joints
     return (
-        INERTIA * mismatch.inertia,
-        DAMPING * mismatch.damping,
-        STIFFNESS * mismatch.stiffness,
+        INERTIA[:n, :n] * mismatch.inertia,
+        DAMPING[:n, :n] * mismatch.damping,
+        STIFFNESS[:n, :n] * mismatch.stiffness,
     )
 
 
@@ -115,17 +130,20 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     angle_pole,
     friction,
     stick,
+    bristle,
+    cogging,
     reflex,
     reflex_steps,
     nonlinear,
     hold,
+    step,
     substeps,
     command_steps,
     states,
     mean,
     torque_pole,
 ):
-    n = 2
+    n = len(perturbation)
     ticks = perturbation.shape[1]
     position = np.zeros((n, ticks))
     command = np.zeros((n, ticks))
@@ -142,7 +160,9 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     contraction = np.zeros((n, 2))
     low = np.zeros(n)
     yielding = np.zeros(n)
-    where = states - 4 if states > 4 else 0
+    bend = np.zeros(n)
+    rubs = np.zeros(n)
+    where = states - 2 * n if states > 2 * n else 0
     for k in range(ticks):
         for i in range(n):
             filtered[i] += angle_pole * (x[i] - filtered[i])
@@ -168,7 +188,16 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 old = active[i]
                 active[i] = sent[i, whole]
                 speed = x[n + i]
-                force[i] = old - friction * np.tanh(speed / stick)
+                if bristle > 0.0:
+                    # Bristles bend at the speed of the joint, until they carry all of the friction.
+                    ease = bristle * abs(speed) / friction
+                    ends = friction / bristle * np.sign(speed)
+                    bend[i] = ends + (bend[i] - ends) * np.exp(-ease * step)
+                    rubs[i] = bristle * bend[i]
+                else:
+                    rubs[i] = friction * np.tanh(speed / stick)
+                rubs[i] += cogging * np.sin(RATCHET * x[i])
+                force[i] = old - rubs[i]
                 q, v = x[where + i], x[where + n + i]
                 # Reflex: torque after a delay, through two first-order lags of the muscle.
                 for age in range(reflex_steps, 0, -1):
@@ -194,7 +223,11 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                         value += torque_of[i, states + j] * force[j]
                     before[i, k] = value
             for i in range(n):
-                force[i] = active[i] - friction * np.tanh(x[n + i] / stick)
+                if bristle == 0.0:
+                    rubs[i] = friction * np.tanh(x[n + i] / stick) + cogging * np.sin(
+                        RATCHET * x[i]
+                    )
+                force[i] = active[i] - rubs[i]
             for i in range(n):
                 value = 0.0
                 for j in range(states):
@@ -216,21 +249,20 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
     settle = round(0.5 * mismatch.rate)
     ticks = round(mismatch.duration * mismatch.rate)
     total = ticks + 2 * settle
-    perturbation = np.zeros((2, total))
-    noise = sosfilt(
-        butter(4, 20.0, fs=mismatch.rate, output="sos"), rng.standard_normal(ticks + settle)
-    )[settle:]
-    size = mismatch.level * (2.5, 1.5)[joint]
+    n = mismatch.joints
+    perturbation = np.zeros((n, total))
+    noise = _perturbation(mismatch, ticks + settle, rng)[settle:]
+    size = mismatch.level * PUSH[joint]
     perturbation[joint, settle : settle + ticks] = noise / noise.std() * size
 
     M, B, K = arm_of(mismatch)
     states, A, G, torque_of = _state_space(mismatch, M, B, K, period / SUBSTEPS)
     disturbance = _disturbance(mismatch, total, rng)
-    disturbance += (K @ np.full(2, mismatch.preload))[:, None]
-    inertia = np.diag(ROBOT) + np.diag(M)
+    disturbance += (K @ np.full(n, mismatch.preload))[:, None]
+    inertia = np.diag(ROBOT)[:n] * mismatch.robot + np.diag(M)
     lock = min(mismatch.lock, mismatch.rate / 6.0)
     stiff, damped = inertia * lock**2, 2.0 * inertia * lock
-    soft = np.array([4.0, 3.0]) + 0.5 * np.diag(K)
+    soft = np.array([4.0, 3.0, 1.0])[:n] + 0.5 * np.diag(K)
     gains = np.stack([stiff, damped])
     gains[0, joint] = soft[joint]
     gains[1, joint] = 0.5 * np.sqrt(soft[joint] * inertia[joint])
@@ -248,12 +280,14 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
         perturbation,
         disturbance,
         gains,
-        np.zeros(2),
+        np.zeros(n),
         pole,
         mismatch.angle_step,
         angle_pole,
         mismatch.friction,
         mismatch.stick,
+        mismatch.bristle,
+        mismatch.cogging,
         mismatch.reflex,
         max(1, round(mismatch.reflex_delay / step)),
         np.array(
@@ -264,6 +298,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
             ]
         ),
         1.0 - np.exp(-step / 0.02),
+        step,
         SUBSTEPS,
         round(mismatch.command_delay / step),
         states,
@@ -278,7 +313,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
     recording = Recording(
         joint=joint,
         stamps=stamps,
-        position=position + POSTURE[:, None],
+        position=position + POSTURE[:n, None],
         torque=torque,
         perturbation=perturbation,
         command=command,
@@ -288,7 +323,20 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
 
 def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
     """Run one trial for each joint."""
-    return [simulate_trial(mismatch, joint, seed) for joint in (0, 1)]
+    return [simulate_trial(mismatch, joint, seed) for joint in range(mismatch.joints)]
+
+
+def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
+    if not mismatch.multisine:
+        low_pass = butter(4, 20.0, fs=mismatch.rate, output="sos")
+        noise: FloatArray = sosfilt(low_pass, rng.standard_normal(ticks))
+        return noise
+    lines = 0.1 * np.arange(1, 201)
+    phases = rng.uniform(0.0, 2.0 * np.pi, lines.size)
+    t = np.arange(ticks) / mismatch.rate
+    return np.asarray(
+        sum(np.cos(2 * np.pi * f * t + p) for f, p in zip(lines, phases, strict=True))
+    )
 
 
 def _readings(mismatch: Mismatch, before: FloatArray, fine: FloatArray, step: float) -> Any:
@@ -306,11 +354,12 @@ def _readings(mismatch: Mismatch, before: FloatArray, fine: FloatArray, step: fl
 
 
 def _disturbance(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
-    total = np.zeros((2, ticks))
+    n = mismatch.joints
+    total = np.zeros((n, ticks))
     for size, band in ((mismatch.voluntary, (0.05, 2.0)), (mismatch.tremor, (8.0, 12.0))):
         if size:
             sos = butter(2, band, btype="band", fs=mismatch.rate, output="sos")
-            raw = sosfilt(sos, rng.standard_normal((2, ticks + 20000)), axis=1)[:, 20000:]
+            raw = sosfilt(sos, rng.standard_normal((n, ticks + 20000)), axis=1)[:, 20000:]
             total += size * raw / raw.std(axis=1, keepdims=True)
     return total
 
@@ -322,12 +371,14 @@ def _state_space(
 
     Forces are those on the robot, then those that the arm offers beside M, B and K.
     """
-    viscous = mismatch.viscosity * np.eye(2)
-    one, nil = np.eye(2), np.zeros((2, 2))
+    n = len(M)
+    inertia = ROBOT[:n, :n] * mismatch.robot
+    viscous = mismatch.viscosity * np.eye(n)
+    one, nil = np.eye(n), np.zeros((n, n))
     if mismatch.cuff:
         stiff = mismatch.cuff * one
         damped = 0.002 * stiff
-        robot, arm = np.linalg.inv(ROBOT), np.linalg.inv(M)
+        robot, arm = np.linalg.inv(inertia), np.linalg.inv(M)
         dynamics = np.block(
             [
                 [nil, one, nil, nil],
@@ -339,14 +390,14 @@ def _state_space(
         forces = np.block([[nil, nil], [robot, nil], [nil, nil], [nil, -arm]])
         torque_of = np.hstack([stiff, damped, -stiff, -damped, nil, nil])
     else:
-        both = np.linalg.inv(ROBOT + M)
+        both = np.linalg.inv(inertia + M)
         dynamics = np.block([[nil, one], [-both @ K, -both @ (B + viscous)]])
         forces = np.block([[nil, nil], [both, -both]])
         torque_of = np.hstack(
             [K - M @ both @ K, B - M @ both @ (B + viscous), M @ both, one - M @ both]
         )
     states = len(dynamics)
-    block = np.zeros((states + 4, states + 4))
+    block = np.zeros((states + 2 * n, states + 2 * n))
     block[:states, :states], block[:states, states:] = dynamics, forces
     exact = expm(block * step)
     return (

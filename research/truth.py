@@ -77,6 +77,26 @@ def _drift(slope: float) -> Change:
     return lambda torque: torque + slope * np.arange(torque.shape[1]) / 1000.0
 
 
+def _backlash(gap: float) -> Change:
+    """Play of a given width: readings follow once it is used up."""
+
+    def follow(values: FloatArray) -> FloatArray:
+        rows = []
+        for row in values.tolist():
+            rests, followed = row[0], []
+            for value in row:
+                rests = min(max(rests, value - 0.5 * gap), value + 0.5 * gap)
+                followed.append(rests)
+            rows.append(followed)
+        return np.array(rows)
+
+    return follow
+
+
+def _waning(share: float) -> Change:
+    return lambda torque: torque * (1.0 - share * np.linspace(-0.5, 0.5, torque.shape[1]))
+
+
 def _restamped(rate: float) -> Callable[[Any], Any]:
     def stamp(stamps: Stamps) -> Any:
         return stamps[0] + np.rint(np.arange(stamps.size) * (1e9 / rate)).astype(np.int64)
@@ -255,6 +275,49 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         sticky = {"friction": friction, "stick": 0.005 * friction, "angle_step": step}
         kind = NOISE if friction < 2.0 else MUST
         add(kind, "sticking", (f"{friction:g} N·m, {step:g} rad", sticky))
+    three = {"joints": 3}
+    add(NOISE, "three joints", ("", three), ("800", three | {"rate": 800.0}))
+    add(
+        MUST,
+        "three joints, gain of joint 2",
+        ("0.9", three | {"readings": changed(torque=_row(1, 0.9))}),
+    )
+    for inertia in (0.3, 3.0):
+        add(NOISE, "robot x", (f"{inertia:g}", {"robot": inertia}))
+        light = {"robot": inertia, "readings": changed(torque=_row(1, 0.9))}
+        add(MUST, "robot and torque gain of joint 2", (f"{inertia:g}, 0.9", light))
+    add(NOISE, "multisine", ("", {"multisine": True}))
+    for size, stiff in ((0.2, 500.0), (0.5, 2000.0), (1.0, 1e4)):
+        add(
+            NOISE,
+            "bristles",
+            (f"{size:g} N·m, {stiff:g} N·m/rad", {"friction": size, "bristle": stiff}),
+        )
+    for size in (0.05, 0.2):
+        add(NOISE, "cogging", (f"{size:g} N·m", {"cogging": size}))
+    for gap in (0.01, 0.05, 0.2):
+        rubbed = changed(torque=_backlash(gap))
+        add(MUST, "torque hysteresis", (f"{gap:g} N·m", {"readings": rubbed}))
+    for gap in (1e-4, 1e-3, 5e-3):
+        loose = changed(position=_backlash(gap))
+        add(MUST, "angle backlash", (f"{gap:g} rad", {"readings": loose}))
+    for share in (0.02, 0.1):
+        add(MUST, "gain that drifts", (f"{share:g}", {"readings": changed(torque=_waning(share))}))
+    mixed = {
+        "rate": 800.0,
+        "command_delay": 0.4 * MILLI,
+        "friction": 0.5,
+        "torque_delay": 0.7 * MILLI,
+    }
+    add(MUST, "mixed", ("late", mixed), ("late, bristles", mixed | {"bristle": 1500.0}))
+    hummed = {
+        "voluntary": 0.3,
+        "cogging": 0.05,
+        "readings": changed(torque=_hum(0.1)),
+        "multisine": True,
+    }
+    add(NOISE, "mixed", ("hum, voluntary, cogging", hummed))
+    add(MUST, "mixed", ("reflex, cuff", {"reflex": 0.2, "cuff": 2e4}))
     add(
         MUST, "cross-talk", ("3 %", {"readings": changed(torque=_cross(0.03)), "calibrated": False})
     )
@@ -292,7 +355,7 @@ def streams_of(recordings: list[Recording]) -> Streams:
         commands = np.concatenate([one.command for one in recordings], axis=1)
         commands = commands[:, recordings[0].command_shift :]
     return Streams(
-        joint_names=NAMES,
+        joint_names=NAMES[: len(recordings)],
         stamped={
             topic: Stream(
                 joined, np.concatenate([getattr(one, name) for one in recordings], axis=1)
@@ -309,7 +372,8 @@ def verdict_on(recordings: list[Recording], *, calibrated: bool = True) -> Resul
     """What the estimator says of trials without trial status, and with exact transducers or not."""
     trials = assemble_trials(streams_of(recordings), ())
     metadata = dict.fromkeys(CALIBRATION_KEYS, "0") if calibrated else {}
-    return conclude(trials, metadata=metadata, joint_names=NAMES, estimators=("lpm_full",))
+    names = NAMES[: len(recordings)]
+    return conclude(trials, metadata=metadata, joint_names=names, estimators=("lpm_full",))
 
 
 def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str]]:

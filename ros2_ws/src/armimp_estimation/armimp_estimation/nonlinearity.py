@@ -4,17 +4,18 @@ With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of
 perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
 spring of short range yields or something rubs, a play operator of the angle (the spring's stretch:
 Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if stiffness changes over the trial,
-``θ t``. The regressors are taken without what is in proportion to the angle or its first three
-derivatives, so that a linear arm gives zero on average, whatever the person does beside. That
-proportion times the coefficient is what the term does to M, B and K. What readings lack because
-torques jump with commands is put right before: commands that overcome friction would make it look
-like a bent spring. The trial is cut into parts, in each of which the coefficient is found anew: its
-scatter is its error, with no assumption about the spectrum of e. Its ends are left out: there the
-derivatives of a record that is cut off ring.
+``θ t``. Regressors and e are taken without all that any linear filter makes of the angle: so a
+linear arm gives zero on average, whatever the person does beside, although that moves the arm, too.
+What M, B and K are alike of the regressor, times the coefficient, is what the term does to them.
+What readings lack because torques jump with commands is put right before: commands that overcome
+friction would make it look like a bent spring. The trial is cut into parts, in each of which the
+coefficient is found anew: its scatter is its error, with no assumption about the spectrum of e. Its
+ends are left out: there the derivatives of a record that is cut off ring.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,10 +44,18 @@ Smaller ones are in the standard errors.
 PLAY = 0.12
 """Half of the play, in rms angles."""
 _ENDS = 3.0
+_WIDTH = 1.0
+_RATE = 200.0
 _MOST_ENDS = 0.2
 _PARTS = 20
 _NEGLIGIBLE = 0.003
 _LEAST = 10.0
+_BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
+    "amplitude": lambda x: x**3,
+    "hysteresis": lambda x: play(x, PLAY),
+    "time": lambda x: x * np.linspace(-0.5, 0.5, x.size),
+}
+"""What follows from the angle, in rms angles."""
 _CODES = {
     "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
     "hysteresis": ProblemCode.HYSTERESIS,
@@ -73,7 +82,7 @@ class Deviation:
 
 
 class _Band:
-    """Signals of a record within the band, without its ends."""
+    """Signals of a record within the band, at a rate that suffices for them, without its ends."""
 
     def __init__(self, record: TrialRecord) -> None:
         f = np.fft.rfftfreq(record.samples, 1.0 / record.rate)
@@ -82,21 +91,28 @@ class _Band:
         fall = np.clip((end - f) / (end - shoulder), 0.0, 1.0)
         passed = np.sin(0.5 * np.pi * rise) ** 2 * np.sin(0.5 * np.pi * fall) ** 2
         inside = np.flatnonzero(passed)
-        self.samples = record.samples
+        self.samples = round(record.duration * min(record.rate, _RATE))
         self.bins = slice(int(inside[0]), int(inside[-1]) + 1)
         self.f = np.asarray(f[self.bins], dtype=np.float64)
         self.passed = passed[self.bins]
-        ends = int(min(_ENDS * record.rate, _MOST_ENDS * record.samples))
-        self.kept = slice(ends, record.samples - ends)
+        ends = int(self.samples * min(_ENDS / record.duration, _MOST_ENDS))
+        self.kept = slice(ends, self.samples - ends)
 
     def of(self, signal: FloatArray) -> ComplexArray:
         spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
-        return np.asarray(spectrum[..., self.bins] * self.passed)
+        return np.asarray(spectrum[..., self.bins] * self.passed / signal.shape[-1])
+
+    def filters(self, signal: FloatArray) -> FloatArray:
+        """A signal cut into bands, each as it is and turned by 90 degrees, (2 bands, N)."""
+        values = self.of(signal)
+        which = np.floor((self.f - self.f[0]) / _WIDTH).astype(int)
+        cut = np.where(which == np.arange(which[-1] + 1)[:, None], values, 0.0)
+        return self.signal(np.concatenate((cut, 1j * cut)))
 
     def signal(self, values: ComplexArray) -> FloatArray:
-        """Whole signal, ends included."""
+        """Whole signal at the lower rate, ends included."""
         spectrum = np.zeros((*values.shape[:-1], self.samples // 2 + 1), dtype=np.complex128)
-        spectrum[..., self.bins] = values
+        spectrum[..., self.bins] = values * self.samples
         signal: FloatArray = np.fft.irfft(spectrum, self.samples)
         return signal
 
@@ -131,8 +147,8 @@ def unexplained_torque(
 
     Returns
     -------
-    motion : ndarray, shape (4, N)
-        Angle, rad, and its first three derivatives.
+    motion : ndarray, shape (3, N)
+        Angle, rad, and its first two derivatives; 200 samples per second at most.
     torque : ndarray, shape (N,)
         N·m.
     """
@@ -142,7 +158,7 @@ def unexplained_torque(
         lacking = jump.missing(band.f, record.rate, reading)[k]
         torque = torque + np.sum(lacking * band.of(command_steps(record, record.samples)), axis=0)
         torque = torque / (reading or TorqueReading()).response(band.f)
-    motion = angle[k] * (2j * np.pi * band.f) ** np.arange(4)[:, None]
+    motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
     left = torque - np.sum(arm.impedance(band.f)[k] * angle, axis=0)
     return band.signal(motion), band.signal(left)
 
@@ -164,33 +180,28 @@ def deviations(
     """
     if record.duration < _LEAST:
         return {}
-    band = _Band(record)
+    band, k = _Band(record), record.perturbed_joint
     motion, rest = unexplained_torque(record, arm, jump, reading)
     sizes = np.std(motion, axis=1)
-    k = record.perturbed_joint
     own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
     if not (sizes[0] > 0.0 and own[2] > 0.0):
         return {}
-    linear = (motion / sizes[:, None])[:, band.kept]
-    x = motion[0] / sizes[0]
-    bent = {
-        "amplitude": x**3,
-        "hysteresis": play(motion[0], PLAY * float(sizes[0])),
-        "time": x * np.linspace(-0.5, 0.5, x.size),
-    }
+    kept = band.kept
+    filtered = band.filters(record.position[k])[:, kept]
+    basis = np.linalg.qr(filtered.T)[0].T
+    rest = rest[kept] - (basis @ rest[kept]) @ basis
     found = {}
-    for name, signal in bent.items():
-        regressor = band.signal(band.of(signal))[band.kept]
-        regressor -= np.linalg.lstsq(linear.T, regressor, rcond=None)[0] @ linear
-        parts = np.array_split(regressor, _PARTS)
-        pairs = zip(parts, np.array_split(rest[band.kept], _PARTS), strict=True)
-        products = np.array([np.sum(p * q) for p, q in pairs])
-        squares = np.array([np.sum(p * p) for p in parts])
+    for name, bend in _BENT.items():
+        signal = band.signal(band.of(bend(motion[0] / sizes[0])))[kept]
+        regressor = signal - (basis @ signal) @ basis
+        parts = [np.array_split(one, _PARTS) for one in (regressor, rest)]
+        products = np.array([np.sum(p * q) for p, q in zip(*parts, strict=True)])
+        squares = np.array([np.sum(p * p) for p in parts[0]])
         slope = float(np.sum(products) / np.sum(squares))
         error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / np.sum(squares))
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
-        of_linear = np.linalg.lstsq(linear[2::-1].T, signal[band.kept], rcond=None)[0]
-        shift = slope * of_linear / sizes[2::-1]
+        of_linear = np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
+        shift = slope * of_linear
         if name == "hysteresis":
             share = float(np.max(np.abs(shift / own)))
         else:

@@ -47,8 +47,11 @@ BAND = (0.25, 12.0)
 """Where inertia and stiffness are seen, Hz: below, friction is most of it."""
 GAIN_TOLERANCE = 0.02
 """Share by which the torque of a transducer may differ from that of the command, beside chance."""
-ASYMMETRY = 0.03
-"""Share by which elements of the robot's inertia off the diagonal may differ from each other."""
+ASYMMETRY = 0.25
+"""Share by which elements of the robot's inertia off the diagonal may differ from each other.
+
+Friction that holds a locked joint takes up to a fifth of its element.
+"""
 _ERRORS = 5.0
 _NEGATIVE = 4.0
 _MOST_ORDERS = 4
@@ -99,7 +102,8 @@ class RobotBalance:
     @property
     def M_se(self) -> FloatArray:
         """Its standard errors."""
-        return np.asarray(np.hypot(self._errors[0], _TAKEN * self.friction * np.abs(self.M)))
+        taken = _TAKEN * np.maximum(self.friction, self.unseen)
+        return np.asarray(np.hypot(self._errors[0], taken * np.abs(self.M)))
 
     @property
     def K(self) -> FloatArray:
