@@ -16,7 +16,7 @@ from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import conclude
 from support.recordings import recorded_arm
 
-TARGET = 0.5
+TARGET = 0.2
 """Longest time for a trial of 50 s, s."""
 SAMPLES = 50_000
 _REPEATS = 5

@@ -109,7 +109,7 @@ def test_million_random_sequences_break_no_promise(figures: Figures) -> None:
     result = campaign(1_000_000, seed=1)
     assert result.violations == dict.fromkeys(PROMISES, 0)
     figures.add(
-        "gate fed a random sequence of 80 ticks",
+        "safety limiter fed a random sequence of 80 ticks",
         result.sequences,
         faults_latched=(result.faults, ""),
         broken_promises=(sum(result.violations.values()), ""),
