@@ -155,13 +155,7 @@ def complaints(summary: Summary) -> list[str]:
 
 
 def _draw(directory: Path, result: Result) -> None:
-    """Write report and figures, each even if the other cannot be written.
-
-    Raises
-    ------
-    DataError
-        The first of what went wrong.
-    """
+    """Write report and figures, each even if the other cannot be written."""
     from armimp_estimation.report import write_report
 
     try:

@@ -120,10 +120,8 @@ class CdrReader:
             raise self.error(f"is not plain CDR: header {bytes(data[:4]).hex()}")
         self.byte_order: Literal["<", ">"] = byte_order
         self.constants: list[Span] = [(0, 2)]
-        self._stamp, self._uint32 = (
-            struct.Struct(f"{byte_order}iI"),
-            struct.Struct(f"{byte_order}I"),
-        )
+        self._stamp = struct.Struct(f"{byte_order}iI")
+        self._uint32 = struct.Struct(f"{byte_order}I")
 
     def error(self, reason: str) -> MalformedMessageError:
         """Return the error that says why this message is not acceptable."""
@@ -182,31 +180,20 @@ class CdrReader:
 
 
 class _Layout:
-    """Where the numbers are in messages that look like one that was parsed; its stamp, if any.
+    """Where stamp and numbers are in all messages whose other bytes equal those of a parsed one."""
 
-    A message of the same length has this layout if the bytes around stamp and numbers are the same
-    (`head`, `before`, `after`), which is quickly seen, or else if all `constants` are.
-
-    Parameters
-    ----------
-    first
-        What `unpack` returns first, as ``struct`` has it: `head` and two values in 12 bytes.
-    order
-        For each value to return, its index among the doubles.
-    """
+    # ``first`` is what `unpack` returns first, as ``struct`` has it: `head` and two values in 12
+    # bytes. ``order`` has the index among the doubles of each value to return.
 
     def __init__(
         self, data: Buffer, parsed: CdrReader, first: str, numbers: Span, order: Sequence[int]
     ) -> None:
         self.length = len(data)
-        self._constants = [
-            (start, end, np.frombuffer(bytes(data[start:end]), np.uint8))
-            for start, end in parsed.constants
-        ]
         self._order = list(order)
         mask = bytearray(self.length)
         for start, end in parsed.constants:
             mask[start:end] = b"\xff" * (end - start)
+        self._masks = np.frombuffer(mask, np.uint8)
         self._mask = int.from_bytes(mask, "little")
         self._constant = int.from_bytes(data, "little") & self._mask
         self.before, self.after = bytes(data[12 : numbers[0]]), bytes(data[numbers[1] :])
@@ -240,10 +227,9 @@ class _Layout:
         if set(map(len, messages)) - {self.length}:
             return None
         data = b"".join(messages)
-        table = np.frombuffer(data, np.uint8).reshape(len(messages), self.length)
-        for start, end, expected in self._constants:
-            if not (table[:, start:end] == expected).all():
-                return None
+        constants = np.frombuffer(data, np.uint8).reshape(-1, self.length) & self._masks
+        if (constants != constants[0]).any():  # the layout is that of the first message
+            return None
         rows = np.frombuffer(data, self._dtype)
         stamps = rows["sec"].astype(np.int64) * NS_PER_S + rows["nanosec"]
         return stamps, np.ascontiguousarray(rows["values"][:, self._order].T, np.float64)
@@ -283,9 +269,7 @@ class _Decoder(ABC):
         return layout, layout.unpack(data)
 
     def _many(self, messages: Sequence[Buffer]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        bulk = None
-        if messages:
-            bulk = self._indexed(0, messages[0])[0].unpack_many(messages)
+        bulk = self._indexed(0, messages[0])[0].unpack_many(messages) if messages else None
         if bulk is not None:
             return bulk
         stamps, values = np.zeros(len(messages), np.int64), np.empty((self._count, len(messages)))

@@ -51,9 +51,7 @@ _NOMINAL = NS_PER_S / PERIOD_NS
 _STALE, _STOP, _SECOND = "stale commands", "emergency stop", "second publisher"
 _PERIOD = PERIOD_NS / NS_PER_S
 _USUAL = 0.35  # share of the usual motion that counts as one: chosen
-_GONE = (
-    0.65  # least part of a torque that must be seen to go for all of it to count as gone: chosen
-)
+_GONE = 0.65  # least part of a torque seen to go for all of it to count as gone: chosen
 _BLUR = 0.01  # s; error with which that moment can be seen, measured with the simulated rig
 _ENDING = 5 * _PERIOD + 0.05  # s; until torque that is to go has gone
 _REACTION = 3  # periods from a command to its first effect: chosen
@@ -63,7 +61,7 @@ _ENDING_LIMIT = {"bound": 1e3 * _ENDING, "blur": 1e3 * _BLUR}
 _TOLD_LIMIT = {"topic": topics.DIAGNOSTICS, "bound": _TOLD}
 
 _BASELINE = 50  # samples at rest
-_WINDOW, _LEAST = 120, 100  # samples after the end that are looked at, and that there must be
+_WINDOW = 120  # samples after the end that are looked at, of which there must be _LEAST
 _OVERLAP = 30  # samples of the window that lie after the end, wherever it is
 _RAMPS = (1, 5, 10, 15, 20, 30, 40, 50, 60, 80)  # tried lengths of the way to zero, samples
 _SIGMAS = 5.0
