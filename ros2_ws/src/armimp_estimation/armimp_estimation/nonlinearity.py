@@ -2,15 +2,16 @@
 
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
 perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
-spring of short range yields or something rubs, a play operator of the angle (the spring's stretch:
-Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if stiffness changes over the trial,
-``θ t``. Regressors and e are taken without all that any linear filter makes of the angle: so a
-linear arm gives zero on average, whatever the person does beside, although that moves the arm, too.
-What M, B and K are alike of the regressor, times the coefficient, is what the term does to them.
-What readings lack because torques jump with commands is put right before: commands that overcome
-friction would make it look like a bent spring. The trial is cut into parts, in each of which the
-coefficient is found anew: its scatter is its error, with no assumption about the spectrum of e. Its
-ends are left out: there the derivatives of a record that is cut off ring.
+spring of short range yields, a play operator of the angle (the spring's stretch:
+Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign
+of ``θ̇``; if stiffness changes over the trial, ``θ t``. Regressors and e are taken without all that
+any linear filter makes of the angle: so a linear arm gives zero on average, whatever the person
+does beside, although that moves the arm, too. What M, B and K are alike of the regressor, times the
+coefficient, is what the term does to them. What readings lack because torques jump with commands is
+put right before: commands that overcome friction would make it look like a bent spring. The trial
+is cut into parts, in each of which the coefficient is found anew: its scatter is its error, with no
+assumption about the spectrum of e. Its ends are left out: there the derivatives of a record that is
+cut off ring.
 """
 
 from __future__ import annotations
@@ -36,13 +37,16 @@ BAND = ((0.2, 0.7), (11.0, 15.0))
 They are not sharp, so that the ends of the record soon die away.
 """
 SIGNIFICANT = 4.5
-LARGE = {"amplitude": 0.03, "hysteresis": 0.05, "time": 0.05}
+LARGE = {"amplitude": 0.03, "hysteresis": 0.05, "time": 0.05, "friction": np.inf}
 """Shares of the stiffness, or of M, B or K, beyond which these are of this motion, or time, alone.
 
-Smaller ones are in the standard errors.
+Smaller ones are in the standard errors, and so is what friction of the robot leaves in the torques
+where their jumps with the commands are not known well.
 """
 PLAY = 0.12
 """Half of the play, in rms angles."""
+SLOW = 0.1
+"""Speed at which friction has three quarters of its size, in rms speeds."""
 _ENDS = 3.0
 _WIDTH = 1.0
 _RATE = 200.0
@@ -50,15 +54,17 @@ _MOST_ENDS = 0.2
 _PARTS = 20
 _NEGLIGIBLE = 0.003
 _LEAST = 10.0
-_BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
-    "amplitude": lambda x: x**3,
-    "hysteresis": lambda x: play(x, PLAY),
-    "time": lambda x: x * np.linspace(-0.5, 0.5, x.size),
+_BENT: Mapping[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
+    "amplitude": lambda x, _: x**3,
+    "hysteresis": lambda x, _: play(x, PLAY),
+    "friction": lambda _, v: np.tanh(v / SLOW),
+    "time": lambda x, _: x * np.linspace(-0.5, 0.5, x.size),
 }
-"""What follows from the angle, in rms angles."""
+"""What follows from angle and speed, in units of their rms."""
 _CODES = {
     "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
     "hysteresis": ProblemCode.HYSTERESIS,
+    "friction": ProblemCode.FRICTION_LEFT,
     "time": ProblemCode.CHANGES_OVER_TIME,
 }
 
@@ -71,7 +77,7 @@ class Deviation:
     ----------
     share, error : float
         Change of the stiffness from rest to the rms angle, or from begin to end, relative to it;
-        of hysteresis its share in the largest of M, B and K. And its standard error.
+        of hysteresis and friction its share in the largest of M, B and K. And its standard error.
     shift : ndarray, shape (3,)
         What it adds to M, B and K of the joint itself, SI units.
     """
@@ -176,7 +182,8 @@ def deviations(
     Returns
     -------
     dict of str to Deviation
-        ``"amplitude"``, ``"hysteresis"`` and ``"time"``; empty for trials of less than 10 s.
+        ``"amplitude"``, ``"hysteresis"``, ``"friction"`` and ``"time"``; empty for trials of less
+        than 10 s.
     """
     if record.duration < _LEAST:
         return {}
@@ -192,7 +199,7 @@ def deviations(
     rest = rest[kept] - (basis @ rest[kept]) @ basis
     found = {}
     for name, bend in _BENT.items():
-        signal = band.signal(band.of(bend(motion[0] / sizes[0])))[kept]
+        signal = band.signal(band.of(bend(*(motion[:2] / sizes[:2, None]))))[kept]
         regressor = signal - (basis @ signal) @ basis
         parts = [np.array_split(one, _PARTS) for one in (regressor, rest)]
         products = np.array([np.sum(p * q) for p, q in zip(*parts, strict=True)])
@@ -202,7 +209,7 @@ def deviations(
         # What M, B and K are alike of it: the derivatives 2, 1, 0.
         of_linear = np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
         shift = slope * of_linear
-        if name == "hysteresis":
+        if name in {"hysteresis", "friction"}:
             share = float(np.max(np.abs(shift / own)))
         else:
             # The slope of the torque over the angle: 3 x² of a cube, which is 3 at one rms.
@@ -236,8 +243,7 @@ def judge_linearity(
     for name, one in deviations(record, arm, jump, reading).items():
         if not abs(one.share) > SIGNIFICANT * one.error or abs(one.share) < _NEGLIGIBLE:
             continue
-        if resolved:
-            shift = np.hypot(shift, one.shift)
+        shift = np.hypot(shift, one.shift)
         severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE
         problems.append(
             Problem(

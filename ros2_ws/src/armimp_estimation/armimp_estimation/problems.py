@@ -95,6 +95,7 @@ class ProblemCode(str, Enum):
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
     HYSTERESIS = "hysteresis"
+    FRICTION_LEFT = "friction_left"
     CHANGES_OVER_TIME = "changes_over_time"
     LOCK_RATIO = "lock_ratio"
     LOCK_BIAS = "lock_bias"
