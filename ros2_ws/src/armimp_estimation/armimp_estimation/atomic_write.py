@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, Final, Literal
 
-from armimp_common.errors import ArmimpError, DataError
+from armimp_common.errors import DataError
 
 _PART_BYTES: Final = 8
 _MOST_BYTES: Final = 256 << 20
@@ -66,7 +66,6 @@ def write_atomically(
     write: Callable[[Path], object],
     *,
     anew: bool = False,
-    error: type[ArmimpError] = DataError,
 ) -> None:
     """Write a file as `replace_atomically` does, with one line for whatever goes wrong.
 
@@ -76,20 +75,18 @@ def write_atomically(
         As of `replace_atomically`.
     anew : bool
         Whether to put it in the place of a file that is there, which stays if that fails.
-    error : type
-        What is raised.
 
     Raises
     ------
-    error
+    DataError
         If the file exists already or cannot be written.
     """
     try:
         if path.exists() and not anew:
-            raise error(f"{path}: exists already")
+            raise DataError(f"{path}: exists already")
         replace_atomically(path, write)
     except OSError as cause:
-        raise error(f"{path}: cannot be written: {cause.strerror}") from cause
+        raise DataError(f"{path}: cannot be written: {cause.strerror}") from cause
 
 
 def write_text(path: Path, content: str) -> None:
