@@ -35,7 +35,7 @@ LOST = 100
 """Samples before a death that the bag may lack (safety requirement: 100 ms)."""
 PATIENCE = 200.0
 NODES = (SIM_NODE, CONTROLLER_NODE, ESTIMATOR_NODE)
-MOMENTS = int(os.environ.get("ARMIMP_KILL_MOMENTS", "3"))
+MOMENTS = int(os.environ.get("ARMIMP_KILL_MOMENTS", "1"))
 """Random moments in each phase for the long version."""
 REACH = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
