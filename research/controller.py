@@ -1,46 +1,41 @@
-"""How the choice of the controller's parameters limits accuracy.
+"""What a law costs in chatter and in accuracy.
 
-Four parameters of the law are varied, each alone around the defaults: the internal model M̄ as a
-multiple of M_r(θ_0), the gain Γ, the natural frequency of locked joints, and their dither. All
-settings get the same seeds, so the same perturbations and voluntary torques.
+Three numbers of the law with an observer are varied, each alone around the defaults: how fast the
+observer follows torques that nobody knows, the gain Γ, and the natural frequency of locked joints.
+Time-delay estimation stands beside them. All settings get the same perturbations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig, Overrides
-from armimp_bringup.offline import OfflineTrial, run_offline
-from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_bringup.study.conditions import Condition, parse_seeds
-from armimp_bringup.study.engine import Batch, condition_config, estimate_condition, software
+from armimp_bringup.offline import SimulatedExperiment, simulate
+from armimp_bringup.parameters import node_parameters
+from armimp_bringup.study.conditions import parse_seeds
 from armimp_bringup.terminal import leave_terminal, phase
-from armimp_common.errors import ConfigurationError, DataError
-from armimp_sim.plant import IntegrationError
+from armimp_common.errors import ArmimpError, ConfigurationError
 from research.controller_figures import controller_figure
-from research.controller_outcomes import Cell, Outcome, Place, Setting
-from research.controller_tables import print_cells
-from research.decomposition_trials import in_blocks, in_threads
+from research.decomposition_trials import in_threads
 from research.options import InvestigationOptions
-from research.writing import (
-    figure_style,
-    to_json,
-    write_figure,
-    write_tables,
-)
+from research.writing import figure_style, print_table, to_json, write_figure, write_tables
 
-MODEL, GAMMA, LOCK, DITHER = "model_factor", "gamma", "lock_frequency", "lock_dither"
+FloatArray = NDArray[np.float64]
+WALK, GAMMA, LOCK = "walk", "gamma", "lock"
 PARAMETERS: Final[Mapping[str, str]] = {
-    MODEL: "M̄ / M_r",
+    WALK: "unknown torques / default",
     GAMMA: "Γ (rad/s)",
     LOCK: "ω of locked joints (rad/s)",
-    DITHER: "dither (counts)",
 }
 """What is varied, and how it is called."""
+REFERENCE: Final = "tde"
+_ERRORS = ("M", "B", "K")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,158 +44,139 @@ class ControllerPlan:
 
     Parameters
     ----------
-    base : everything but seed, perturbation level and what is varied. The plant takes steps of
-        0.05 ms, since the default of 0.01 ms would need five times as long.
+    base : everything but seed, levels and what is varied. The plant takes steps of 0.05 ms, since
+        the default of 0.01 ms would need five times as long.
     seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`
-    places : levels of the perturbation, and voluntary torques of every joint
-    values : what the parameters are set to; a value that is the default is not run twice
+    levels : of friction, resolution and perturbation
+    values : what the parameters are set to
     """
 
     base: ExperimentConfig = field(
-        default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
+        default_factory=lambda: ExperimentConfig(
+            internal_model="observer", arm_sim={"substeps": 20}
+        )
     )
-    seeds: str = "0:8"
-    places: tuple[Place, ...] = (
-        Place(perturbation=1, voluntary=0.0),
-        Place(perturbation=3, voluntary=0.0),
-        Place(perturbation=3, voluntary=0.3),
+    seeds: str = "0:2"
+    levels: tuple[tuple[int, int, int], ...] = (
+        (0, 0, 1),
+        (1, 3, 1),
+        (3, 1, 1),
+        (3, 3, 1),
+        (3, 3, 3),
     )
     values: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
-            MODEL: (0.2, 0.3, 0.4, 0.6, 0.8, 1.0),
-            GAMMA: (25.0, 50.0, 100.0, 200.0, 400.0),
-            LOCK: (25.0, 50.0, 100.0, 200.0, 300.0),
-            DITHER: (0.0, 0.35, 0.7, 1.05, 1.4),
+            WALK: (0.1, 0.3, 1.0, 3.0),
+            GAMMA: (50.0, 100.0, 200.0),
+            LOCK: (60.0, 90.0, 120.0, 180.0),
         }
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Findings:
-    """Result of the investigation.
-
-    Attributes
-    ----------
-    defaults : value of every parameter
-    cells : by setting, place and estimator
-    refused : settings that the configuration does not accept, and why
-    """
-
-    defaults: Mapping[str, float]
-    cells: tuple[Cell, ...]
-    refused: Mapping[Setting, str]
+def settings(plan: ControllerPlan) -> list[tuple[str, float]]:
+    """Parameter and value of each setting; the reference comes first."""
+    varied = [(name, value) for name, values in plan.values.items() for value in values]
+    return [(REFERENCE, 0.0), *varied]
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Lane:
-    """One experiment; ``base`` holds the setting and the voluntary torque."""
-
-    setting: Setting
-    place: Place
-    base: ExperimentConfig
-    condition: Condition
-
-    def parameters(self) -> NodeParameters:
-        return node_parameters(condition_config(self.base, self.condition), None)
-
-
-def run_controller(plan: ControllerPlan, workers: int | None = None) -> Findings:
-    """Simulate and estimate all of a plan.
-
-    Raises
-    ------
-    ConfigurationError
-        If the plan does not make experiments with the default controller.
-    ArmimpError
-        If they cannot be estimated.
-    """
-    preset = node_parameters(plan.base, None)
-    defaults = default_values(preset)
-    seeds = parse_seeds(plan.seeds)
-    lanes: list[_Lane] = []
-    refused: dict[Setting, str] = {}
-    for setting in settings(plan, defaults):
-        changed = {**plan.base.imbic_controller, **overrides(setting, preset)}
-        base = plan.base.model_copy(update={"imbic_controller": changed})
-        try:
-            node_parameters(base, None)
-        except ConfigurationError as error:
-            if setting.parameter is None:
-                raise
-            refused[setting] = str(error)
-            continue
-        lanes += _lanes(plan, setting, base, seeds)
-    found: dict[tuple[Setting, Place, str], list[Outcome]] = {}
-    lost: dict[tuple[Setting, Place], int] = {}
-    here = software()
-
-    def work(block: tuple[_Lane, ...]) -> list[tuple[_Lane, list[Outcome]]]:
-        return [
-            (lane, _outcomes(lane, trials, here) if trials else [])
-            for lane, trials in _simulated(block)
-        ]
-
-    for results in in_threads(work, in_blocks(lanes), workers):
-        for lane, outcomes in results:
-            key = lane.setting, lane.place
-            lost[key] = lost.get(key, 0) + (not outcomes)
-            for one in outcomes:
-                found.setdefault((*key, one.estimator), []).append(one)
-    cells = tuple(
-        Cell.of(setting, place, name, found.get((setting, place, name), []), count)
-        for (setting, place), count in lost.items()
-        for name in plan.base.estimators
-    )
-    return Findings(defaults=defaults, cells=cells, refused=refused)
-
-
-def default_values(preset: NodeParameters) -> dict[str, float]:
-    """What the parameters are set to by default, in the units of :data:`PARAMETERS`."""
-    law, target = preset.controller.law, preset.controller.target
-    return {
-        MODEL: law.model_inertia[0] / preset.controller.known.robot_inertia[0],
-        GAMMA: law.gamma,
-        LOCK: target.lock_frequency,
-        DITHER: target.lock_dither / _count(preset),
-    }
-
-
-def settings(plan: ControllerPlan, defaults: Mapping[str, float]) -> list[Setting]:
-    """All settings, the default one first and once."""
-    return [
-        Setting(),
-        *(
-            Setting(parameter=name, value=value)
-            for name, values in plan.values.items()
-            for value in values
-            if not np.isclose(value, defaults[name])
-        ),
-    ]
-
-
-def overrides(setting: Setting, preset: NodeParameters) -> Overrides:
-    """Parameters of the controller node that make up a setting.
+def changed(base: ExperimentConfig, setting: tuple[str, float]) -> ExperimentConfig:
+    """The configuration of a setting.
 
     Raises
     ------
     ConfigurationError
         If there is no such parameter to vary.
     """
-    value = setting.value
-    if setting.parameter is None:
-        return {}
-    if setting.parameter == MODEL:
-        robot = preset.controller.known.robot_inertia
-        return {"law.model_inertia": [value * inertia for inertia in robot]}
-    if setting.parameter == GAMMA:
-        return {"law.gamma": value}
-    if setting.parameter == LOCK:
-        return {"target.lock_frequency": value}
-    if setting.parameter == DITHER:
-        return {"target.lock_dither": value * _count(preset)}
-    raise ConfigurationError(
-        f"controller: cannot vary {setting.parameter!r}, only {', '.join(PARAMETERS)}"
-    )
+    name, value = setting
+    if name == REFERENCE:
+        return base.model_copy(update={"internal_model": "tde"})
+    law = node_parameters(base, None).controller.law
+    changes: dict[str, Overrides] = {
+        WALK: {
+            "law.perturbed_walk": [value * one for one in law.perturbed_walk],
+            "law.locked_walk": [value * one for one in law.locked_walk],
+        },
+        GAMMA: {"law.gamma": value},
+        LOCK: {"target.lock_frequency": value},
+    }
+    if name not in changes:
+        raise ConfigurationError(f"cannot vary {name!r}, only {', '.join(changes)}")
+    overrides = {**base.imbic_controller, **changes[name]}
+    return base.model_copy(update={"imbic_controller": overrides})
+
+
+def measure(experiment: SimulatedExperiment) -> dict[str, float]:
+    """Chatter, motion of locked joints and accuracy of one experiment; errors in %."""
+    found = experiment.identify(experiment.config.estimators)
+    records, truth = experiment.records, experiment.truth
+    commands = [one.command for one in records if one.command is not None]
+    row = {
+        "command_step": _steps(commands),
+        "torque_step": _steps([one.torque for one in records]),
+        "largest_command": max(float(np.max(np.abs(one))) for one in commands),
+        "bias_bound": 100.0 * max(float(np.max(one.bias_bound)) for one in found.trials),
+        "lock_ratio": max(
+            float(ratio)
+            for one in found.trials
+            for joint, ratio in enumerate(one.lock_ratio)
+            if joint != one.joint
+        ),
+    }
+    for name, result in found.estimators.items():
+        assert result.vaf is not None
+        row[f"{name}_vaf"] = float(np.min(result.vaf))
+        row[f"{name}_coherence"] = float(np.min(result.coherence_derived))
+        for letter in _ERRORS:
+            error = getattr(result.fit.mbk, letter) / getattr(truth, letter) - 1.0
+            row[f"{name}_{letter}"] = 100.0 * float(np.max(np.abs(error)))
+    return row
+
+
+def worst(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The worst of each value over the seeds."""
+    floors = ("_vaf", "_coherence")
+    return {
+        name: (min if name.endswith(floors) else max)(row[name] for row in rows) for name in rows[0]
+    }
+
+
+def run_controller(plan: ControllerPlan, workers: int | None = None) -> list[dict[str, Any]]:
+    """Simulate and estimate all of a plan; a row for each setting and level.
+
+    A setting that the stability check refuses, or whose runs the safety limiter stops, has a row
+    with the reason and without values.
+    """
+    cells = list(itertools.product(settings(plan), plan.levels))
+    seeds = parse_seeds(plan.seeds)
+
+    def work(block: tuple[tuple[tuple[str, float], tuple[int, int, int]], ...]) -> list[Any]:
+        return [(cell, _cell(plan.base, *cell, seeds)) for cell in block]
+
+    done = in_threads(work, [(cell,) for cell in cells], workers)
+    found = {cell: row for results in done for cell, row in results}
+    return [found[cell] for cell in cells]
+
+
+def _cell(
+    base: ExperimentConfig,
+    setting: tuple[str, float],
+    levels: tuple[int, int, int],
+    seeds: Sequence[int],
+) -> dict[str, Any]:
+    friction, resolution, perturbation = levels
+    at = {"friction": friction, "resolution": resolution, "perturbation": perturbation}
+    row: dict[str, Any] = {"parameter": setting[0], "value": setting[1], **at, "refused": ""}
+    try:
+        config = changed(base.model_copy(update=at), setting)
+        experiments = simulate([config.model_copy(update={"seed": seed}) for seed in seeds])
+    except ArmimpError as error:
+        return {**row, "refused": str(error)}
+    return {**row, **worst([measure(one) for one in experiments])}
+
+
+def _steps(signals: Sequence[FloatArray]) -> float:
+    """Change from tick to tick, rms."""
+    return float(np.sqrt(np.mean([np.mean(np.diff(one, axis=1) ** 2) for one in signals])))
 
 
 def investigate(options: InvestigationOptions, plan: ControllerPlan | None = None) -> int:
@@ -210,7 +186,6 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
     ----------
     options : InvestigationOptions
     plan : ControllerPlan, optional
-        By default 8 seeds of 50 s trials at friction and resolution level 3.
 
     Returns
     -------
@@ -220,86 +195,38 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
     Raises
     ------
     ArmimpError
-        As :func:`run_controller`, or if a file can't be written.
+        If nothing can be simulated, or a file can't be written.
     """
     chosen = plan if plan is not None else ControllerPlan()
     if options.seeds is not None:
         chosen = replace(chosen, seeds=options.seeds)
-    findings = run_controller(chosen, options.workers)
-    rows = [cell.described() for cell in findings.cells]
-    result: dict[str, Any] = {
-        "schema": 1,
-        "experiment": chosen.base.model_dump(mode="json", exclude={"seed", "perturbation"}),
+    rows = run_controller(chosen, options.workers)
+    shown = [row for row in rows if not row["refused"]]
+    result = {
+        "schema": 2,
+        "experiment": chosen.base.model_dump(mode="json"),
         "seeds": chosen.seeds,
-        "defaults": dict(findings.defaults),
-        "units": "errors in % of |X_ij|, model_factor in M_r, gamma and lock_frequency in rad/s, "
-        "lock_dither in counts of the encoder, commands in N·m",
-        "refused": [
-            {"parameter": setting.parameter, "value": setting.value, "reason": reason}
-            for setting, reason in findings.refused.items()
-        ],
-        "cells": rows,
+        "rows": rows,
     }
-    write_tables(options.out, "controller", result, rows)
+    write_tables(options.out, "controller", result, shown)
     phase("drawing")
     with figure_style():
-        figure = controller_figure(findings.cells, findings.defaults, PARAMETERS)
-        write_figure(options.out, "controller", figure)
+        write_figure(options.out, "controller", controller_figure(shown, PARAMETERS, REFERENCE))
     leave_terminal()
     if options.json:
         print(to_json(result))
-    else:
-        print_cells(findings.cells, findings.refused, PARAMETERS, len(parse_seeds(chosen.seeds)))
+        return 0
+    columns = [name for name in shown[0] if name not in {"parameter", "value", "refused"}]
+    for parameter, value in settings(chosen):
+        of_setting = [
+            row for row in shown if (row["parameter"], row["value"]) == (parameter, value)
+        ]
+        print_table(
+            f"{PARAMETERS.get(parameter, parameter)} {value:g}; worst of all seeds, errors in %",
+            columns,
+            [[f"{row[name]:.4g}" for name in columns] for row in of_setting],
+        )
+    for row in rows:
+        if row["refused"]:
+            print(f"refused: {row['parameter']} {row['value']:g}: {row['refused']}")
     return 0
-
-
-def _lanes(
-    plan: ControllerPlan, setting: Setting, base: ExperimentConfig, seeds: Sequence[int]
-) -> Iterator[_Lane]:
-    for place in plan.places:
-        person = {**base.arm_sim, "voluntary.rms": place.voluntary}
-        for seed in seeds:
-            yield _Lane(
-                setting=setting,
-                place=place,
-                base=base.model_copy(update={"arm_sim": person}),
-                condition=Condition(
-                    seed=seed,
-                    friction=base.friction,
-                    resolution=base.resolution,
-                    perturbation=place.perturbation,
-                ),
-            )
-
-
-def _simulated(block: Sequence[_Lane]) -> list[tuple[_Lane, list[OfflineTrial]]]:
-    """Trials of each lane; none if its safety gate stopped it or it went astray."""
-    try:
-        trials = run_offline([lane.parameters().rig() for lane in block])
-    except (DataError, IntegrationError):
-        if len(block) == 1:
-            return [(block[0], [])]
-        # It is not said which lane it was.
-        half = len(block) // 2
-        return [*_simulated(block[:half]), *_simulated(block[half:])]
-    return list(zip(block, trials, strict=True))
-
-
-def _outcomes(lane: _Lane, trials: list[OfflineTrial], here: Mapping[str, Any]) -> list[Outcome]:
-    batch = Batch(base=lane.base, conditions=(lane.condition,), software=here)
-    result = estimate_condition(batch, lane.condition, lane.parameters(), trials)
-    return [Outcome.of(result.entry, name, trials) for name in lane.base.estimators]
-
-
-def _count(preset: NodeParameters) -> float:
-    """One count of the encoders, rad.
-
-    Raises
-    ------
-    ConfigurationError
-        If they are not quantised.
-    """
-    resolution = preset.simulator.plant_config().sensors.encoder_resolution
-    if not resolution > 0.0:
-        raise ConfigurationError("controller: dither in counts needs a resolution level above 0")
-    return resolution

@@ -5,90 +5,63 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from research.controller_outcomes import Cell, Place
-from research.decomposition_figures import LOOKS
-from research.writing import MARKERS, WIDTH
+from research.writing import COLOURS, MARKERS, WIDTH
 
-_LINES: Final[tuple[Any, ...]] = ("-", "--", ":", "-.")
-_ERRORS: Final[tuple[tuple[str, int], ...]] = (("rms error of M (%)", 0), ("rms error of B (%)", 1))
+_ROWS: Final = (
+    ("bias_bound", "bias by the lock (%)", None),
+    ("welch_siso_vaf", "100 % − VAF, welch_siso", 0.5),
+    ("lpm_full_B", "error of B, lpm_full (%)", 0.5),
+)
 
 
 def controller_figure(
-    cells: Sequence[Cell], defaults: Mapping[str, float], names: Mapping[str, str]
+    rows: Sequence[Mapping[str, Any]], names: Mapping[str, str], reference: str
 ) -> Any:
-    """Errors, and the bias that motion of locked joints may cause, over each of the parameters.
+    """What each setting costs in accuracy, over the chatter of its commands.
 
     Parameters
     ----------
-    cells : all of the investigation
-    defaults : value of every parameter where it is not varied
+    rows : of all settings that ran
     names : of the parameters, for people
+    reference : parameter of the setting that stands in every panel
     """
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullLocator
 
-    varied = [
-        name for name in names if any(cell.setting.parameter == name for cell in cells)
-    ] or list(names)
-    estimators = list(dict.fromkeys(cell.estimator for cell in cells))
+    levels = list(dict.fromkeys(_levels(row) for row in rows))
     figure = Figure(figsize=(WIDTH, 5.4), layout="constrained")
-    axes = figure.subplots(3, len(varied), sharey="row", sharex="col", squeeze=False)
-    for column, name in enumerate(varied):
-        shown = [cell for cell in cells if cell.setting.parameter in {None, name}]
-        for row, (label, number) in enumerate(_ERRORS):
-            for estimator in estimators:
-                of_estimator = [cell for cell in shown if cell.estimator == estimator]
-                errors = [100.0 * float(cell.rms[number]) for cell in of_estimator]
-                _plot(axes[row, column], of_estimator, errors, defaults[name], _colour(estimator))
-            axes[row, 0].set_ylabel(label)
-        # The motion of locked joints is that of the trials, whichever the estimator.
-        locks = [cell for cell in shown if cell.estimator == estimators[0]]
-        bias = [100.0 * cell.lock_bias for cell in locks]
-        _plot(axes[-1, column], locks, bias, defaults[name], "0.3")
-        for panel in axes[:, column]:
-            panel.axvline(defaults[name], color="0.75", linewidth=2.0, zorder=0)
+    axes = figure.subplots(len(_ROWS), len(names), sharey="row", sharex=True, squeeze=False)
+    for column, parameter in enumerate(names):
+        for line, (quantity, label, limit) in enumerate(_ROWS):
+            panel = axes[line, column]
+            for number, level in enumerate(levels):
+                look = {"color": COLOURS[number % len(COLOURS)], "marker": MARKERS[number % 7]}
+                for which, style in ((parameter, "-"), (reference, "")):
+                    of_line = [r for r in rows if (r["parameter"], _levels(r)) == (which, level)]
+                    panel.plot(
+                        [r["command_step"] for r in of_line],
+                        [_value(r, quantity) for r in of_line],
+                        linestyle=style,
+                        markerfacecolor="none" if which == reference else look["color"],
+                        label=level if which == parameter else None,
+                        **look,
+                    )
+            if limit is not None:
+                panel.axhline(limit, color="0.6", linewidth=0.8, linestyle="--")
+            panel.axvline(2.0, color="0.6", linewidth=0.8, linestyle="--")
+            panel.set_xscale("log")
             panel.set_yscale("log")
-            panel.yaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-            panel.yaxis.set_major_formatter(lambda number, _: f"{number:g}")
-            panel.yaxis.set_minor_locator(NullLocator())
-        axes[-1, column].set_xlabel(names[name].replace("M_r", "$M_r$"))
-    axes[-1, 0].set_ylabel("bias by the lock (%)")
-    _legend(figure, estimators, list(dict.fromkeys(cell.place for cell in cells)))
+            axes[line, 0].set_ylabel(label)
+        axes[0, column].set_title(names[parameter])
+        axes[-1, column].set_xlabel("command step, rms (N·m)")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), frameon=False)
     return figure
 
 
-def _plot(
-    panel: Any, cells: Sequence[Cell], values: Sequence[float], default: float, colour: str
-) -> None:
-    """A line for each place."""
-    for number, place in enumerate(dict.fromkeys(cell.place for cell in cells)):
-        points = sorted(
-            (default if cell.setting.parameter is None else cell.setting.value, value)
-            for cell, value in zip(cells, values, strict=True)
-            if cell.place == place
-        )
-        panel.plot(*zip(*points, strict=True), color=colour, **_look(number))
+def _levels(row: Mapping[str, Any]) -> str:
+    return f"{row['friction']}/{row['resolution']}/{row['perturbation']}"
 
 
-def _colour(estimator: str) -> Any:
-    return LOOKS.get(estimator, {"color": "0.6"})["color"]
-
-
-def _look(place: int) -> dict[str, Any]:
-    return {"linestyle": _LINES[place % len(_LINES)], "marker": MARKERS[place % len(MARKERS)]}
-
-
-def _legend(figure: Any, estimators: Sequence[str], places: Sequence[Place]) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], color="0.3", **_look(number), label=_short(place))
-        for number, place in enumerate(places)
-    ]
-    handles += [Line2D([], [], color=_colour(name), label=name) for name in estimators]
-    figure.legend(handles=handles, loc="outside lower center", ncols=3, frameon=False)
-
-
-def _short(place: Place) -> str:
-    torque = f"{place.voluntary:g} N·m voluntary" if place.voluntary else "relaxed"
-    return f"perturbation {place.perturbation}, {torque}"
+def _value(row: Mapping[str, Any], quantity: str) -> float:
+    value = float(row[quantity])
+    return max(100.0 - value if quantity.endswith("_vaf") else value, 1e-3)

@@ -34,9 +34,9 @@ def _plant(friction: int) -> PlantConfig:
     )
 
 
-def _law(plant: PlantConfig) -> ImbicConfig:
+def _law(plant: PlantConfig, internal_model: control_presets.InternalModel = "tde") -> ImbicConfig:
     posture = plant.arm.posture
-    return control_presets.imbic(plant.robot.mass_matrix(posture), posture)
+    return control_presets.imbic(plant.robot.mass_matrix(posture), posture, internal_model)
 
 
 def _run(plant_config: PlantConfig, law: ImbicConfig, tau_delta: Array, joint: int) -> Array:
@@ -55,17 +55,27 @@ def _run(plant_config: PlantConfig, law: ImbicConfig, tau_delta: Array, joint: i
     return record
 
 
+_TOLERANCES = ((0.5, 0.005), (1.0, 0.01), (3.0, 0.03), (8.0, 0.08), (15.0, 0.15))
+_REALISED: list[tuple[control_presets.InternalModel, int, float, float]] = [
+    *(("tde", friction, *one) for friction in (0, 3) for one in _TOLERANCES),
+    *(("observer", 0, *one) for one in _TOLERANCES),
+    # An observer that lets the arm rest takes longer to find friction that has reversed.
+    *(("observer", 3, *one) for one in (*_TOLERANCES[:2], (3.0, 0.05))),
+]
+
+
 @pytest.mark.parametrize("joint", [0, 1])
-@pytest.mark.parametrize("friction", [0, 3])
-@pytest.mark.parametrize(
-    ("frequency", "tolerance"), [(0.5, 0.005), (1.0, 0.01), (3.0, 0.03), (8.0, 0.08), (15.0, 0.15)]
-)
-def test_perturbed_joint_shows_its_target_impedance_whatever_the_friction(
-    frequency: float, tolerance: float, friction: int, joint: int
+@pytest.mark.parametrize(("internal_model", "friction", "frequency", "tolerance"), _REALISED)
+def test_perturbed_joint_shows_its_target_impedance_in_spite_of_friction(
+    internal_model: control_presets.InternalModel,
+    friction: int,
+    frequency: float,
+    tolerance: float,
+    joint: int,
 ) -> None:
     """The delay of one tick costs accuracy in proportion to frequency."""
     plant = _plant(friction)
-    law = _law(plant)
+    law = _law(plant, internal_model)
     t = np.arange(4000) * PERIOD
     tau_delta = 2.0 * np.sin(2.0 * np.pi * frequency * t)
     position, torque, _ = _run(plant, law, tau_delta, joint)
@@ -82,13 +92,16 @@ def test_perturbed_joint_shows_its_target_impedance_whatever_the_friction(
     assert abs(net / theta / target - 1.0) < tolerance
 
 
+@pytest.mark.parametrize("internal_model", ["tde", "observer"])
 @pytest.mark.parametrize("joint", [0, 1])
 @pytest.mark.parametrize("friction", [0, 3])
-def test_locked_joint_holds_still_beside_the_perturbed_one(friction: int, joint: int) -> None:
+def test_locked_joint_holds_still_beside_the_perturbed_one(
+    friction: int, joint: int, internal_model: control_presets.InternalModel
+) -> None:
     plant = _plant(friction)
     t = np.arange(3000) * PERIOD
     tau_delta = 9.0 * np.sin(2.0 * np.pi * 2.0 * t)
-    position, torque, _ = _run(plant, _law(plant), tau_delta, joint)
+    position, torque, _ = _run(plant, _law(plant, internal_model), tau_delta, joint)
     moved = np.std(position, axis=1)
     assert moved[joint] > 0.05
     assert moved[1 - joint] < 1e-3 * moved[joint]

@@ -178,7 +178,7 @@ class ControllerParameters(Schema):
                 damping=_flat(law.target_damping),
                 stiffness=_flat(law.target_stiffness),
                 lock_frequency=law.lock_frequency,
-                lock_dither=presets.lock_dither(encoder_resolution),
+                lock_dither=presets.lock_dither(encoder_resolution, internal_model),
             ),
             law=LawParameters(
                 internal_model=internal_model,

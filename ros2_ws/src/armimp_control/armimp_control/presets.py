@@ -42,13 +42,14 @@ def perturbation(level: int, joints: int) -> PerturbationParameters:
     )
 
 
-def lock_dither(encoder_resolution: float) -> float:
+def lock_dither(encoder_resolution: float, internal_model: InternalModel) -> float:
     """Amplitude (rad) of the dither of locked joints for a resolution, rad per count.
 
-    Encoders so coarse that it would be a motion to be felt get that of a count of 0.01 rad, eighty
-    times the coarsest of the study.
+    A third of a count is enough; with time-delay estimation joints follow less well, and are asked
+    for twice that. Encoders so coarse that it would be a motion to be felt get that of a count of
+    0.01 rad, eighty times the coarsest of the study.
     """
-    return 0.7 * min(encoder_resolution, 0.01)
+    return (0.35 if internal_model == "observer" else 0.7) * min(encoder_resolution, 0.01)
 
 
 def safety(joints: int) -> SafetyParameters:

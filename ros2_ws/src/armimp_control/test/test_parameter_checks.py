@@ -91,5 +91,7 @@ def test_gains_of_pd_need_inertia_and_frequency(change: dict[str, Any]) -> None:
 
 
 def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good() -> None:
-    assert presets.lock_dither(1e-3) == pytest.approx(7e-4)
-    assert presets.lock_dither(0.5) == presets.lock_dither(0.01)
+    assert presets.lock_dither(1e-3, "tde") == pytest.approx(7e-4)
+    assert presets.lock_dither(1e-3, "observer") == pytest.approx(3.5e-4)
+    for internal_model in ("observer", "tde"):
+        assert presets.lock_dither(0.5, internal_model) == presets.lock_dither(0.01, internal_model)

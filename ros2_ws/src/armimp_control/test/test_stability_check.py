@@ -23,8 +23,8 @@ POSTURE = np.array([1.0945, 1.3484])
 
 
 def _config(*, model: float = 1.0, target: float = 1.0) -> ImbicConfig:
-    """Defaults of the study with factors on M̄ and on the whole target impedance."""
-    config = presets.imbic(ROBOT, POSTURE)
+    """Time-delay estimation with factors on M̄ and on the whole target impedance."""
+    config = presets.imbic(ROBOT, POSTURE, "tde")
     return replace(
         config,
         model_inertia=model * config.model_inertia,
