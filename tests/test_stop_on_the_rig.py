@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -35,7 +33,7 @@ def _fastest(friction: int, resolution: int, stop_tick: int, ramp_time: float) -
     )
     controller = Controller(
         control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture),
-        safety=replace(control_presets.safety(2), ramp_time=ramp_time),
+        safety=control_presets.safety(2).model_copy(update={"ramp_time": ramp_time}),
     )
     signal = perturbation(
         control_presets.perturbation(3, 2), joint=0, trial=1, ticks=stop_tick, seed=1
