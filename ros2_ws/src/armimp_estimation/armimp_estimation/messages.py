@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from armimp_common.status import Level, Progress, TrialStatus, make_status, status_message
+from armimp_common.status import Level, make_status
 from armimp_common.topics import ESTIMATOR_NODE
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.estimators.estimate import ImpedanceColumn
-from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.result import Result
-from armimp_estimation.stopping import largest_error
 from armimp_estimation.trial import TrialSpectra
 
 RESULT_NAME = f"{ESTIMATOR_NODE}: impedance"
@@ -88,36 +84,6 @@ def result_message(result: Result) -> DiagnosticStatus:
         "valid" if summary.valid else f"not valid: {summary.faults[0]}",
         values,
     )
-
-
-def progress_message(
-    status: TrialStatus,
-    *,
-    samples: int,
-    rate: float,
-    coherence: tuple[float, float] | None,
-    column: FittedColumn | None = None,
-) -> DiagnosticStatus:
-    """Where the recording stands; ``rate`` in samples per second of wall time."""
-    found: dict[str, Any] = {}
-    if coherence is not None:
-        found["coherence_motion"], found["coherence_torque"] = coherence
-    if column is not None:
-        for letter, values, errors in zip("MBK", column.values, column.errors, strict=True):
-            found[letter], found[f"{letter}_se"] = tuple(values.tolist()), tuple(errors.tolist())
-        found["largest_error"] = largest_error(column)[0]
-        found["preliminary"] = column.preliminary
-    progress = Progress(
-        trial=status.trial,
-        trials=status.trials,
-        joint=status.joint + 1,
-        phase=status.phase,
-        samples=samples,
-        planned=status.ticks,
-        rate=rate,
-        **found,
-    )
-    return status_message(progress)
 
 
 def _selection(count: int) -> list[int]:

@@ -47,7 +47,6 @@ from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.messages import (
     column_message,
     failed_trial_message,
-    progress_message,
     result_message,
 )
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
@@ -389,8 +388,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         if self._active and self._acknowledged == self._seen:
             self._record()  # nothing has come that would see to it, or not from all
         self._seen = self._acknowledged
-        status = self._recording.status
-        if not self._active or status is None:
+        if not self._active or self._recording.status is None:
             return
         if time.monotonic() - self._done_at > _STRAGGLERS:
             self._finish()
@@ -400,15 +398,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         except ArmimpError as error:
             self._give_up(error)
             return
-        self._progress.publish(
-            progress_message(
-                status,
-                samples=self._recording.samples,
-                rate=self._recording.rate,
-                coherence=self._recording.coherence(),
-                column=self._recording.column(),
-            )
-        )
+        if (progress := self._recording.progress()) is not None:
+            self._progress.publish(status_message(progress))
 
 
 def main() -> int:

@@ -6,11 +6,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from armimp_common.errors import ArmimpError, DataError
-from armimp_common.status import Phase, StoppingDecision, TrialStatus
+from armimp_common.status import Phase, Progress, StoppingDecision, TrialStatus
 from armimp_common.topics import (
     JOINT_STATES,
     NS_PER_S,
@@ -31,7 +32,7 @@ from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
-from armimp_estimation.stopping import PrecisionGoal, StoppingRule
+from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
 from armimp_estimation.trial import TrialSpectra, channels
 
 _RATE = NS_PER_S / PERIOD_NS
@@ -135,6 +136,30 @@ class TrialRecorder:
         """
         if self._writer is not None and self._statuses_written:
             self._writer.write(topic, message, max(self._last_ns, time_ns or 0))
+
+    def progress(self) -> Progress | None:
+        """Where the recording stands, with what the samples tell so far; None between trials."""
+        if (status := self.status) is None:
+            return None
+        motion, torque = self.coherence() or (None, None)
+        so_far: dict[str, Any] = {}
+        if (column := self.column()) is not None:
+            for letter, found, errors in zip("MBK", column.values, column.errors, strict=True):
+                so_far |= {letter: tuple(found.tolist()), f"{letter}_se": tuple(errors.tolist())}
+            so_far["largest_error"] = largest_error(column)[0]
+            so_far["preliminary"] = column.preliminary
+        return Progress(
+            trial=status.trial,
+            trials=status.trials,
+            joint=status.joint + 1,
+            phase=status.phase,
+            samples=self.samples,
+            planned=status.ticks,
+            rate=self.rate,
+            coherence_motion=motion,
+            coherence_torque=torque,
+            **so_far,
+        )
 
     def coherence(self) -> tuple[float, float] | None:
         """Running coherence (motion, torque) of the present trial, see `RunningTrial`."""
