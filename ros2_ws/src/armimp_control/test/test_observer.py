@@ -64,6 +64,7 @@ def _plain(config: ImbicConfig, samples: Array, perturbed: int, limit: float) ->
         ideal = ideal + PERIOD * u
         command = inertia @ (u + config.gamma * (ideal - velocity) - unknown) + tau_h
         sent.append(np.clip(command, -limit, limit))
+        ideal = ideal + PERIOD * np.linalg.inv(inertia) @ (sent[-1] - command)
     return np.array(sent)
 
 
@@ -127,6 +128,28 @@ def test_coarser_encoders_make_a_slower_observer_and_finer_ones_no_faster_one() 
 
     assert abs(gain(1e-3)) < 0.5 * abs(gain(COUNT))
     assert gain(0.0) == gain(1e-6) == gain(presets.FINEST)
+
+
+@pytest.mark.parametrize("speed", [1.0, 1.5])
+def test_a_fast_elbow_that_gets_locked_comes_to_rest_though_commands_are_clipped(
+    speed: float,
+) -> None:
+    """With an ideal velocity that goes on meanwhile, it would be thrown about ever faster."""
+    controller = Controller(_config(), safety=torque_only(9.0))
+    controller.perturb_joint(1)
+    inverse = np.linalg.inv(ROBOT + ARM)
+    theta, velocity, acceleration = POSTURE.copy(), np.array([0.0, speed]), np.zeros(2)
+    clipped = 0
+    for tick in range(1000):
+        if tick == 5:
+            controller.perturb_joint(0)
+        clipped += controller.tick(theta, ARM @ acceleration, np.zeros(2))
+        acceleration = inverse @ controller.command
+        theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
+        velocity = velocity + PERIOD * acceleration
+        assert np.max(np.abs(theta - POSTURE)) < 0.2
+    assert clipped > 10
+    assert abs(velocity[1]) < 1e-3
 
 
 def _growth(config: ImbicConfig, perturbed: int, delay: int) -> float:

@@ -349,3 +349,27 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         memory[COMMAND, i] = total
     for i in range(n):
         command[i] = memory[COMMAND, i]
+
+
+@compiled
+def forgo(
+    command: NDArray[np.float64],
+    model: NDArray[np.float64],
+    period: float,
+    memory: NDArray[np.float64],
+) -> None:
+    """Take from the ideal velocity what a clipped command can't bring about.
+
+    Otherwise it would go on without limit while commands are clipped, and throw the joint about
+    once they no longer are. With this it comes to the observed velocity, as fast as Γ.
+
+    Parameters
+    ----------
+    command : (n,) what is sent, N·m; the memory still has what was asked for
+    model, period, memory : as of :func:`imbic`
+    """
+    n = command.size
+    for i in range(n):
+        for j in range(n):
+            missing = command[j] - memory[COMMAND, j]
+            memory[IDEAL_VELOCITY, i] += period * model[INVERSE, i, j] * missing

@@ -20,7 +20,7 @@ from armimp_control.laws.base import (
     ROLE_ROWS,
     TARE,
 )
-from armimp_control.laws.imbic import ImbicConfig, imbic
+from armimp_control.laws.imbic import ImbicConfig, forgo, imbic
 from armimp_control.laws.pd import PdConfig, pd
 from armimp_control.safety_limiter import (
     CLIPPED,
@@ -104,6 +104,8 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     if journal[STOPPED] != 0.0:
         memory[:] = 0.0
     else:
+        if law == IMBIC_OBSERVER and clipped > 0:
+            forgo(command, model, period, memory)
         copy_values(command, memory[COMMAND])
     return clipped
 
