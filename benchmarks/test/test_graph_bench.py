@@ -47,7 +47,7 @@ def test_recording_is_no_part_of_a_tick_of_separate_processes() -> None:
     assert sum(found[part].value for part in parts) == pytest.approx(found["graph"].value)
 
 
-@pytest.mark.parametrize(("tick", "met"), [(84e-6, True), (86e-6, False)])
+@pytest.mark.parametrize(("tick", "met"), [(80e-6, True), (82e-6, False)])
 def test_the_target_of_the_ratio_leaves_out_the_plant_and_both_are_told(
     tick: float, met: bool
 ) -> None:
