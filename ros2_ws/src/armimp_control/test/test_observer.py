@@ -152,6 +152,19 @@ def test_a_fast_elbow_that_gets_locked_comes_to_rest_though_commands_are_clipped
     assert abs(velocity[1]) < 1e-3
 
 
+def test_no_gains_are_worked_out_between_two_samples(monkeypatch: pytest.MonkeyPatch) -> None:
+    controller = Controller(_config(), safety=torque_only(9.0))
+
+    def refuse(*_: object) -> Array:
+        raise AssertionError("gains are worked out")
+
+    monkeypatch.setattr(Observer, "gains", refuse)
+    for joint in (0, 1):
+        controller.perturb_joint(joint)
+        assert np.array_equal(controller.model, controller.config.model(joint))
+    controller.lock()
+
+
 def _growth(config: ImbicConfig, perturbed: int, delay: int) -> float:
     """Factor per tick by which a deviation grows on a rig of pure inertia, measured."""
     controller = Controller(config, safety=torque_only(1e300))

@@ -38,7 +38,7 @@ Technol. 12(4), 1964), here J_0(2π a/q)² for sines of amplitude a and a resolu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -174,6 +174,9 @@ class ImbicConfig:
     lock_dither: float = 0.0
     lock_dither_frequency: float = 35.0
     observer: Observer | None = None
+    _models: dict[int | None, NDArray[np.float64]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         n = self.joints
@@ -207,14 +210,19 @@ class ImbicConfig:
         return self.target_posture.size
 
     def model(self, perturbed: int | None) -> NDArray[np.float64]:
-        """Internal model (MODEL_ROWS, n, n) in the same trial as :meth:`role`."""
-        rows = np.zeros((MODEL_ROWS, self.joints, self.joints))
-        rows[INERTIA_MODEL] = self.model_inertia
-        if self.observer is not None:
-            rows[INVERSE] = np.linalg.inv(self.model_inertia)
-            locked = self._locked(perturbed)
-            rows[ANGLE_GAIN:] = self.observer.gains(rows[INVERSE], locked, self.period)
-        return rows
+        """Internal model (MODEL_ROWS, n, n) in the same trial as :meth:`role`; don't change it.
+
+        Gains take some ten control periods to be worked out, so they are kept.
+        """
+        if perturbed not in self._models:
+            rows = np.zeros((MODEL_ROWS, self.joints, self.joints))
+            rows[INERTIA_MODEL] = self.model_inertia
+            if self.observer is not None:
+                rows[INVERSE] = np.linalg.inv(self.model_inertia)
+                locked = self._locked(perturbed)
+                rows[ANGLE_GAIN:] = self.observer.gains(rows[INVERSE], locked, self.period)
+            self._models[perturbed] = rows
+        return self._models[perturbed]
 
     def _locked(self, perturbed: int | None) -> NDArray[np.bool_]:
         every = np.arange(self.joints)

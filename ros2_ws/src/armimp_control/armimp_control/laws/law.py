@@ -210,6 +210,9 @@ class Controller:
         scalars[:] = config.gamma, config.period
         self.rules[:] = safety.rules(config.target_posture, config.period)
         self._tare = np.zeros(n)
+        # None of them is to be worked out between two samples.
+        for joint in (NO_JOINT, *range(n)):
+            config.model(joint)
         self.perturb_joint(0)
         self._ramp_ticks = safety.ramp_ticks(config.period)
         self._notes = self._journal.data  # read in half the time
