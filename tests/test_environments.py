@@ -71,7 +71,7 @@ def test_letters_that_the_terminal_does_not_have_cost_no_result(
         pytest.param('"$@" >&-', 0, b"", marks=pytest.mark.slow),
         pytest.param('"$@" <&- >&- 2>&-', 0, b"", marks=pytest.mark.slow),
         ('"$@" >/dev/full', 1, b"armimp: No space left on device"),
-        ('"$@" | head -0; exit ${PIPESTATUS[0]}', 1, b""),
+        pytest.param('"$@" | head -0; exit ${PIPESTATUS[0]}', 1, b"", marks=pytest.mark.slow),
     ],
     ids=["closed", "all closed", "full", "reader gone"],
 )
@@ -84,7 +84,8 @@ def test_an_output_that_takes_nothing_is_no_traceback(
     assert (tmp_path / "out" / "summary.json").is_file()
 
 
-@pytest.mark.parametrize("home", [None, pytest.param("/proc/nothing", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("home", [None, "/proc/nothing"])
 def test_no_home_is_needed(tmp_path: Path, home: str | None) -> None:
     processes = "composed" if home is None else "separate"
     out = tmp_path / "out"

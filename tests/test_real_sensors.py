@@ -111,10 +111,8 @@ def test_what_is_known_of_the_sensors_costs_no_accuracy(name: str) -> None:
     assert vaf(estimated(name)) > 99.9
 
 
-@pytest.mark.parametrize(
-    "name",
-    [*(pytest.param(one, marks=pytest.mark.slow) for one in ("delay", "filter")), "everything"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["delay", "filter", "everything"])
 def test_what_nobody_told_of_the_torque_readings_is_found_or_in_the_errors(name: str) -> None:
     result = estimated(name, told=False)
     fit = result.fit
@@ -125,6 +123,7 @@ def test_what_nobody_told_of_the_torque_readings_is_found_or_in_the_errors(name:
     assert fit.delay.delay > 0.0005
 
 
+@pytest.mark.slow
 def test_a_drive_that_lags_changes_the_loop_and_not_the_impedance() -> None:
     prompt, lagging = estimated("prompt").estimate, estimated("lag").estimate
     band = prompt.f > 8.0

@@ -82,7 +82,11 @@ def test_when_the_subject_pushes_expect_errors_within_the_confidence_circles_but
     assert (np.mean(bias / scatter, axis=2) < 0.4).all()
 
 
-@pytest.mark.parametrize("lock_stiffness", [1e9, 300.0], ids=["still", "giving way"])
+@pytest.mark.parametrize(
+    "lock_stiffness",
+    [pytest.param(1e9, marks=pytest.mark.slow), 300.0],
+    ids=["still", "giving way"],
+)
 def test_variance_is_that_of_repeated_experiments(lock_stiffness: float) -> None:
     # Voluntary torque is kept small: the variance is one of first order.
     loop = dataclasses.replace(LOOP, torque_noise=0.3, voluntary=0.1, lock_stiffness=lock_stiffness)

@@ -84,6 +84,7 @@ def test_when_the_subject_pushes_expect_errors_within_the_confidence_circles_but
     assert (np.mean(bias / scatter, axis=2) < 0.2).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("estimator", BOTH, ids=lambda e: e.name)
 def test_variance_is_that_of_repeated_experiments(estimator: Estimator) -> None:
     lock = 1e9 if estimator.name == "welch_siso" else 300.0
