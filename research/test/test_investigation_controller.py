@@ -34,7 +34,7 @@ PLAN = ControllerPlan(
     base=BASE,
     seeds="0:1",
     levels=((3, 3, 3),),
-    values={WALK: (0.1, 1.0), GAMMA: (100.0, 900.0), LOCK: (50.0,)},
+    values={WALK: (0.1, 1.0), GAMMA: (100.0, 5000.0), LOCK: (50.0,)},
 )
 
 
@@ -42,7 +42,7 @@ def test_each_setting_changes_its_parameter_and_no_other() -> None:
     default = node_parameters(BASE, None).controller
     for name, value in settings(PLAN)[1:]:
         found = (
-            node_parameters(changed(BASE, (name, value)), None).controller if value < 900 else None
+            node_parameters(changed(BASE, (name, value)), None).controller if value < 5000.0 else None
         )
         if found is None:
             continue
@@ -68,7 +68,7 @@ def test_what_is_found_is_written_drawn_and_told(
 ) -> None:
     assert investigate(InvestigationOptions(out=tmp_path), PLAN) == 0
     printed = capsys.readouterr().out
-    assert "refused: gamma 900: " in printed
+    assert "refused: gamma 5000: " in printed
     rows = json.loads((tmp_path / "controller.json").read_text(encoding="utf-8"))["rows"]
     found = {(row["parameter"], row["value"]): row for row in rows}
     assert list(found) == settings(PLAN)
