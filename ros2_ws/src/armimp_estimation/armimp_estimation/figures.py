@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import logging
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -40,9 +39,6 @@ from armimp_estimation.report.look import (
 from armimp_estimation.report.result_plots import PERIOD, rows_of
 from armimp_estimation.result import Result
 from armimp_estimation.summary import Summary
-
-# Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.
-logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 TWO_COLUMNS = 7.16
 """Width of a figure of two columns, inches."""
