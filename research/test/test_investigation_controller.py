@@ -42,7 +42,9 @@ def test_each_setting_changes_its_parameter_and_no_other() -> None:
     default = node_parameters(BASE, None).controller
     for name, value in settings(PLAN)[1:]:
         found = (
-            node_parameters(changed(BASE, (name, value)), None).controller if value < 5000.0 else None
+            node_parameters(changed(BASE, (name, value)), None).controller
+            if value < 5000.0
+            else None
         )
         if found is None:
             continue
