@@ -64,17 +64,15 @@ def test_of_two_processes_on_one_core_each_waits_for_the_other() -> None:
         for process in busy:
             assert process.stdout is not None
             told.append(process.stdout.readline().strip())
-        before = [waited_ns(process) for process in told]
-        time.sleep(0.5)
-        after = [waited_ns(process) for process in told]
+        before = [waited_ns(process) or 0 for process in told]
+        for one, first in zip(told, before, strict=True):
+            # Other work on this core makes it a matter of time, not of whether; a test has a limit.
+            while (waited_ns(one) or 0) - first < 100_000_000:
+                time.sleep(0.05)
     finally:
         for process in busy:
             process.kill()
             process.communicate()
-    for first, last in zip(before, after, strict=True):
-        assert first is not None
-        assert last is not None
-        assert last - first > 100_000_000
     assert waited_ns(told[0]) is None
 
 
