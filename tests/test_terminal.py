@@ -3,6 +3,7 @@
 import fcntl
 import os
 import pty
+import re
 import struct
 import subprocess
 import sys
@@ -35,8 +36,10 @@ def screens(command: list[str], columns: int) -> list[list[str]]:
                 piece = os.read(ours, 1 << 16)
             except OSError:  # so Linux tells that nobody is at the other end any more
                 break
-            stream.feed(piece)
-            seen.append([line.rstrip() for line in screen.display])
+            # However much comes at once: what is drawn begins at the first column.
+            for part in re.split(rb"(?=\r)", piece):
+                stream.feed(part)
+                seen.append([line.rstrip() for line in screen.display])
         assert process.wait() == 0
     os.close(ours)
     return seen
