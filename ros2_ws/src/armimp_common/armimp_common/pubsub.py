@@ -125,17 +125,6 @@ class ClockPublisher(RawPublisher):
         self.send(cdr.encode_clock(stamp_ns))
 
 
-class _Quick(Subscription):
-    """A subscription in which the executor finds its handle and callback without running Python.
-
-    It asks for both with each message. In rclpy they are properties, whose getters take a
-    microsecond together; these are plain attributes of the instance.
-    """
-
-    handle: Any = None
-    callback: Any = None
-
-
 class RawSubscription:
     """Subscription that delivers messages as the bytes that came, of any length.
 
@@ -162,10 +151,6 @@ class RawSubscription:
         self.subscription: Subscription = node.create_subscription(
             message_type, topic, callback, profile, raw=True
         )
-        plain = self.subscription
-        found = {"handle": plain.handle, "callback": plain.callback}
-        plain.__class__ = _Quick
-        vars(plain).update(found)
 
 
 def _decoded(
@@ -262,7 +247,7 @@ class CountSubscription(RawSubscription):
         super().__init__(node, topic, UInt64, on_message, qos.LATCHED)
 
 
-class _Unattended(_Quick):
+class _Unattended(Subscription):
     """A subscription that executors are not told of."""
 
 
