@@ -1,8 +1,9 @@
 """Program for test_graph_kills.py: listens to a graph from outside, ``kill_witness.py FILE``.
 
 It is a process of its own, since the middleware reads its profile once in each process, and the
-tests' has done so long before. When its node is up the file exists, empty; when it is told to end
-(SIGTERM), it writes into it, as JSON, what it saw, each with the monotonic time of this machine,
+tests' has done so long before. When its node is up the file exists, empty. When the nodes know of
+its subscriptions, so that it will miss nothing, so does ``FILE.known``. When it is told to end
+(SIGTERM), it writes into FILE, as JSON, what it saw, each with the monotonic time of this machine,
 which all processes share.
 """
 
@@ -16,12 +17,18 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_common import qos, topics
-from armimp_common.executor import run_node
-from armimp_common.pubsub import CommandSubscription, JointStateSubscription
+from armimp_common.executor import run_node, steady_timer
+from armimp_common.pubsub import (
+    CommandSubscription,
+    JointStateSubscription,
+    publisher_count,
+    wait_until_known_to,
+)
 from armimp_common.status import values_of
-from armimp_common.topics import SIM_NODE
+from armimp_common.topics import CONTROLLER_NODE, SIM_NODE
 
 JOINTS = ("shoulder", "elbow")
+_PATIENCE = 60.0
 
 
 class Witness(Node):
@@ -34,21 +41,28 @@ class Witness(Node):
         self._stamps: list[tuple[float, int]] = []
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
-        self._channels = [
-            CommandSubscription(self, topics.COMMANDS, len(JOINTS), self._on_command),
+        self._subscriptions = [
+            CommandSubscription(self, topics.COMMANDS, len(JOINTS), self._on_command).subscription,
             JointStateSubscription(
                 self,
                 topics.PERTURBATION,
                 JOINTS,
                 "effort",
                 lambda stamp_ns, _: self._stamps.append((time.monotonic(), stamp_ns)),
+            ).subscription,
+            self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED),
+            self.create_subscription(
+                DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
             ),
         ]
-        self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED)
-        self.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-        )
+        self._timer = steady_timer(self, 0.01, self._look_around)
         file.touch()
+
+    def _look_around(self) -> None:
+        if all(publisher_count(self, one) for one in self._subscriptions):
+            self._timer.cancel()
+            wait_until_known_to(self, [SIM_NODE, CONTROLLER_NODE], timeout_s=_PATIENCE)
+            self._file.with_suffix(".known").touch()
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         if any(command):

@@ -51,10 +51,12 @@ class Killer:
 
     def await_witness(self) -> None:
         """Return when the witness listens."""
-        deadline = time.monotonic() + PATIENCE
-        while not self._seen.exists():
-            assert time.monotonic() < deadline, "no witness"
-            time.sleep(0.01)
+        _await(self._seen)
+
+    def before(self, transition: str) -> None:
+        """A transition is to be asked for."""
+        if transition == "activate" and " " in self._phase:
+            _await(self._seen.with_suffix(".known"))
 
     def reach(self, phase: str, *, node: str | None = None) -> None:
         """A phase has come; a phase of nodes counts only for the victim, if it is a node."""
@@ -72,6 +74,13 @@ class Killer:
         self.blind_until = time.monotonic() + self._blind
         self.note(f"killed {time.monotonic()!r}")
         os.kill(process, signal.SIGKILL)
+
+
+def _await(file: Path) -> None:
+    deadline = time.monotonic() + PATIENCE
+    while not file.exists():
+        assert time.monotonic() < deadline, f"no {file.name} of the witness"
+        time.sleep(0.01)
 
 
 def install(killer: Killer) -> None:
@@ -94,6 +103,7 @@ def install(killer: Killer) -> None:
 
     class Manager(LifecycleManager):
         def change(self, name: str, transition: TransitionName) -> None:
+            killer.before(transition)
             killer.reach(transition, node=name)
             super().change(name, transition)
 

@@ -58,5 +58,5 @@ def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(person
     ("person", "approach"), [(AT_THE_LIMIT, 1e-5), (BEYOND_IT, 1e-5), (BEYOND_IT, 1e-3)]
 )
 def test_target_that_jumps_is_what_the_safety_gate_stops(person: Person, approach: float) -> None:
-    with pytest.raises(DataError, match="safety gate stopped in trial 2: velocity of joint"):
+    with pytest.raises(DataError, match="safety limiter stopped in trial 2: velocity of joint"):
         run_offline([person.rig(approach)])

@@ -10,6 +10,7 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
 
+from armimp_bringup.compile_ahead import compile_ahead
 from armimp_bringup.config import ExperimentConfig, prepare_directory, require_unused
 from armimp_bringup.graph import GraphContext, external_domain
 from armimp_bringup.nodes import (
@@ -102,6 +103,8 @@ def run_experiment(
     require_precedence(config.priority)
     require_unused(directory)
     external = config.processes == "external"
+    if not external:
+        compile_ahead(parameters)
     with GraphContext(external_domain(domain_id) if external else domain_id) as graph:
         # Not before the domain is ours, so that nothing is left behind where it is not.
         file = _prepare(directory, parameters)

@@ -38,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from armimp_common.compiled import compiled, compiled_entry
+from armimp_common.compiled import compiled_entry, inlined
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
 from armimp_common.status import Cause
@@ -278,14 +278,14 @@ class SaturationCounter:
         return " ".join(f"{first}-{last}" for first, last in self._intervals)
 
 
-@compiled
+@inlined
 def _note(journal: NDArray[np.float64], place: int, cause: int, joint: int, value: float) -> None:
     journal[place] = cause
     journal[place + 1] = joint
     journal[place + 2] = value
 
 
-@compiled
+@inlined
 def _stop(journal: NDArray[np.float64], ticks: float, cause: int, joint: int, value: float) -> None:
     """Let no command through any more; the first cause stays, and a ramp never gets longer."""
     if journal[STOPPED] == 0.0:
@@ -296,14 +296,14 @@ def _stop(journal: NDArray[np.float64], ticks: float, cause: int, joint: int, va
         journal[REMAINING] = ticks
 
 
-@compiled
+@inlined
 def copy_values(values: NDArray[np.float64], to: NDArray[np.float64]) -> None:
     """Copy (n,) values. A slice assignment would take 2.5 s more to compile, for its errors."""
     for i in range(values.size):
         to[i] = values[i]
 
 
-@compiled
+@inlined
 def _first_bad(values: NDArray[np.float64]) -> int:
     """Index of the first value that is not finite; -1 if there is none."""
     for i in range(values.size):
@@ -312,7 +312,7 @@ def _first_bad(values: NDArray[np.float64]) -> int:
     return -1
 
 
-@compiled
+@inlined
 def _remember(
     theta: NDArray[np.float64],
     rules: NDArray[np.float64],
@@ -331,7 +331,7 @@ def _remember(
     journal[SAMPLES] = samples + 1
 
 
-@compiled
+@inlined
 def check_sample(
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
@@ -374,7 +374,7 @@ def check_sample(
     return bool(journal[STOPPED] == 0.0)
 
 
-@compiled
+@inlined
 def _clip(
     command: NDArray[np.float64],
     i: int,
@@ -387,7 +387,7 @@ def _clip(
         journal[CLIPPED + number] += 1.0
 
 
-@compiled
+@inlined
 def _limit(
     command: NDArray[np.float64],
     rules: NDArray[np.float64],
@@ -423,7 +423,7 @@ def _limit(
     return -1, 0, 0.0
 
 
-@compiled
+@inlined
 def _ramp(
     command: NDArray[np.float64],
     rules: NDArray[np.float64],
@@ -441,7 +441,7 @@ def _ramp(
             command[i] = math.copysign(limit, command[i])
 
 
-@compiled
+@inlined
 def limit_command(
     command: NDArray[np.float64],
     rules: NDArray[np.float64],

@@ -43,7 +43,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.compiled import compiled
+from armimp_common.compiled import inlined
 from armimp_common.errors import ConfigurationError
 from armimp_control.laws.base import (
     ANGLE,
@@ -259,7 +259,7 @@ class ImbicConfig:
         return rows
 
 
-@compiled
+@inlined
 def _observe(
     theta: NDArray[np.float64],
     tau_h: NDArray[np.float64],
@@ -288,7 +288,7 @@ def _observe(
             memory[DISTURBANCE, i] += model[DISTURBANCE_GAIN, i, j] * command[j]
 
 
-@compiled
+@inlined
 def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     observer: bool,
     theta: NDArray[np.float64],
@@ -359,7 +359,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         command[i] = memory[COMMAND, i]
 
 
-@compiled
+@inlined
 def forgo(
     command: NDArray[np.float64],
     model: NDArray[np.float64],

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.compiled import compiled, compiled_entry
+from armimp_common.compiled import compiled, compiled_entry, inlined
 from armimp_common.status import Cause
 from armimp_control.laws.base import (
     COMMAND,
@@ -45,7 +45,7 @@ from armimp_control.safety_limiter import (
 LawConfig: TypeAlias = ImbicConfig | PdConfig
 
 
-@compiled_entry
+@compiled
 def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     law: int,
     theta: NDArray[np.float64],
@@ -152,7 +152,7 @@ def _packed(n: int) -> Arrays:
     return np.zeros(rows * n + JOURNAL + 2)
 
 
-_views = compiled(_unpacked)
+_views = inlined(_unpacked)
 
 
 @compiled_entry

@@ -24,7 +24,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.compiled import compiled
+from armimp_common.compiled import inlined
 from armimp_control.laws.base import (
     DAMPING,
     INERTIA,
@@ -103,7 +103,7 @@ class PdConfig:
         return rows
 
 
-@compiled
+@inlined
 def pd(
     theta: NDArray[np.float64],
     tau_delta: NDArray[np.float64],

@@ -1,0 +1,38 @@
+"""The first run on a machine: plant and law are compiled beforehand, side by side."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROGRAM = """
+import numpy as np
+from armimp_bringup.compile_ahead import compile_ahead
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.parameters import node_parameters
+from armimp_common.compiled import is_cached, on_compiling
+from armimp_control.trial_sequencer import TrialSequencer
+from armimp_sim.plant import tick
+from armimp_sim.simulator import SimulatedRig
+
+parameters = node_parameters(ExperimentConfig(duration=2.0), None)
+assert not is_cached(tick)
+compile_ahead(parameters)
+assert is_cached(tick)
+compiled = []
+on_compiling(lambda: compiled.append("a function"))
+sequencer, rig = TrialSequencer(parameters.controller, print), SimulatedRig(parameters.simulator)
+sequencer.answer(rig.stamp_ns, rig.position.tolist(), rig.torque.tolist())
+rig.step(sequencer.command.tolist())
+assert not compiled
+"""
+
+
+@pytest.mark.slow
+def test_after_it_a_run_compiles_nothing_any_more(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    subprocess.run([sys.executable, "-c", PROGRAM], env=environment, check=True)
