@@ -10,7 +10,7 @@ from time import perf_counter_ns
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
 from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateDecoder, JointStateEncoder
-from armimp_common.errors import DataError, MalformedMessageError
+from armimp_common.errors import DataError
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import (
     COMMANDS,
@@ -91,7 +91,7 @@ class _Loop:
         self.receivers[COMMANDS](command)
         self.receivers[PERTURBATION](perturbation)
         if experiment.tick % TOGETHER == 0:
-            self.recording.add_many(self.inbox.take(), _refuse)
+            self.recording.add(self.inbox.take())
         return t1 - t0, t3 - t2, t2 - t1 + t4 - t3, perf_counter_ns() - t4
 
 
@@ -128,7 +128,3 @@ def tick_parts(config: ExperimentConfig, ticks: int = 4000) -> TickParts:
         loop.recording.stop()
     plant, law, codecs, recording = (total / ticks / NS_PER_S for total in totals)
     return TickParts(plant=plant, law=law, codecs=codecs, recording=recording)
-
-
-def _refuse(topic: str, error: MalformedMessageError) -> None:
-    raise DataError(f"{topic}: {error}")

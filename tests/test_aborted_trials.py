@@ -7,15 +7,15 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import PERIOD_NS, TRIAL
+from armimp_common.status import Phase
+from armimp_common.topics import PERIOD_NS
 from armimp_estimation.bags.files import BAGS
-from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.curves import FRF_FILE
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.recordings import recorded_arm
+from support.streams import record
 
 pytestmark = pytest.mark.usefixtures("environment")
 
@@ -29,15 +29,8 @@ def aborted_bags(directory: Path) -> list[str]:
     names = arm.records[0].joint_names
     end_ns = arm.records[1].start_ns + BEFORE * PERIOD_NS
     recording = TrialRecorder(names, directory, {"joint_names": json.dumps(names)}, lambda *_: None)
-    last: TrialStatus | None = None
-    for topic, stamp, raw in arm.messages:
-        if stamp >= end_ns:
-            break
-        if topic == TRIAL:
-            last = decode_trial_status(raw)
-            recording.add_status(last)
-        else:
-            recording.add(topic, raw)
+    record(recording, (message for message in arm.messages if message[1] < end_ns))
+    last = recording.status
     assert last is not None
     assert last.phase is Phase.PERTURB
     recording.add_status(replace(last, phase=Phase.ABORTED, valid=False, reason=REASON))

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS, TRIAL
+from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS
 from armimp_estimation.bags.files import BAGS
-from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.curves import FRF_FILE
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.recordings import recorded_arm
+from support.streams import record
 
 pytestmark = pytest.mark.usefixtures("environment")
 
@@ -29,11 +29,7 @@ def bags(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     names = arm.records[0].joint_names
     metadata = {"joint_names": json.dumps(names)}
     recording = TrialRecorder(names, directory, metadata, lambda *_: None)
-    for topic, stamp, raw in arm.messages:
-        if topic == TRIAL:
-            recording.add_status(decode_trial_status(raw))
-        elif topic != TORQUE_SENSORS or stamp not in lost:
-            recording.add(topic, raw)
+    record(recording, (m for m in arm.messages if m[0] != TORQUE_SENSORS or m[1] not in lost))
     recording.stop()
     return [str(path) for path in sorted((directory / BAGS).iterdir())]
 

@@ -53,7 +53,7 @@ begin = (trial - 1) * ticks * 1_000_000
 recording = TrialRecorder(arm.records[0].joint_names, directory, {}, lambda *_: None)
 
 def record():
-    recording.add_many(synchronizer.take(), lambda topic, error: None)
+    recording.add(synchronizer.take())
 
 def on_samples(samples):
     if samples % TOGETHER == 0:

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.offline import OfflineTrial
-from armimp_common.cdr import CommandDecoder, JointStateDecoder
+from armimp_common.cdr import CommandDecoder, JointStateDecoder, stamp_of
 from armimp_common.status import TrialStatus
-from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, TRIAL, VALUE_FIELD
+from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATION, TRIAL, VALUE_FIELD
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.summary import Summary
@@ -22,7 +22,7 @@ from support.bag_files import iterate_messages
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedTrial:
-    """The messages in the bag of one trial.
+    """The messages of one trial in its bag.
 
     Attributes
     ----------
@@ -45,7 +45,10 @@ class RecordedTrial:
                 statuses.append(decode_trial_status(raw))
             elif topic in streams:
                 streams[topic].append(raw)
-        return cls(streams=streams, statuses=statuses)
+        start_ns = statuses[-1].start_ns or 0
+        first = sum(stamp_of(raw) < start_ns for raw in streams[PERTURBATION])
+        part = slice(first, first + statuses[-1].ticks)
+        return cls(streams={t: raws[part] for t, raws in streams.items()}, statuses=statuses)
 
     def values(self, topic: str, names: tuple[str, ...]) -> NDArray[np.float64]:
         """Numbers (n, N) of a data stream, rad or N·m."""

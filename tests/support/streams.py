@@ -1,9 +1,12 @@
 """Streams whose messages are handed in, where no middleware keeps them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
-from armimp_common.topics import PERTURBATION
+from armimp_common.topics import PERTURBATION, TRIAL
 from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
+from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.recorder import TrialRecorder
+from support.synthetic_bags import Message
 
 
 def fed_synchronizer(
@@ -24,3 +27,19 @@ def fed_synchronizer(
     synchronizer = StreamSynchronizer(sources, on_samples, on_behind)
     receivers = {topic: messages.append for topic, messages in waiting.items()}
     return synchronizer, {**receivers, PERTURBATION: synchronizer.receive}
+
+
+def record(recorder: TrialRecorder, messages: Iterable[Message], together: int = 1) -> None:
+    """Hand a recorder the messages as the node does, so many samples at a time."""
+    synchronizer, receivers = fed_synchronizer()
+    led = 0
+    for topic, _, raw in messages:
+        if topic == TRIAL:
+            recorder.add(synchronizer.take())
+            recorder.add_status(decode_trial_status(raw))
+            continue
+        receivers[topic](raw)
+        led += topic == PERTURBATION
+        if topic == PERTURBATION and led % together == 0:
+            recorder.add(synchronizer.take())
+    recorder.add(synchronizer.take(incomplete=True))

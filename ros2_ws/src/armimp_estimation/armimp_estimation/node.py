@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -197,6 +196,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._directory if self._settings.record else None,
             self._metadata,
             self._on_finished,
+            self._refuse,
             lpm=LpmConfig(reading=self._known.reading),
             goal=self._settings.goal(),
         )
@@ -236,12 +236,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _record(self, *, incomplete: bool = False) -> None:
         """Record what waits for it."""
         try:
-            self._add(self._synchronizer.take(incomplete=incomplete))
+            self._recording.add(self._synchronizer.take(incomplete=incomplete))
         except ArmimpError as error:
             self._give_up(error)
-
-    def _add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        self._recording.add_many(messages, self._refuse)
 
     def _flush(self) -> None:
         """Hand on what was recorded, so that a kill of this process cannot reach it."""
@@ -372,7 +369,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._received.publish(topics.RECORDER_GONE)
         self._timer.cancel()
         with suppress(ArmimpError):
-            self._add(self._synchronizer.take())  # goes into the bag as that is closed
+            self._recording.add(self._synchronizer.take())  # goes into the bag as that is closed
         try:
             self._recording.close()
         except ArmimpError as again:

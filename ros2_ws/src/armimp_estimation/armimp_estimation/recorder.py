@@ -1,48 +1,60 @@
-"""From live messages to trials: segmenting, recording, assembling, and figures meanwhile."""
+"""From live messages to trials: recording them, and assembling each trial when it is over."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from armimp_common.errors import ArmimpError, DataError
+from armimp_common.cdr import stamp_of
+from armimp_common.errors import ArmimpError, DataError, MalformedMessageError
 from armimp_common.status import Phase, Progress, StoppingDecision, TrialStatus
 from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
     JOINT_STATES,
     NS_PER_S,
     PERIOD_NS,
     PERTURBATION,
     TORQUE_SENSORS,
     TRIAL,
+    VALUE_FIELD,
 )
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
-from armimp_estimation.alignment.streams import Streams
-from armimp_estimation.alignment.trial_segmenter import TrialSegmenter
+from armimp_estimation.alignment.streams import Streams, stamps_in_step
 from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.live import RunningTrial
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.scores import coherence
-from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
 from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
-from armimp_estimation.trial import TrialSpectra, channels
 
 _RATE = NS_PER_S / PERIOD_NS
 _ROUND = 1000
 _COLUMN_PERIOD = 1.0
 """Wall time between two estimates of the running column (s); each takes some 20 ms."""
+_ORDER = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
+"""Messages of a tick in the order in which they are recorded."""
+_KEPT_BETWEEN = 3000
+"""Messages of each stream that wait for the next trial: more than queues hold, in which its status
+may be late."""
+_DRIFT, _MOST_DRIFT_NS = 2e-4, 250_000_000
+"""By how much the clock of a driver may go slow relative to the nominal period, in all at most."""
+_OVERDUE_NS = 2_000_000_000
+"""So long after the planned end (ns), whatever is missing is lost: queues hold no more."""
 
 
 class TrialRecorder:
     """Records each trial into its own bag and hands it over when it is complete.
+
+    A bag gets everything that comes from the end of the trial before to that of its own. Which of
+    it are the samples of the trial, `assemble_trials` finds out, now as when the bag is read.
 
     Parameters
     ----------
@@ -54,6 +66,8 @@ class TrialRecorder:
         Stored in every bag.
     on_finished : callable
         Called with each trial, or with the reason why none could be made.
+    refuse : callable, optional
+        Called with topic and error for each message that is too short to have a stamp.
     lpm : LpmConfig, optional
         Options of the running column.
     goal : PrecisionGoal, optional
@@ -66,41 +80,55 @@ class TrialRecorder:
         directory: Path | None,
         metadata: Mapping[str, str],
         on_finished: Callable[[Trial | Problem], None],
+        refuse: Callable[[str, MalformedMessageError], None] = lambda *_: None,
         *,
         lpm: LpmConfig | None = None,
         goal: PrecisionGoal | None = None,
     ) -> None:
         self._joint_names = joint_names
         self._directory, self._metadata = directory, metadata
-        self._on_finished = on_finished
-        self._segmenter = TrialSegmenter(joint_names, self._write, self._on_complete, self._open)
-        self._writer: BagWriter | None = None
-        self._bag = ""
+        self._on_finished, self._refuse = on_finished, refuse
         self._lpm = LpmFull() if lpm is None else LpmFull(config=lpm)
         self._goal = goal if goal is not None else PrecisionGoal()
+        self._writer: BagWriter | None = None
+        self._bag = ""
+        self._past: list[TrialRecord] = []
+        self._seen = 0
+        self._between = {topic: deque[bytes](maxlen=_KEPT_BETWEEN) for topic in DATA_STREAMS}
+        """Messages since the last trial was over."""
+        self._later: deque[TrialStatus] = deque()
+        """Statuses of trials after the present one."""
+        self.timing: Timing | None = None
+        """Latest known timing of the run, which goes into the bag of each trial as it ends."""
+        self._forget()
+
+    def _forget(self) -> None:
+        self._statuses: list[TrialStatus] = []
+        self._written = 0
+        self._streams = Streams(self._joint_names)
+        self._start_ns: int | None = None
+        self._before = dict.fromkeys(VALUE_FIELD, 0)
+        """Messages of the present bag with stamps before the trial."""
+        self._newest_ns = dict.fromkeys(VALUE_FIELD, -1)
+        self._log_ns = dict.fromkeys(DATA_STREAMS, -1)
+        self._began = self._column_at = 0.0
         self._running: RunningTrial | None = None
         self._rule: StoppingRule | None = None
         self._column: FittedColumn | None = None
-        self._column_at = 0.0
-        self._past: list[TrialRecord] = []
-        self._began = self._opened_at = self._perturbed_at = 0.0
-        self._last_ns = 0
-        self._statuses_written = 0
-        self._seen = 0
-        self._latest_ns: dict[str, int] = {}
-        self.timing: Timing | None = None
-        """Latest known timing of the run, which goes into the bag of each trial as it ends."""
-        self.add, self.add_many = self._segmenter.add, self._segmenter.add_many
 
     @property
     def status(self) -> TrialStatus | None:
         """Last status of the present trial; None between trials."""
-        return self._segmenter.status
+        return self._statuses[-1] if self._statuses else None
 
     @property
     def samples(self) -> int:
         """Number of complete samples of the present trial so far."""
-        return self._segmenter.samples
+        if self._start_ns is None:
+            return 0
+        counts = [self._streams.count(topic) - before for topic, before in self._before.items()]
+        counts.append(self._streams.count(COMMANDS) - self._before[PERTURBATION])
+        return max(min(*counts, self._statuses[-1].ticks), 0)
 
     @property
     def rate(self) -> float:
@@ -108,16 +136,51 @@ class TrialRecorder:
         return self.samples / (time.monotonic() - self._began) if self._began else 0.0
 
     def add_status(self, status: TrialStatus) -> None:
-        """Take a trial status.
+        """Take a trial status; those of the next trial wait until the present one is complete.
 
         Raises
         ------
         BagError
             If the bag of a new trial can't be written.
         """
-        if status.phase is Phase.PERTURB:
-            self._perturbed_at = time.monotonic()
-        self._segmenter.add_status(status)
+        present = self.status
+        if present is not None and status.trial != present.trial:
+            self._later.append(status)
+            return
+        if present is None:
+            if status.phase not in (Phase.SETTLE, Phase.PERTURB):
+                return
+            self._open(status)
+        self._statuses.append(status)
+        if status.start_ns is not None and self._start_ns is None:
+            self._start_ns, self._began = status.start_ns, time.monotonic()
+            for topic, stream in self._streams.decode().stamped.items():
+                self._before[topic] = int((stream.stamps < status.start_ns).sum())
+        if present is None:
+            waiting = {topic: list(raws) for topic, raws in self._between.items()}
+            for raws in self._between.values():
+                raws.clear()
+            self._keep(waiting)
+        self._write_statuses()
+        if status.phase is Phase.ABORTED:
+            self.finish()
+        else:
+            self._finish_if_complete()
+
+    def add(self, messages: Mapping[str, Sequence[bytes]]) -> None:
+        """Take messages of the data streams, mostly those of many whole samples at once.
+
+        Raises
+        ------
+        BagError
+            If they can't be written.
+        """
+        if not self._statuses or self._is_past(0):
+            for topic, raws in messages.items():
+                self._between[topic].extend(raws)
+        if self._statuses:
+            self._keep(messages)
+            self._finish_if_complete()
 
     def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
@@ -134,8 +197,8 @@ class TrialRecorder:
         BagError
             If it can't be written.
         """
-        if self._writer is not None and self._statuses_written:
-            self._writer.write(topic, message, max(self._last_ns, time_ns or 0))
+        if self._writer is not None and self._written:
+            self._writer.write(topic, message, max(*self._log_ns.values(), time_ns or 0))
 
     def progress(self) -> Progress | None:
         """Where the recording stands, with what the samples tell so far; None between trials."""
@@ -195,13 +258,14 @@ class TrialRecorder:
 
     def _present(self) -> RunningTrial | None:
         status = self.status
-        if status is not None and self._running is None:
+        if status is not None and self._start_ns is not None and self._running is None:
             self._running = RunningTrial(
-                self._segmenter.streams,
+                self._streams,
                 status.joint,
                 rate=_RATE,
                 planned=status.ticks,
                 trial=status.trial,
+                start_ns=self._start_ns,
                 lpm=self._lpm,
                 others=self._past,
             )
@@ -209,8 +273,8 @@ class TrialRecorder:
 
     def stop(self) -> None:
         """Finish all trials that have begun with what there is, and close the bag."""
-        while self.status is not None:
-            self._segmenter.finish()
+        while self._statuses:
+            self.finish()
         self.close()
 
     def close(self) -> None:
@@ -244,50 +308,92 @@ class TrialRecorder:
 
     def _open(self, status: TrialStatus) -> None:
         self.close()
-        self._running = self._rule = self._column = None
-        self._began = self._column_at = 0.0
-        self._opened_at = time.monotonic()
-        self._statuses_written = 0
-        self._latest_ns.clear()
         if self._directory is not None:
             self._bag = f"{BAGS}/trial_{status.trial}_joint_{status.joint + 1}"
             path = self._directory / self._bag
             require_free_space(path, expected_bytes(status.ticks, len(self._joint_names)))
             self._writer = BagWriter(path, metadata=self._metadata)
 
-    def _write(self, stamps: Sequence[int], messages: Mapping[str, Sequence[bytes]]) -> None:
-        if self._statuses_written == 0:
-            # The messages may have waited for others, with which they are written.
-            self._began = max(self._perturbed_at, self._opened_at)
-            self._write_statuses(self._segmenter.statuses, stamps[0])
-        self._last_ns = stamps[-1]
-        if self._writer is None:
+    def _keep(self, messages: Mapping[str, Sequence[bytes]]) -> None:
+        """Decode and write messages of the present bag: all at once where they are in step."""
+        if stamps := stamps_in_step(messages, self._newest_ns[PERTURBATION]):
+            self._write_statuses(stamps[0])
+            self._count(VALUE_FIELD, stamps)
+            self._log_ns = dict.fromkeys(DATA_STREAMS, stamps[-1])
+            for topic in _ORDER:
+                self._streams.add(topic, messages[topic])
+            if self._writer is not None:
+                self._writer.write_block(stamps, {topic: messages[topic] for topic in _ORDER})
             return
-        if len(stamps) > 1:
-            # Each stream goes on after what was written of it: stamps of ticks in step are later.
-            self._latest_ns.update(dict.fromkeys(messages, stamps[-1]))
-            self._writer.write_block(stamps, messages)
-            return
-        for topic, (message,) in messages.items():
-            # Readers sort by this time, and shall find every stream in the order of its arrival.
-            log_time_ns = max(stamps[0], self._latest_ns.get(topic, 0))
-            self._latest_ns[topic] = log_time_ns
-            self._writer.write(topic, message, log_time_ns)
+        for tick in range(max(map(len, messages.values()), default=0)):
+            for topic in _ORDER:
+                if tick < len(messages.get(topic, ())):
+                    self._keep_one(topic, messages[topic][tick])
 
-    def _write_statuses(self, statuses: Sequence[TrialStatus], time_ns: int) -> None:
-        """Statuses have no stamp: they get that of the sample beside them."""
-        new = statuses[self._statuses_written :]
-        self._statuses_written = len(statuses)
+    def _keep_one(self, topic: str, message: bytes) -> None:
+        if topic == COMMANDS:
+            stamp_ns = max(self._newest_ns[PERTURBATION], 0)
+        else:
+            try:
+                stamp_ns = stamp_of(message)
+            except MalformedMessageError as error:
+                self._refuse(topic, error)
+                return
+            self._count((topic,), (stamp_ns,))
+        self._streams.add(topic, (message,))
+        # Readers sort by this time, and shall find every stream in the order of its arrival.
+        self._log_ns[topic] = max(stamp_ns, self._log_ns[topic])
+        self._write_statuses(self._log_ns[topic])
+        if self._writer is not None:
+            self._writer.write(topic, message, self._log_ns[topic])
+
+    def _count(self, topics: Iterable[str], stamps: Sequence[int]) -> None:
+        for topic in topics:
+            self._newest_ns[topic] = stamps[-1]
+            if self._start_ns is not None and stamps[0] < self._start_ns:
+                self._before[topic] += sum(stamp_ns < self._start_ns for stamp_ns in stamps)
+
+    def _write_statuses(self, time_ns: int | None = None) -> None:
+        """Statuses have no stamp: they get that of the sample beside them, once there is one."""
+        time_ns = max(self._log_ns.values()) if time_ns is None else time_ns
+        if time_ns < 0 or self._written == len(self._statuses):
+            return
+        new = self._statuses[self._written :]
+        self._written = len(self._statuses)
         if self._writer is not None:
             for status in new:
                 self._writer.write(TRIAL, encode_trial_status(status), time_ns)
 
-    def _on_complete(self, statuses: Sequence[TrialStatus], streams: Streams) -> None:
+    def _is_past(self, beyond_ns: int, *topics: str) -> bool:
+        """Whether streams, by default the perturbation, are so far beyond the end of the trial."""
+        if self._start_ns is None:
+            return False
+        planned = self._statuses[-1].ticks * PERIOD_NS
+        end_ns = self._start_ns + planned + min(int(planned * _DRIFT), _MOST_DRIFT_NS)
+        return all(self._newest_ns[t] >= end_ns + beyond_ns for t in topics or (PERTURBATION,))
+
+    def _finish_if_complete(self) -> None:
+        status = self.status
+        if status is None or status.phase not in (Phase.REST, Phase.DONE):
+            return
+        answered = self._streams.count(COMMANDS) >= self._before[PERTURBATION] + status.ticks
+        if self._is_past(_OVERDUE_NS) or (answered and self._is_past(0, *VALUE_FIELD)):
+            self.finish()
+
+    def finish(self) -> None:
+        """Complete the present trial with what there is, if its perturbation has begun."""
+        begun, statuses, streams = self._start_ns is not None, self._statuses, self._streams
         elapsed = time.monotonic() - self._began
+        self._forget()
+        if begun:
+            self._hand_over(statuses, streams, elapsed)
+        later, self._later = self._later, deque()
+        for status in later:
+            self.add_status(status)
+
+    def _hand_over(self, statuses: Sequence[TrialStatus], streams: Streams, elapsed: float) -> None:
         try:
             try:
-                if self._statuses_written:
-                    self._write_statuses(statuses, self._last_ns)
                 trial = self._assemble(statuses, streams)
                 if self._writer is not None and self.timing is not None:
                     self._writer.add_metadata({RECORD_KEY: self.timing.model_dump_json()})
@@ -307,123 +413,3 @@ class TrialRecorder:
         if trials[0].record is not None:
             self._past.append(trials[0].record)
         return trials[0]
-
-
-class RunningTrial:
-    """What the samples recorded so far tell, for people who watch and to know when it is enough.
-
-    Parameters
-    ----------
-    streams : Streams
-        Those of the trial, which grow.
-    joint : int
-        Perturbed joint, 0-based.
-    rate : float
-        Samples per second, Hz.
-    planned : int
-        Samples that the trial will have.
-    trial : int
-        Its number, 1-based.
-    lpm : LpmFull, optional
-        The estimator of the column.
-    others : sequence of TrialRecord
-        Trials before this one.
-    """
-
-    def __init__(
-        self,
-        streams: Streams,
-        joint: int,
-        *,
-        rate: float,
-        planned: int,
-        trial: int = 1,
-        lpm: LpmFull | None = None,
-        others: Sequence[TrialRecord] = (),
-    ) -> None:
-        self._streams, self._others = streams, others
-        self._joint, self._rate, self._trial = joint, rate, trial
-        self._lpm = lpm if lpm is not None else LpmFull()
-        self._accumulator = SpectralAccumulator(
-            2 * len(streams.joint_names) + 1, rate, WelchConfig.for_samples(planned)
-        )
-        self._used = 0
-        self._in_step = True
-
-    def coherence(self) -> tuple[float, float] | None:
-        """Band means of γ²(τΔ, θ_k) and γ²(τΔ, τ_k).
-
-        Returns
-        -------
-        (motion, torque) or None
-            None until there are two segments, and after a sample that cannot be used (which the
-            final account will name).
-        """
-        try:
-            self._take()
-            if self._accumulator.segments < 2:
-                return None
-            spectra = self._accumulator.result()
-        except DataError:
-            return None
-        trial = TrialSpectra(perturbed_joint=self._joint, spectra=spectra)
-        shown = trial.position_channel(self._joint), trial.torque_channel(self._joint)
-        motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
-        return motion, torque
-
-    def column(self, samples: int | None = None) -> FittedColumn | None:
-        """Column k of M, B and K with standard errors, as :meth:`LpmFull.column` gives it.
-
-        Parameters
-        ----------
-        samples : int, optional
-            How many samples to use, from the first on; by default all that are there.
-
-        Returns
-        -------
-        FittedColumn or None
-            None where the samples are too few, or one is missing or cannot be used.
-        """
-        try:
-            self._take()
-            count = self._used if samples is None else samples
-            if not self._in_step or not 0 < count <= self._used:
-                return None
-            streams, commands = self._streams, self._streams.commands
-            known = commands.count >= count and not commands.defect
-            return self._lpm.column(
-                TrialRecord(
-                    trial=self._trial,
-                    perturbed_joint=self._joint,
-                    rate=self._rate,
-                    joint_names=streams.joint_names,
-                    perturbation=streams.stamped[PERTURBATION].values[:, :count],
-                    position=streams.stamped[JOINT_STATES].values[:, :count],
-                    torque=streams.stamped[TORQUE_SENSORS].values[:, :count],
-                    start_ns=0,
-                    seed=None,
-                    command=commands.values[:, :count] if known else None,
-                ),
-                self._others,
-            )
-        except DataError:
-            return None
-
-    def _take(self) -> None:
-        """Take in what has come since the last call."""
-        stamped = self._streams.decode().stamped
-        streams = [stamped[topic] for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)]
-        available = min(stream.count for stream in streams)
-        new = slice(self._used, available)
-        if any(stream.malformed for stream in streams):
-            raise DataError("a message cannot be decoded")
-        if available <= self._used:
-            return
-        new_values = (stream.values[:, new] for stream in streams)
-        self._accumulator.push(channels(self._joint, *new_values))
-        # Whether a sample is missing, doubled or out of order on any stream.
-        first, *others = (stream.stamps for stream in streams)
-        steps = np.diff(first[max(self._used - 1, 0) : available])
-        self._in_step &= all(np.array_equal(first[new], other[new]) for other in others)
-        self._in_step &= bool((np.abs(steps - PERIOD_NS) < PERIOD_NS // 2).all())
-        self._used = available

@@ -10,8 +10,8 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 
 from armimp_common import topics
 from armimp_common.errors import BagError
-from armimp_common.topics import CLOCK, PERIOD_NS
-from armimp_estimation.alignment.trial_segmenter import ORDER, stamps_in_step
+from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS
+from armimp_estimation.alignment.streams import stamps_in_step
 from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata import FILE_NAME
@@ -61,7 +61,7 @@ def test_bag_written_by_the_block_is_finished_with_all_of_its_messages(tmp_path:
     for start in range(0, 150, 50):
         writer.write(CLOCK, b"\0\1\0\0" + bytes(8), start * PERIOD_NS)
         part = slice(start, start + 50)
-        writer.write_block(stamps[part], {topic: recording[topic][part] for topic in ORDER})
+        writer.write_block(stamps[part], {topic: recording[topic][part] for topic in DATA_STREAMS})
     writer._file.abandon()
     before = list(iterate_messages(writer.path))
     assert finish_bag(writer.path).endswith("with 603 messages")

@@ -535,7 +535,8 @@ class TestLife:
             wanted = [one for one in reader.connections if one.topic.endswith(COMMANDS)]
             recorded = [bytes(raw) for _, _, raw in reader.messages(connections=wanted)]
         sent = [raw for topic, _, raw in MADE_UP if topic == COMMANDS]
-        assert recorded == sent[SETTLE : SETTLE + TICKS]
+        assert len(recorded) >= SETTLE + TICKS
+        assert recorded == sent[: len(recorded)]
 
     def test_when_nobody_publishes_expect_activation_to_fail_with_the_topics_named(
         self, make: MakeEstimator, monkeypatch: pytest.MonkeyPatch

@@ -1,7 +1,7 @@
 """Recording: a bag for each trial, closed whatever happens, and running figures meanwhile."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common.cdr import CommandEncoder, JointStateEncoder
-from armimp_common.errors import BagError, MalformedMessageError
-from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision
+from armimp_common.cdr import CommandEncoder, JointStateDecoder, JointStateEncoder
+from armimp_common.errors import BagError
+from armimp_common.status import NOTICE_TICKS, Phase
 from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
@@ -27,17 +27,23 @@ from armimp_estimation import scores
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.statuses import decode_trial_status, decode_trial_statuses
+from armimp_estimation.bags.statuses import (
+    decode_trial_status,
+    decode_trial_statuses,
+    encode_trial_status,
+)
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.live import RunningTrial
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.recorder import RunningTrial, TrialRecorder
+from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.stopping import PrecisionGoal, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
+from support.bag_files import iterate_messages
 from support.recordings import recorded_arm
-from support.streams import fed_synchronizer
+from support.streams import record
 from support.synthetic_bags import Message, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, synthetic_trial
@@ -64,11 +70,8 @@ class Desk:
     problems: list[Problem] = field(default_factory=list)
     goal: PrecisionGoal | None = None
     together: int = 1
-    decisions: list[StoppingDecision] = field(default_factory=list)
-    led: int = 0
 
     def __post_init__(self) -> None:
-        self.synchronizer, self.receivers = fed_synchronizer()
         self.recorder = TrialRecorder(
             self.names, self.directory, METADATA, self.on_finished, goal=self.goal
         )
@@ -80,27 +83,21 @@ class Desk:
             self.finished.append(trial)
 
     def feed(self, messages: Iterable[Message]) -> None:
-        for topic, _, raw in messages:
-            if topic == TRIAL:
-                self.recorder.add_many(self.synchronizer.take(), self.refuse)
-                self.recorder.add_status(decode_trial_status(raw))
-            elif self.together > 1:
-                self.receivers[topic](raw)
-                self.led += topic == PERTURBATION
-                if topic == PERTURBATION and self.led % self.together == 0:
-                    self.recorder.add_many(self.synchronizer.take(), self.refuse)
-            else:
-                self.recorder.add(topic, raw)
-                if (decision := self.recorder.decide()) is not None:
-                    self.decisions.append(decision)
-
-    def refuse(self, topic: str, error: MalformedMessageError) -> None:
-        raise error
+        record(self.recorder, messages, self.together)
 
     @property
     def bags(self) -> list[Path]:
         assert self.directory is not None
         return sorted((self.directory / "bags").iterdir())
+
+    def assert_bags_read_as_handed_over(self) -> None:
+        for trial in self.finished:
+            assert self.directory is not None
+            (read,) = read_bag(self.directory / str(trial.bag)).trials
+            assert (read.window, read.statistics) == (trial.window, trial.statistics)
+            assert read.problems == trial.problems
+            for one, other in zip(read.segments, trial.segments, strict=True):
+                assert_equal(one, other)
 
 
 def assert_equal(record: TrialRecord, expected: TrialRecord, samples: int | None = None) -> None:
@@ -132,18 +129,123 @@ def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
         assert (read.window, read.statistics) == (trial.window, trial.statistics)
         assert content.metadata.items() >= METADATA.items()
         assert content.notes == ()
-        # The messages are those of the trial alone, with its statuses.
-        topics: dict[str, list[bytes]] = {}
-        for topic, _, raw in content.messages():
-            topics.setdefault(topic, []).append(raw)
-        first = (number - 1) * (SETTLE + TICKS + REST) + SETTLE
-        for topic in DATA_STREAMS:
-            assert topics[topic] == MADE_UP.by_topic()[topic][first : first + TICKS]
-        statuses, problem = decode_trial_statuses(topics[TRIAL])
+        raws = [raw for topic, _, raw in content.messages() if topic == TRIAL]
+        statuses, problem = decode_trial_statuses(raws)
         assert not problem
         assert [(status.phase, status.trial) for status in statuses] == [
             (phase, number) for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST)
         ]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    late=st.fixed_dictionaries(dict.fromkeys((*DATA_STREAMS, TRIAL), st.integers(0, 15))),
+    together=st.sampled_from([1, 7, 20]),
+)
+def test_however_late_a_stream_is_each_trial_has_exactly_its_samples(
+    late: Mapping[str, int], together: int
+) -> None:
+    desk = Desk(None, together=together)
+    desk.feed(sorted(MADE_UP.messages, key=lambda m: m[1] + late[m[0]] * PERIOD_NS))
+    desk.recorder.stop()
+    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
+        assert_equal(trial.intact()[0], expected)
+        assert trial.segments[0].command is not None
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    lost=st.fixed_dictionaries(
+        dict.fromkeys(DATA_STREAMS, st.sets(st.integers(0, 2 * TICKS), max_size=12))
+    ),
+    together=st.sampled_from([1, 7, 50]),
+)
+def test_bags_read_as_what_was_handed_over_whatever_was_lost(
+    tmp_path_factory: pytest.TempPathFactory, lost: Mapping[str, set[int]], together: int
+) -> None:
+    desk = Desk(tmp_path_factory.mktemp("lost"), together=together)
+    start_ns = MADE_UP.messages[0][1]
+    desk.feed(
+        message
+        for message in MADE_UP.messages
+        if (message[1] - start_ns) // PERIOD_NS not in lost.get(message[0], ())
+    )
+    desk.recorder.stop()
+    desk.assert_bags_read_as_handed_over()
+    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
+        first = (expected.start_ns - start_ns) // PERIOD_NS
+        for topic in STREAMS:
+            missing = {tick for tick in lost[topic] if first <= tick < first + TICKS}
+            assert trial.statistics.streams[topic].lost == len(missing)
+
+
+@pytest.mark.parametrize("together", [1, 50])
+def test_when_a_stream_falls_silent_expect_the_next_trial_whole_but_for_that(
+    tmp_path: Path, together: int
+) -> None:
+    recording = synthetic_recording(perturbed=(0, 1), ticks=50, settle=5, rest=2050)
+    last_ns = recording.records[0].start_ns + 20 * PERIOD_NS
+    desk = Desk(tmp_path, together=together)
+    desk.feed(m for m in recording.messages if m[0] != TORQUE_SENSORS or m[1] < last_ns)
+    desk.recorder.stop()
+    (trial,) = desk.finished
+    lost = {topic: one.lost for topic, one in trial.statistics.streams.items()}
+    assert lost == {**dict.fromkeys(DATA_STREAMS, 0), TORQUE_SENSORS: 30}
+    assert [str(one) for one in desk.problems] == [f"no messages of {TORQUE_SENSORS}"]
+    desk.assert_bags_read_as_handed_over()
+    states = {raw for topic, _, raw in iterate_messages(desk.bags[1]) if topic == JOINT_STATES}
+    first = 5 + 50 + 2050 + 5
+    assert states >= set(recording.by_topic()[JOINT_STATES][first : first + 50])
+
+
+@pytest.mark.parametrize("announced", [False, True])
+@pytest.mark.parametrize("together", [1, 7, 20])
+def test_a_trial_that_ends_early_has_no_sample_of_the_rest(announced: bool, together: int) -> None:
+    def longer(message: Message) -> list[Message]:
+        """With statuses of trials that were planned to be twice as long."""
+        topic, time_ns, raw = message
+        if topic != TRIAL or (status := decode_trial_status(raw)).phase is Phase.REST:
+            return [message]
+        planned = (topic, time_ns, encode_trial_status(replace(status, ticks=2 * TICKS)))
+        return [planned, *([message] if announced and status.phase is Phase.PERTURB else [])]
+
+    desk = Desk(None, together=together)
+    desk.feed(told for message in MADE_UP.messages for told in longer(message))
+    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
+        assert trial.window.saved == TICKS
+        assert_equal(trial.intact()[0], expected)
+
+
+@pytest.mark.parametrize("drift", [-1e-4, 1e-4])
+def test_clock_of_a_driver_may_drift(drift: float) -> None:
+    encode = {t: JointStateEncoder(NAMES, VALUE_FIELD[t]).encode for t in VALUE_FIELD}
+    recording = synthetic_recording(ticks=5000, settle=10, rest=10)
+    start_ns = recording.records[0].start_ns
+
+    def drifting(message: Message) -> Message:
+        topic, time_ns, raw = message
+        if topic in encode:
+            stamp_ns, values = JointStateDecoder(NAMES, VALUE_FIELD[topic]).decode(raw)
+            raw = encode[topic](stamp_ns + round(drift * (stamp_ns - start_ns)), values)
+        return topic, time_ns, raw
+
+    desk = Desk(None, together=50)
+    desk.feed(map(drifting, recording.messages))
+    assert [trial.intact()[0].samples for trial in desk.finished] == [5000]
+
+
+def test_stamps_that_make_no_sense_hold_nothing_up_and_messages_without_are_refused() -> None:
+    wrong = JointStateEncoder(NAMES, "position").encode(10**15, (0.0, 0.0))
+    messages = list(MADE_UP.messages)
+    for raw in (wrong, b"\0\1"):
+        messages.insert(4 * (SETTLE + 5) + 2, (JOINT_STATES, 0, raw))
+    refused: list[str] = []
+    desk = Desk(None)
+    desk.recorder._refuse = lambda topic, error: refused.append(f"{topic}: {error}")
+    desk.feed(messages)
+    assert [line[:33] for line in refused] == ["joint_states: message has 2 bytes"]
+    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
+        assert_equal(trial.segments[0], expected)
 
 
 def test_without_a_directory_trials_are_handed_over_and_nothing_is_written(
@@ -265,15 +367,19 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() 
     considered = 6000 - NOTICE_TICKS
     desk = Desk(None, ARM_NAMES, goal=PrecisionGoal(bound=0.5, least=6.0))
 
-    desk.feed(ARM_RECORDING.messages)
+    decisions = []
+    for message in ARM_RECORDING.messages:
+        desk.feed([message])
+        if (decision := desk.recorder.decide()) is not None:
+            decisions.append(decision)
 
-    told = [(one.trial, one.samples, one.enough) for one in desk.decisions]
+    told = [(one.trial, one.samples, one.enough) for one in decisions]
     assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, considered)]
     past: list[TrialRecord] = []
-    for decision, record in zip(desk.decisions[1::2], ARM_RECORDING.records, strict=True):
-        column = LpmFull().column(cut(record, considered, commands=True), past)
+    for decision, whole in zip(decisions[1::2], ARM_RECORDING.records, strict=True):
+        column = LpmFull().column(cut(whole, considered, commands=True), past)
         assert (decision.largest, decision.element) == largest_error(column)
-        past.append(replace(record, command=record.perturbation))
+        past.append(replace(whole, command=whole.perturbation))
 
 
 def test_column_is_made_anew_at_most_once_a_second_but_as_soon_as_there_is_one(

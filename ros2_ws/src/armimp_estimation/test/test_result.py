@@ -18,7 +18,7 @@ from armimp_common.status import Cause, Phase, TimingFigures
 from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
 from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
@@ -37,6 +37,7 @@ from armimp_estimation.trial import TrialData, segments_for
 from support.recordings import recorded_arm
 from support.results import METADATA as CONFIGURED
 from support.results import make_result
+from support.streams import record
 from support.synthetic_bags import Message
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
@@ -65,6 +66,17 @@ def without(
     return [(t, time, raw) for t, time, raw in messages if t != topic or time not in lost]
 
 
+def spoiled(message: Message, cause: Cause) -> Message:
+    """The message; where it says that a trial is over and there is a cause, that it is spoiled."""
+    topic, time, raw = message
+    if topic != TRIAL or cause is Cause.NONE:
+        return message
+    status = decode_trial_status(raw)
+    if status.phase is Phase.REST:
+        status = replace(status, valid=False, cause=cause, reason="so it is")
+    return topic, time, encode_trial_status(status)
+
+
 def recorded(
     messages: Iterable[Message] = RECORDING.messages,
     directory: Path | None = None,
@@ -78,14 +90,7 @@ def recorded(
         trials.append(trial)
 
     recorder = TrialRecorder(NAMES, directory, METADATA, keep)
-    for topic, _, raw in messages:
-        if topic == TRIAL:
-            status = decode_trial_status(raw)
-            if cause is not Cause.NONE and status.phase is Phase.REST:
-                status = replace(status, valid=False, cause=cause, reason="so it is")
-            recorder.add_status(status)
-        else:
-            recorder.add(topic, raw)
+    record(recorder, (spoiled(message, cause) for message in messages))
     recorder.stop()
     return trials
 

@@ -2,17 +2,31 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
+from operator import itemgetter, lt
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number
 from armimp_common.errors import DataError, MalformedMessageError
-from armimp_common.topics import COMMANDS, VALUE_FIELD
+from armimp_common.topics import (
+    COMMANDS,
+    DATA_STREAMS,
+    JOINT_STATES,
+    NS_PER_S,
+    PERTURBATION,
+    TORQUE_SENSORS,
+    VALUE_FIELD,
+)
 
 _DECODED_TOGETHER = 1000
 """Messages that wait until they are decoded at once, which is far cheaper than one by one."""
+_HEAD = struct.Struct("<4siI")
+"""Beginning of a message with a ``std_msgs/Header``: encapsulation and stamp."""
+_LITTLE_ENDIAN = b"\0\1\0\0"
+_head_of = itemgetter(slice(_HEAD.size))
 
 
 class Stream:
@@ -200,3 +214,36 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
         streams.add(topic, messages.get(topic, ()))
     streams.require()
     return streams
+
+
+def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) -> list[int]:
+    """Stamps (ns) of messages of the four streams that are those of ticks one after the other.
+
+    Plain Python on purpose. Once in fifty ticks nothing of numpy is in the processor's caches, and
+    a few of its operations take longer than a loop of the interpreter, which is.
+
+    Returns
+    -------
+    list of int
+        Rising from above `after_ns` on; empty if the streams are not in step, or the messages of
+        one are not of equal length: then each has to be looked at for itself.
+    """
+    count = len(messages.get(PERTURBATION, ()))
+    if not count:
+        return []
+    for topic in DATA_STREAMS:
+        raws = messages.get(topic, ())
+        if len(raws) != count or len(set(map(len, raws))) != 1:
+            return []
+    heads, states, sensors = (
+        list(map(_head_of, messages[topic]))
+        for topic in (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
+    )
+    if len(heads[0]) != _HEAD.size or not heads == states == sensors:
+        return []
+    stamps: list[int] = []
+    for head, seconds, nanoseconds in _HEAD.iter_unpack(b"".join(heads)):
+        if head != _LITTLE_ENDIAN:
+            return []
+        stamps.append(seconds * NS_PER_S + nanoseconds)
+    return stamps if stamps[0] > after_ns and all(map(lt, stamps, stamps[1:])) else []

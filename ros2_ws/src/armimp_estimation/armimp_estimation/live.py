@@ -1,0 +1,151 @@
+"""What the samples of a trial that is being recorded tell so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from armimp_common.errors import DataError
+from armimp_common.topics import JOINT_STATES, PERIOD_NS, PERTURBATION, TORQUE_SENSORS
+from armimp_estimation.alignment.streams import Stream, Streams
+from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.scores import coherence
+from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
+from armimp_estimation.trial import TrialSpectra, channels
+
+_TOPICS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
+
+
+class RunningTrial:
+    """What the samples recorded so far tell, for people who watch and to know when it is enough.
+
+    Parameters
+    ----------
+    streams : Streams
+        With those of the trial, which grow.
+    joint : int
+        Perturbed joint, 0-based.
+    rate : float
+        Samples per second, Hz.
+    planned : int
+        Samples that the trial will have.
+    trial : int
+        Its number, 1-based.
+    start_ns : int
+        Stamp of its first sample (ns).
+    lpm : LpmFull, optional
+        The estimator of the column.
+    others : sequence of TrialRecord
+        Trials before this one.
+    """
+
+    def __init__(
+        self,
+        streams: Streams,
+        joint: int,
+        *,
+        rate: float,
+        planned: int,
+        trial: int = 1,
+        start_ns: int = 0,
+        lpm: LpmFull | None = None,
+        others: Sequence[TrialRecord] = (),
+    ) -> None:
+        self._streams, self._others = streams, others
+        self._joint, self._rate, self._trial, self._start_ns = joint, rate, trial, start_ns
+        self._lpm = lpm if lpm is not None else LpmFull()
+        self._accumulator = SpectralAccumulator(
+            2 * len(streams.joint_names) + 1, rate, WelchConfig.for_samples(planned)
+        )
+        self._used = 0
+        self._in_step = True
+
+    def coherence(self) -> tuple[float, float] | None:
+        """Band means of γ²(τΔ, θ_k) and γ²(τΔ, τ_k).
+
+        Returns
+        -------
+        (motion, torque) or None
+            None until there are two segments, and after a sample that cannot be used (which the
+            final account will name).
+        """
+        try:
+            self._take()
+            if self._accumulator.segments < 2:
+                return None
+            spectra = self._accumulator.result()
+        except DataError:
+            return None
+        trial = TrialSpectra(perturbed_joint=self._joint, spectra=spectra)
+        shown = trial.position_channel(self._joint), trial.torque_channel(self._joint)
+        motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
+        return motion, torque
+
+    def column(self, samples: int | None = None) -> FittedColumn | None:
+        """Column k of M, B and K with standard errors, as :meth:`LpmFull.column` gives it.
+
+        Parameters
+        ----------
+        samples : int, optional
+            How many samples to use, from the first on; by default all that are there.
+
+        Returns
+        -------
+        FittedColumn or None
+            None where the samples are too few, or one is missing or cannot be used.
+        """
+        try:
+            self._take()
+            count = self._used if samples is None else samples
+            if not self._in_step or not 0 < count <= self._used:
+                return None
+            perturbation, position, torque = (
+                stream.values[:, first : first + count] for first, stream in self._parts()
+            )
+            (first, _), *_ = self._parts()
+            commands = self._streams.commands
+            known = commands.count >= first + count and not commands.defect
+            return self._lpm.column(
+                TrialRecord(
+                    trial=self._trial,
+                    perturbed_joint=self._joint,
+                    rate=self._rate,
+                    joint_names=self._streams.joint_names,
+                    perturbation=perturbation,
+                    position=position,
+                    torque=torque,
+                    start_ns=self._start_ns,
+                    seed=None,
+                    command=commands.values[:, first : first + count] if known else None,
+                ),
+                self._others,
+            )
+        except DataError:
+            return None
+
+    def _parts(self) -> list[tuple[int, Stream]]:
+        """Perturbation, angles and torques, each with the place of its first sample."""
+        streams = [self._streams.stamped[topic] for topic in _TOPICS]
+        return [(int((one.stamps < self._start_ns).sum()), one) for one in streams]
+
+    def _take(self) -> None:
+        """Take in what has come since the last call."""
+        self._streams.decode()
+        parts = self._parts()
+        if any(stream.malformed for _, stream in parts):
+            raise DataError("a message cannot be decoded")
+        available = min(stream.count - first for first, stream in parts)
+        if available <= self._used:
+            return
+        new = slice(self._used, available)
+        self._accumulator.push(
+            channels(self._joint, *(stream.values[:, first:][:, new] for first, stream in parts))
+        )
+        # Whether a sample is missing, doubled or out of order on any stream.
+        leading, *others = (stream.stamps[first:] for first, stream in parts)
+        steps = np.diff(leading[max(self._used - 1, 0) : available])
+        self._in_step &= all(np.array_equal(leading[new], other[new]) for other in others)
+        self._in_step &= bool((np.abs(steps - PERIOD_NS) < PERIOD_NS // 2).all())
+        self._used = available
