@@ -34,7 +34,7 @@ class TickParts:
     Attributes
     ----------
     plant : simulated step of the rig
-    law : control law and safety gate
+    law : control law and safety limiter
     codecs : encoding and decoding of the messages
     recording : of the messages, into a bag
     """
@@ -54,7 +54,7 @@ class _Loop:
         self.rig = SimulatedRig(parameters.simulator)
         self.statuses: list[TrialStatus] = []
         self.experiment = TrialSequencer(parameters.controller, self.statuses.append)
-        self.inbox, self.receivers = fed_synchronizer()
+        self.synchronizer, self.receivers = fed_synchronizer()
         self.recording = TrialRecorder(
             names, directory, parameters.estimator.bag_metadata(), lambda *_: None
         )
@@ -91,7 +91,7 @@ class _Loop:
         self.receivers[COMMANDS](command)
         self.receivers[PERTURBATION](perturbation)
         if experiment.tick % TOGETHER == 0:
-            self.recording.add(self.inbox.take())
+            self.recording.add(self.synchronizer.take())
         return t1 - t0, t3 - t2, t2 - t1 + t4 - t3, perf_counter_ns() - t4
 
 

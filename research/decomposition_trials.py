@@ -78,7 +78,7 @@ def all_at_once(
 ) -> list[SimulatedExperiment]:
     """Experiments of the same length, n trials in each of which all joints are perturbed.
 
-    The safety gate leaves them alone.
+    The safety limiter leaves them alone.
 
     Parameters
     ----------

@@ -28,12 +28,8 @@ from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.browser import Browser
-from support.fault_figures import figures, pytest_terminal_summary
-from support.graph import context, domain_id, interruptible, node
 from support.runs import FinishedRun, Run
 from support.stalls import StallWitness
-
-__all__ = ["context", "domain_id", "figures", "interruptible", "node", "pytest_terminal_summary"]
 
 
 @pytest.fixture(scope="session")

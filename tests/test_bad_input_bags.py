@@ -1,7 +1,6 @@
 """Bags of every wrong kind, through the commands that take them: a result, or a clear complaint."""
 
 import json
-import random
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -364,41 +363,6 @@ class TestFiles:
 def storage(bag: Path) -> bytes:
     (file,) = bag.glob("*.mcap")
     return file.read_bytes()
-
-
-def cut(good: Path, directory: Path, parts: int) -> None:
-    whole = storage(good)
-    file = directory / "cut.mcap"
-    statuses = []
-    for part in range(parts):
-        file.write_bytes(whole[: len(whole) * part // parts])
-        statuses.append(behaved("estimate", str(file)).status)
-    # Where the second trial is missing there is no result, and without its end there may be one.
-    assert statuses[: parts // 2] == [1] * (parts // 2)
-
-
-def flip(good: Path, directory: Path, rounds: int, *, seed: int) -> None:
-    whole = storage(good)
-    rng = random.Random(seed)
-    file = directory / "flipped.mcap"
-    for _ in range(rounds):
-        content = bytearray(whole)
-        for _ in range(rng.choice([1, 1, 2, 20])):
-            # The records at both ends say what all the others are.
-            where = rng.choice([rng.randrange(len(whole)), rng.randrange(4000)])
-            content[where if rng.random() < 0.8 else -1 - where % 4000] = rng.randrange(256)
-        file.write_bytes(content)
-        behaved("estimate", str(file))
-
-
-def test_a_bag_cut_at_every_twentieth_of_its_length_gives_a_result_or_a_reason(
-    good: Path, tmp_path: Path
-) -> None:
-    cut(good, tmp_path, 20)
-
-
-def test_a_bag_with_changed_bytes_gives_a_result_or_a_reason(good: Path, tmp_path: Path) -> None:
-    flip(good, tmp_path, 15, seed=1)
 
 
 def test_a_cut_bag_is_refused_by_replay_with_the_same_reason(good: Path, tmp_path: Path) -> None:

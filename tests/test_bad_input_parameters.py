@@ -179,7 +179,7 @@ EXPERIMENTS = st.one_of(
     ),
 )
 QUICK = settings(
-    max_examples=100,
+    max_examples=60,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

@@ -14,24 +14,37 @@ from typing import Any
 import numpy as np
 import pytest
 
-from armimp_bringup.study.store import read_entry, read_study
-from armimp_common.errors import DataError
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.study.conditions import select_conditions
+from armimp_bringup.study.engine import Threads, software
+from armimp_bringup.study.scores import judge, results_table
+from armimp_bringup.study.store import StudyEntry, open_study, read_entry, read_study
+from armimp_bringup.study.study import run_study
+from armimp_common.errors import ArmimpError, DataError
 from armimp_estimation.curves import read_frf
 from armimp_estimation.summary import read_summary
-from support.command import Told, call
+from support.command import call
 
-STUDY = (
-    *("reproduce", "--duration", "4", "--no-figures", "--estimator", "welch_full"),
-    *("--only", "friction=0,resolution=0,perturbation=3"),
-)
-NAME = "friction0-resolution0-perturbation3-seed0"
+BASE = ExperimentConfig(duration=4.0, estimators=("welch_full",))
+ONLY = "friction=0,resolution=0,perturbation=3"
+CONDITIONS = select_conditions([ONLY], "0")
+NAME = CONDITIONS[0].name
 ESTIMATOR = ("estimators", "welch_full")
+
+
+def go_on(directory: Path) -> None:
+    run_study(BASE, CONDITIONS, directory, Threads(1), figures=False)
+
+
+def entries(directory: Path) -> list[StudyEntry]:
+    with open_study(directory, BASE, software()) as store:
+        return store.entries(CONDITIONS)
 
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("study") / "good"
-    assert call(*STUDY, "--out", str(directory)).status == 0
+    go_on(directory)
     return directory
 
 
@@ -47,19 +60,13 @@ def damaged(study: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(study, tmp_path / "damaged"))
 
 
-def go_on(directory: Path) -> Told:
-    return call(*STUDY, "--out", str(directory))
-
-
-def named(file: Path, directory: Path) -> str:
-    """The one complaint, which must begin with the file; progress comes before it."""
-    before = (directory / "verdict.json").read_bytes()
-    told = go_on(directory)
-    assert told.status in (1, 2), told
-    (line,) = [line for line in told.err.splitlines() if not line[0].isdigit()]
-    assert line.startswith(f"armimp: {file}: "), told
-    assert told.out == ""
-    assert (directory / "verdict.json").read_bytes() == before
+def complaint(directory: Path, of: Callable[[Path], object] = entries) -> str:
+    """The one line with which a study is refused."""
+    with pytest.raises(ArmimpError) as caught:
+        of(directory)
+    (line,) = str(caught.value).splitlines()
+    assert line.startswith(str(directory))
+    assert len(line) < 800
     return line
 
 
@@ -70,6 +77,18 @@ def with_value(result: dict[str, Any], path: tuple[str | int, ...], value: objec
         place = place[key]
     place[path[-1]] = value
     return json.dumps(spoiled).encode()
+
+
+def test_the_command_names_what_it_cannot_read_and_leaves_the_rest_alone(damaged: Path) -> None:
+    before = (damaged / "verdict.json").read_bytes()
+    file = damaged / "conditions" / f"{NAME}.json"
+    file.write_bytes(b"[]")
+    options = ("--duration", "4", "--estimator", "welch_full", "--only", ONLY, "--no-figures")
+    told = call("reproduce", *options, "--out", str(damaged))
+    assert (told.status, told.out) == (1, "")
+    _, line = told.err.splitlines()  # after the progress
+    assert line.startswith(f"armimp: {file}: not the result of a condition")
+    assert (damaged / "verdict.json").read_bytes() == before
 
 
 NO_JSON = {
@@ -86,12 +105,7 @@ NO_JSON = {
 @pytest.mark.parametrize("name", [f"conditions/{NAME}.json", "config.json"])
 def test_what_is_no_result_is_named(name: str, kind: str, damaged: Path) -> None:
     (damaged / name).write_bytes(NO_JSON[kind])
-    told = go_on(damaged)
-    assert told.status in (1, 2)
-    (line,) = [line for line in told.err.splitlines() if not line[0].isdigit()]
-    assert line.startswith(f"armimp: {damaged}")
-    assert len(line) < 800
-    assert told.out == ""
+    complaint(damaged)
 
 
 def test_a_cut_result_is_named(damaged: Path) -> None:
@@ -99,14 +113,14 @@ def test_a_cut_result_is_named(damaged: Path) -> None:
     whole = file.read_bytes()
     for part in range(10):
         file.write_bytes(whole[: len(whole) * part // 10])
-        assert "not the result of a condition" in named(file, damaged)
+        assert f"{file}: not the result of a condition" in complaint(damaged)
 
 
 MATRIX = [[1.0, 2.0], [3.0]]
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "complaint"),
+    ("path", "value", "words"),
     [
         (("schema",), 2, "schema"),
         (("joints",), 3, "for 3 joints"),
@@ -130,20 +144,22 @@ MATRIX = [[1.0, 2.0], [3.0]]
 def test_a_wrong_value_in_a_result_is_named(
     path: tuple[str | int, ...],
     value: object,
-    complaint: str,
+    words: str,
     result: dict[str, Any],
     damaged: Path,
 ) -> None:
     file = damaged / "conditions" / f"{NAME}.json"
     file.write_bytes(with_value(result, path, value))
-    assert complaint in named(file, damaged)
+    told = complaint(damaged)
+    assert told.startswith(f"{file}: ")
+    assert words in told
 
 
 def test_a_result_of_another_estimator_is_named(result: dict[str, Any], damaged: Path) -> None:
     file = damaged / "conditions" / f"{NAME}.json"
     other = {"welch_siso": result["estimators"]["welch_full"]}
     file.write_bytes(with_value(result, ("estimators",), other))
-    assert "has the estimators welch_siso, not welch_full" in named(file, damaged)
+    assert "has the estimators welch_siso, not welch_full" in complaint(damaged)
 
 
 @pytest.mark.parametrize("number", [None, -1e-300])
@@ -152,10 +168,8 @@ def test_numbers_that_are_unknown_or_absurd_fail_the_verdict(
 ) -> None:
     file = damaged / "conditions" / f"{NAME}.json"
     file.write_bytes(with_value(result, (*ESTIMATOR, "M"), [[number, 1.0], [1.0, 1.0]]))
-    told = go_on(damaged)
-    assert told.status in (0, 1)
-    verdict = json.loads((damaged / "verdict.json").read_text())
-    assert verdict["conditions"] == 1
+    found = entries(damaged)
+    assert judge(found, results_table(found)).conditions == 1
 
 
 def archive(file: Path, **arrays: Any) -> bytes:
@@ -165,7 +179,7 @@ def archive(file: Path, **arrays: Any) -> bytes:
 
 
 @pytest.mark.parametrize(
-    ("arrays", "complaint"),
+    ("arrays", "words"),
     [
         ({"f": np.zeros(0)}, "frequencies of welch_full"),
         ({"f": np.array([2.0, 1.0])}, "frequencies of welch_full"),
@@ -175,16 +189,11 @@ def archive(file: Path, **arrays: Any) -> bytes:
     ],
 )
 def test_wrong_arrays_of_curves_are_named(
-    arrays: dict[str, Any], complaint: str, damaged: Path
+    arrays: dict[str, Any], words: str, damaged: Path
 ) -> None:
     file = damaged / "conditions" / f"{NAME}.npz"
     file.write_bytes(archive(file, **arrays))
-    with pytest.raises(DataError) as caught:
-        read_frf(file)
-    assert complaint in str(caught.value)
-    told = go_on(damaged)
-    assert told.status == 1
-    assert f"armimp: {caught.value}\n" in told.err
+    assert words in complaint(damaged, go_on)
 
 
 READERS = [read_frf, read_summary, read_study, read_entry]
@@ -288,8 +297,5 @@ def test_a_directory_in_the_place_of_a_file_or_a_file_in_that_of_a_directory_is_
     else:
         path.unlink()
         path.mkdir()
-    told = go_on(damaged)
-    assert told.status == 1
-    (line,) = [line for line in told.err.splitlines() if line.startswith("armimp: ")]
-    assert line.startswith(f"armimp: {damaged}")
+    complaint(damaged, go_on)
     assert path.exists()

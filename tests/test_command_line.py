@@ -16,7 +16,7 @@ import pytest
 from armimp_bringup.cli import main
 from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.parameters import node_parameters
-from armimp_common.topics import TORQUE_SENSORS, TRIAL
+from armimp_common.topics import TRIAL
 from armimp_estimation.bags import BagWriter, read_bag
 from support.bag_files import iterate_messages
 
@@ -154,28 +154,6 @@ def test_the_tables_show_estimate_truth_and_error_of_every_parameter(
         assert re.search(rf"^ *{name} +[\d.]+ +[\d.]+ +[\d.]+ +[+-][\d.]+ %", shown, re.MULTILINE)
     assert "lock ratio" in shown
     assert "VAF" in shown
-
-
-def without(topic: str, bag: str, directory: Path) -> str:
-    copy = directory / "copy"
-    with BagWriter(copy, metadata={}) as writer:
-        for name, time_ns, raw in iterate_messages(Path(bag)):
-            if name != topic:
-                writer.write(name, raw, time_ns)
-    return str(copy)
-
-
-@pytest.mark.parametrize("command", ["estimate", "replay"])
-def test_when_torque_readings_are_missing_expect_one_line_that_says_so(
-    command: str, experiment: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    bag = without(TORQUE_SENSORS, bags(experiment)[0], tmp_path)
-    capfd.readouterr()
-    assert main([command, bag]) == 1
-    error = capfd.readouterr().err
-    assert error.count("\n") == 1
-    assert bag in error
-    assert "torque_sensors" in error
 
 
 @pytest.mark.parametrize("command", ["estimate", "replay"])

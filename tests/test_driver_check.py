@@ -12,20 +12,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import ClassVar, TypeAlias
 
-import numpy as np
 import pytest
 
 from armimp_bringup.cli import main
-from armimp_bringup.config import CheckOptions, ExperimentConfig
+from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.command import ask
 from armimp_bringup.driver_check.findings import Finding, Verdict, with_verdict
-from armimp_bringup.orchestrator import run_experiment
 from armimp_common.errors import ConfigurationError
-from armimp_common.topics import COMMANDS, CONTROLLER_NODE, ESTIMATOR_NODE
-from armimp_estimation.bags import read_bag
+from armimp_common.topics import COMMANDS
 from armimp_sim.node import ArmSimNode
 from support.graph import PATIENCE
-from support.runs import FinishedRun
 
 TESTS = Path(__file__).resolve().parent
 JOINTS = ("shoulder", "elbow")
@@ -219,26 +215,3 @@ def test_when_it_is_interrupted_under_torque_expect_zero_torque_to_be_commanded_
     while Listening.heard[-5:] != [(0.0, 0.0)] * 5 and time.monotonic() < deadline:
         time.sleep(0.01)
     assert Listening.heard[-5:] == [(0.0, 0.0)] * 5
-
-
-@pytest.mark.slow
-def test_the_experiment_runs_on_the_template_with_the_samples_of_the_simulator(
-    start: Start, tmp_path: Path, composed: FinishedRun
-) -> None:
-    start(TEMPLATE)
-    for node, package in ((CONTROLLER_NODE, "control"), (ESTIMATOR_NODE, "estimation")):
-        path = TESTS.parent / f"ros2_ws/src/armimp_{package}/config/{node}.yaml"
-        start(["-m", f"armimp_{package}.node"], "--params-file", str(path))
-    config = ExperimentConfig.model_validate({"duration": 2.0, "processes": "external"})
-
-    summary = run_experiment(config, tmp_path / "out")
-
-    assert summary.problems == []
-    # Nobody knows the arm that a driver has to do with.
-    assert summary.truth is None
-    finished = FinishedRun(directory=tmp_path / "out", summary=summary)
-    streams = [run.trials() for run in (finished, composed)]
-    for mine, other in zip(*streams, strict=True):
-        for topic in ("joint_states", "torque_sensors"):
-            assert np.array_equal(mine.values(topic, JOINTS), other.values(topic, JOINTS))
-    assert read_bag(finished.bags[0]).joint_names == JOINTS

@@ -59,7 +59,7 @@ def extended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     leave = shutil.ignore_patterns("__pycache__", "*.egg-info", "build", "install", "log")
     for folder in COPIED:
         shutil.copytree(ROOT / folder, copy / folder, ignore=leave)
-    for name in ("pyproject.toml", "tests/conftest.py", *TESTS_OF_THE_WHOLE):
+    for name in ("pyproject.toml", "conftest.py", "tests/conftest.py", *TESTS_OF_THE_WHOLE):
         shutil.copy(ROOT / name, copy / name)
     for name, text in NEW_FILES:
         assert not (copy / name).exists(), name
@@ -83,7 +83,7 @@ def test_the_page_has_a_recipe_for_each_and_a_test_in_it() -> None:
 def test_the_tests_of_the_recipes_pass_beside_those_of_the_interfaces(extended: Path) -> None:
     plant = [name for name in TESTS if "armimp_sim" in name]
     others = [name for name in TESTS if name not in plant]
-    # The plant has no uncompiled form. The law has, and compiling it with its gate takes long; but
+    # The plant has no uncompiled form. The law has, and compiling it takes long; but
     # then numpy warns where compiled code divides by zero in silence.
     silent = "-Wignore::RuntimeWarning"
     for names, jit in ((plant, True), ([*others, *TESTS_OF_THE_WHOLE, silent], False)):
@@ -131,7 +131,8 @@ def test_the_examples_of_configurations_are_accepted(extended: Path) -> None:
     assert len(blocks) == 2
     program = [
         "from pathlib import Path",
-        "from armimp_bringup.config import load_config, node_parameters",
+        "from armimp_bringup.config import load_config",
+        "from armimp_bringup.parameters import node_parameters",
     ]
     for number, block in enumerate(blocks):
         path = extended / f"own{number}.yaml"

@@ -23,17 +23,14 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import run_offline
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
-from armimp_bringup.parameters import node_parameters
 from armimp_bringup.replay import replay_bags
 from armimp_common.heartbeat import Presence
 from armimp_common.realtime import Pacer
 from armimp_common.status import Progress
 from armimp_common.topics import (
     CONTROLLER_NODE,
-    DATA_STREAMS,
     NS_PER_S,
     PERIOD_NS,
     SIM_NODE,
@@ -46,7 +43,7 @@ from armimp_estimation.summary import Summary, read_summary
 from armimp_sim.realtime_simulator import RealtimeSimulator
 from armimp_sim.simulator import SimulatedRig
 from support.priority import permitted_priority
-from support.runs import FinishedRun
+from support.runs import FinishedRun, Run
 
 SECONDS = 2.0
 PATIENCE = 100
@@ -167,13 +164,10 @@ def test_when_every_command_is_in_time_expect_a_valid_result_with_its_timing(
         assert period == pytest.approx(0.001, rel=0.05)
 
 
-def test_when_every_command_is_in_time_expect_the_bits_of_lockstep(in_time: FinishedRun) -> None:
-    names, (recorded,) = in_time.joint_names, in_time.trials()
-    assert {len(recorded.streams[topic]) for topic in DATA_STREAMS} == {SECONDS * 1000}
-    for topic in VALUE_FIELD:
-        assert (np.diff(recorded.stamps(topic, names)) == PERIOD_NS).all()
-    lockstep = config().model_copy(update={"mode": "lockstep"})
-    in_time.assert_same_as_offline(run_offline([node_parameters(lockstep, None).rig()])[0])
+def test_when_every_command_is_in_time_expect_the_bits_of_lockstep(
+    in_time: FinishedRun, shared_run: Run
+) -> None:
+    in_time.assert_same_streams(shared_run(joints=1))
 
 
 def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -> None:

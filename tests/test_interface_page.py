@@ -202,9 +202,9 @@ def test_the_keys_of_progress_are_those_of_the_code() -> None:
     assert f"`{Progress.STATUS_NAME}`" in PAGE
 
 
-def test_the_keys_of_a_judgement_are_those_of_the_code() -> None:
-    judgement = StoppingDecision(trial=1, samples=0, enough=False, due=1, bound=0.02)
-    assert list(_table("Stopping decision", "key")) == list(judgement.to_values())
+def test_the_keys_of_a_decision_are_those_of_the_code() -> None:
+    decision = StoppingDecision(trial=1, samples=0, enough=False, due=1, bound=0.02)
+    assert list(_table("Stopping decision", "key")) == list(decision.to_values())
     assert f"`{StoppingDecision.STATUS_NAME}`" in PAGE
     assert f"{NOTICE_TICKS} samples" in PAGE
 

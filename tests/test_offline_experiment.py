@@ -165,7 +165,7 @@ def test_saturated_commands_stay_within_the_limit_and_are_counted() -> None:
         ({"rate_action": Action.STOP, "rate_limit": 1e4}, "changes by .* in a tick"),
     ],
 )
-def test_when_the_gate_stops_an_experiment_expect_no_result_but_the_reason(
+def test_when_the_limiter_stops_an_experiment_expect_no_result_but_the_reason(
     limits: dict[str, Any], reason: str
 ) -> None:
     rig = replace(brief_rig(), safety=brief_rig().safety.model_copy(update=limits))

@@ -160,6 +160,7 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
     assert away[0] == pytest.approx([0.0, 0.0], abs=0.02)
 
 
+@pytest.mark.slow
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
     config = chosen({"offset": OFFSET, "drift": [0.4, 0.2], "delay": 0.002}, duration=10.0)
     case = node_parameters(config, None)

@@ -161,8 +161,8 @@ def judging(node: Node) -> None:
     publisher = node.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
     until_heard(publisher, 1)
     for trial in (1, 2):
-        judgement = StoppingDecision(trial=trial, samples=0, enough=True, due=None, bound=0.5)
-        publisher.publish(status_message(judgement))
+        decision = StoppingDecision(trial=trial, samples=0, enough=True, due=None, bound=0.5)
+        publisher.publish(status_message(decision))
 
 
 def test_a_judgement_that_nobody_asked_for_ends_no_trial(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
 from armimp_control.sequence import SequenceParameters
 from armimp_sim import presets as sim_presets
-from armimp_sim.plant import PlantConfig
+from armimp_sim.plant import Plant, PlantConfig
 from armimp_sim.voluntary import VoluntaryParameters
 from support.safety import torque_only
 
@@ -40,6 +40,8 @@ def main() -> None:
     run_offline([brief_rig()])
     run_offline([brief_rig(), brief_rig(seed=2)])
     run_offline([brief_rig(joints=3)])
+    still = np.zeros((1, 1))
+    Plant([brief_rig(joints=1).plant]).tick(still, still)
     arm = sim_presets.human_arm(2)
     inertia = sim_presets.robot(2).mass_matrix(arm.posture)
     law = Controller(control_presets.imbic(inertia, arm.posture), safety=torque_only(80.0))

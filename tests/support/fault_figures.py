@@ -1,7 +1,4 @@
-"""What the tests of faults measured: one line for each hazard at the end of a test run.
-
-A ``conftest.py`` takes the fixture and the hook over by importing them.
-"""
+"""What the tests of faults measured: one line for each hazard at the end of a test run."""
 
 from __future__ import annotations
 
@@ -71,10 +68,8 @@ def figures(pytestconfig: pytest.Config) -> Figures:
 def pytest_terminal_summary(
     terminalreporter: pytest.TerminalReporter, config: pytest.Config
 ) -> None:
-    """Print what was measured; several ``conftest.py`` may have this hook."""
-    lines = config.stash.get(_FIGURES, Figures()).lines()
-    config.stash[_FIGURES] = Figures()
-    if lines:
+    """Print what was measured."""
+    if lines := config.stash.get(_FIGURES, Figures()).lines():
         terminalreporter.section("hazards: how often tried, and the worst that came of it")
         for line in lines:
             terminalreporter.write_line(line)

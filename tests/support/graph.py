@@ -1,7 +1,4 @@
-"""Fixtures and helpers for tests with real nodes over real DDS, each test in a domain of its own.
-
-A ``conftest.py`` takes the fixtures over by importing them.
-"""
+"""Fixtures and helpers for tests with real nodes over real DDS, each in a domain of its own."""
 
 import signal
 import time

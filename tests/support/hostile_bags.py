@@ -54,22 +54,14 @@ WITNESS: Final = "witness"
 _TOPICS: Final = (*DATA_STREAMS, TRIAL)
 _GIB: Final = 1 << 30
 
-ATTACKS: dict[str, Attack] = {}
 REPLAY: Final = "replay of "
 """Before the name of an attack: with ``armimp replay`` where it is one on ``armimp estimate``."""
-QUICK: list[str] = []
-"""Names of those that also run in the quick tests, one for each way to harm."""
+ATTACKS: dict[str, Attack] = {}
 
 
-def attack(*, quick: bool = False) -> Callable[[Attack], Attack]:
-    def register(function: Attack) -> Attack:
-        name = function.__name__.replace("_", " ")
-        ATTACKS[name] = function
-        if quick:
-            QUICK.append(name)
-        return function
-
-    return register
+def attack(function: Attack) -> Attack:
+    ATTACKS[function.__name__.replace("_", " ")] = function
+    return function
 
 
 # --- MCAP by hand -----------------------------------------------------------------------------
@@ -194,288 +186,188 @@ def zstd_chunks(records: Iterable[bytes]) -> bytes:
     return b"".join(found)
 
 
-# --- compression ------------------------------------------------------------------------------
+# --- what stands in an MCAP file ----------------------------------------------------------------
 
 
-@attack(quick=True)
-def zstd_chunks_of_a_gibibyte(directory: Path) -> Arguments:
-    length = _GIB - len(message(1, 1, b""))
-    begin = struct.pack("<BQ", 5, 22 + length) + struct.pack("<HIQQ", 1, 0, 1, 1)
-    one = chunk("zstd", _GIB, repeated(bytes(1 << 20), length >> 20, begin))
-    return mcap(directory, head(), one, one, one)
+def endless(length: int) -> bytes:
+    """The beginning of a message of so many bytes."""
+    return struct.pack("<BQ", 5, 22 + length) + struct.pack("<HIQQ", 1, 0, 1, 1)
 
 
-@attack()
-def zstd_chunk_of_one_message_of_a_gibibyte(directory: Path) -> Arguments:
-    begin = struct.pack("<BQ", 5, 22 + _GIB - 31) + struct.pack("<HIQQ", 1, 0, 1, 1)
-    frame = zstandard.ZstdCompressor(level=1).compress(begin + bytes(_GIB - 31))
-    one = chunk("zstd", _GIB, frame)
-    return mcap(directory, head(), one, one, one)
+def channels(names: Iterable[tuple[int, str]]) -> Iterable[bytes]:
+    return (channel(number, name, 0) for number, name in names)
 
 
-@attack()
-def zstd_chunk_that_is_larger_than_it_says(directory: Path) -> Arguments:
-    return mcap(directory, head(), chunk("zstd", 1000, zstd(bytes(_GIB))))
+def statuses(number: int, spacing_ns: int, ticks: int, first_ns: int = 0) -> bytes:
+    """Statuses of so many trials, each of which begins so long after the one before."""
+    one = (message(5, i, status(1 + i, first_ns + i * spacing_ns, ticks)) for i in range(number))
+    return zstd_chunks(one)
 
 
-@attack()
-def zstd_frame_that_claims_four_gibibytes(directory: Path) -> Arguments:
-    frame = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 4 * _GIB) + b"\x01\x00\x00"
-    return mcap(directory, head(), chunk("zstd", 4 * _GIB, frame), chunk("zstd", _GIB, frame))
+def sound() -> bytes:
+    return zstd_chunk(packed(experiment()))
 
 
-@attack(quick=True)
-def lz4_chunk_bomb(directory: Path) -> Arguments:
-    return mcap(directory, head(), chunk("lz4", 1000, lz4.frame.compress(bytes(_GIB // 4))))
+def armimp_metadata(**values: str) -> bytes:
+    return metadata_record("armimp", values) + sound()
 
 
-@attack()
-def many_chunks(directory: Path) -> Arguments:
-    one = zstd_chunk(message(1, 1, bytes(100)) * 8000)
-    return mcap(directory, head(), one * min(4000, 9_000_000 // len(one)))
+def rosbag_metadata(text_of_it: str, times: int = 1) -> bytes:
+    return metadata_record("rosbag2", {"serialized_metadata": text_of_it}) * times + sound()
 
 
-@attack()
-def many_chunks_of_lz4(directory: Path) -> Arguments:
-    content = message(1, 1, bytes(60)) * 10_000
-    one = chunk("lz4", len(content), lz4.frame.compress(content))
-    return mcap(directory, head(), one * min(4000, 9_000_000 // len(one)))
+def many(one: bytes) -> bytes:
+    """As often as stays below 10 MB."""
+    return one * (9_000_000 // len(one))
 
 
-@attack()
-def tiny_chunks(directory: Path) -> Arguments:
-    one = chunk("", 31, message(1, 1, b""))
-    return mcap(directory, head(), one * (9_500_000 // len(one)))
+def clipped_beyond_reason() -> bytes:
+    intervals = " ".join(["0-" + "9" * 19] * 100)
+    ticks, start_ns = 10_000_000, 60 * PERIOD_NS
+    one = status(1, start_ns, ticks, clipped=1, clipped_intervals=intervals)
+    return message(5, 1, one) + message(5, 2, status(1, start_ns, ticks, phase=Phase.DONE))
 
 
-@attack(quick=True)
-def messages_without_content(directory: Path) -> Arguments:
-    one = zstd_chunk(message(1, 1, b"") * 1_000_000)
-    return mcap(directory, head(), one * 40)
+def years_apart() -> Iterable[bytes]:
+    def late(one: Message) -> Message:
+        return one[0], one[1], one[2][:4] + struct.pack("<iI", one[1] % 2**31, 0) + one[2][12:]
+
+    return records_of(map(late, samples(20_000)))
 
 
-@attack()
-def messages_that_nobody_wants(directory: Path) -> Arguments:
-    one = zstd_chunk(message(999, 1, b"") * 1_000_000)
-    return mcap(directory, head(), one * 60)
+def layouts() -> Iterable[bytes]:
+    encoders = [
+        JointStateEncoder(("joint_1", "joint_2"), "effort", frame_id=str(10_000 + i))
+        for i in range(1000)
+    ]
+    for tick in range(150_000):
+        raw = encoders[tick % 1000].encode(tick * PERIOD_NS, [1.0, 0.0])
+        yield message(2, tick, raw) + message(3, tick, raw)
 
 
-@attack()
-def chunks_of_many_layouts(directory: Path) -> Arguments:
-    chunks = (
-        zstd_chunk(message(1, 1, bytes(i % 31)) * 5 + message(1, 1, b"") * (30_000 + i))
-        for i in range(300)
-    )
-    return mcap(directory, head(), *chunks)
+def three_hundred_thousand_joints() -> Iterable[bytes]:
+    names = tuple(f"j{i}" for i in range(300_000))
+    values = [float(i == 0) for i in range(len(names))]
+    for number, field in ((1, "position"), (2, "effort"), (3, "effort")):
+        encoder = JointStateEncoder(names, field)  # type: ignore[arg-type]
+        for i in range(4):
+            yield zstd_chunk(message(number, i, encoder.encode(i * PERIOD_NS, values)))
 
 
-@attack(quick=True)
-def compressed_messages(directory: Path) -> Arguments:
-    bomb = zstd(bytes(64 << 20))
-    return mcap(directory, head(), message(1, 1, bomb) * 1000)
+_EMPTY: Final = message(1, 1, b"")
+_X: Final = message(1, 1, b"x")
+_GIBIBYTE: Final = _GIB - len(_EMPTY)
+_LATE: Final = 60 * PERIOD_NS
+MCAP: Final[dict[str, Callable[[], bytes]]] = {
+    # Compression
+    "zstd chunks of a gibibyte": lambda: (
+        3 * chunk("zstd", _GIB, repeated(bytes(1 << 20), _GIBIBYTE >> 20, endless(_GIBIBYTE)))
+    ),
+    "zstd chunk of one message of a gibibyte": lambda: (
+        3 * chunk("zstd", _GIB, zstd(endless(_GIBIBYTE) + bytes(_GIBIBYTE)))
+    ),
+    "zstd chunk that is larger than it says": lambda: chunk("zstd", 1000, zstd(bytes(_GIB))),
+    "zstd frame that claims four gibibytes": lambda: b"".join(
+        chunk("zstd", size, b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 4 * _GIB) + b"\1\0\0")
+        for size in (4 * _GIB, _GIB)
+    ),
+    "lz4 chunk bomb": lambda: chunk("lz4", 1000, lz4.frame.compress(bytes(_GIB // 4))),
+    "many chunks": lambda: many(zstd_chunk(message(1, 1, bytes(100)) * 8000)),
+    "many chunks of lz4": lambda: many(
+        chunk("lz4", 910_000, lz4.frame.compress(message(1, 1, bytes(60)) * 10_000))
+    ),
+    "tiny chunks": lambda: many(chunk("", 31, _EMPTY)),
+    "messages without content": lambda: 40 * zstd_chunk(_EMPTY * 1_000_000),
+    "messages that nobody wants": lambda: 60 * zstd_chunk(message(999, 1, b"") * 1_000_000),
+    "chunks of many layouts": lambda: b"".join(
+        zstd_chunk(message(1, 1, bytes(i % 31)) * 5 + _EMPTY * (30_000 + i)) for i in range(300)
+    ),
+    "compressed messages": lambda: 1000 * message(1, 1, zstd(bytes(64 << 20))),
+    "compressed messages without a size": lambda: (
+        300 * message(1, 1, repeated(bytes(1 << 20), 256))
+    ),
+    # Counts and names
+    "sixty-five thousand channels": lambda: b"".join(
+        (*channels((i, f"/strange/{i}") for i in range(10, 65_500)), packed(experiment()))
+    ),
+    "sixty-five thousand rigs": lambda: b"".join(
+        (*channels((10 + i, f"/{i // 4}/{DATA_STREAMS[i % 4]}") for i in range(65_500)), _X)
+    ),
+    "channels that change their names": lambda: (
+        zstd_chunk(b"".join(channels((1, f"/{i}/joint_states") for i in range(1_000_000)))) + _X
+    ),
+    "the same channel millions of times": lambda: (
+        100 * zstd_chunk(channel(1, "/joint_states", 0) * 200_000) + _X
+    ),
+    "topic with a name of five million letters": lambda: (
+        channel(1, "/" + "a" * 5_000_000 + "/joint_states", 0) + _X
+    ),
+    "message type of five million letters": lambda: (
+        schema(9, "a" * 5_000_000) + channel(1, "/joint_states", 9) + _X
+    ),
+    "thirty thousand statuses": lambda: sound() + statuses(30_000, 10**9, 10),
+    "statuses of one trial by the hundred thousand": lambda: (
+        sound() + 300 * zstd_chunk(message(5, 1, status(1, 0, 1000)) * 1000)
+    ),
+    "trials that overlap": lambda: (
+        zstd_chunks(records_of(samples(50_000))) + statuses(900, 1, 100_000, _LATE)
+    ),
+    "trials of ten million samples": lambda: sound() + statuses(900, 10**6, 10_000_000),
+    "many trials of many samples": lambda: (
+        zstd_chunks(records_of(samples(90_000))) + statuses(900, 10**8, 100)
+    ),
+    "clipped intervals beyond reason": lambda: sound() + clipped_beyond_reason(),
+    "perturbed joint changes with each sample": lambda: zstd_chunks(
+        records_of(samples(50_000, joint=lambda tick: tick % 2))
+    ),
+    "stamps years apart": lambda: zstd_chunks(years_apart()),
+    "messages of changing layout": lambda: zstd_chunks(layouts()),
+    "three hundred thousand joints in messages": lambda: b"".join(three_hundred_thousand_joints()),
+    "three hundred thousand joints in metadata": lambda: armimp_metadata(
+        joint_names=json.dumps([f"j{i}" for i in range(300_000)])
+    ),
+    "metadata of millions of nodes": lambda: rosbag_metadata("- a\n" * 2_000_000),
+    "metadata that is told again and again": lambda: rosbag_metadata("[" + "a," * 5000 + "]", 900),
+    "metadata nested without end": lambda: armimp_metadata(
+        **dict.fromkeys(("config", "truth", "joint_names"), "[" * 3_000_000)
+    ),
+}
+"""What follows the head of the file, whose channels may be told anew."""
+COMPRESSED: Final[dict[str, Callable[[], bytes]]] = {
+    "zeros": lambda: repeated(bytes(1 << 20), 1 << 10),
+    "messages": lambda: repeated(_EMPTY, 100_000_000, head()),
+    "a compressed file": lambda: zstd(repeated(bytes(1 << 20), 6 << 10)),
+    "compressed chunks": lambda: repeated(zstd_chunk(_EMPTY * 1_000_000), 100_000, head()),
+    "compressed messages in compressed chunks": lambda: repeated(
+        zstd_chunk(message(1, 1, zstd(bytes(8 << 20))) * 1000), 10_000, head()
+    ),
+    "many frames": lambda: zstd(head()) + zstd(b"") * 900_000,
+}
+"""Contents of ``bag.mcap.zstd``."""
 
 
-@attack()
-def compressed_messages_without_a_size(directory: Path) -> Arguments:
-    bomb = repeated(bytes(1 << 20), 256)
-    return mcap(directory, head(), message(1, 1, bomb) * 300)
+def _with_content(make: Callable[[], bytes]) -> Attack:
+    return lambda directory: mcap(directory, head(), make())
 
 
-@attack(quick=True)
-def compressed_file_of_zeros(directory: Path) -> Arguments:
-    return mcap(directory, repeated(bytes(1 << 20), 1 << 10), name="bag.mcap.zstd")
+def _compressed(make: Callable[[], bytes]) -> Attack:
+    return lambda directory: mcap(directory, make(), name="bag.mcap.zstd")
 
 
-@attack()
-def compressed_file_of_messages(directory: Path) -> Arguments:
-    content = repeated(message(1, 1, b""), 100_000_000, head())
-    return mcap(directory, content, name="bag.mcap.zstd")
+ATTACKS |= {name: _with_content(make) for name, make in MCAP.items()}
+ATTACKS |= {f"compressed file of {name}": _compressed(make) for name, make in COMPRESSED.items()}
 
 
-@attack()
+@attack
 def compressed_database_of_zeros(directory: Path) -> Arguments:
     content = repeated(bytes(1 << 20), 4 << 10, b"SQLite format 3\0")
     return mcap(directory, content, name="bag.db3.zstd")
 
 
-@attack()
-def compressed_file_in_a_compressed_file(directory: Path) -> Arguments:
-    return mcap(directory, zstd(repeated(bytes(1 << 20), 6 << 10)), name="bag.mcap.zstd")
-
-
-@attack()
-def compressed_file_of_compressed_chunks(directory: Path) -> Arguments:
-    one = zstd_chunk(message(1, 1, b"") * 1_000_000)
-    return mcap(directory, repeated(one, 100_000, head()), name="bag.mcap.zstd")
-
-
-@attack()
-def compressed_messages_in_compressed_chunks_of_a_compressed_file(directory: Path) -> Arguments:
-    one = zstd_chunk(message(1, 1, zstd(bytes(8 << 20))) * 1000)
-    return mcap(directory, repeated(one, 10_000, head()), name="bag.mcap.zstd")
-
-
-@attack()
-def many_frames_in_a_compressed_file(directory: Path) -> Arguments:
-    return mcap(directory, zstd(head()), zstd(b"") * 900_000, name="bag.mcap.zstd")
-
-
-# --- counts and names -------------------------------------------------------------------------
-
-
-@attack()
-def sixty_five_thousand_channels(directory: Path) -> Arguments:
-    names = (channel(i, f"/strange/{i}", 1) for i in range(10, 65_500))
-    return mcap(directory, head(), *names, packed(experiment()))
-
-
-@attack()
-def sixty_five_thousand_rigs(directory: Path) -> Arguments:
-    topics = DATA_STREAMS
-    names = (channel(10 + i, f"/{i // 4}/{topics[i % 4]}", 0) for i in range(65_500))
-    return mcap(directory, MAGIC, *names, message(10, 1, b"x"))
-
-
-@attack()
-def channels_that_change_their_names(directory: Path) -> Arguments:
-    content = b"".join(channel(1, f"/{i}/joint_states", 0) for i in range(1_000_000))
-    return mcap(directory, MAGIC, zstd_chunk(content), message(1, 1, b"x"))
-
-
-@attack()
-def the_same_channel_millions_of_times(directory: Path) -> Arguments:
-    one = zstd_chunk(channel(1, "/joint_states", 0) * 200_000)
-    return mcap(directory, MAGIC, one * 100, message(1, 1, b"x"))
-
-
-@attack(quick=True)
-def topic_with_a_name_of_five_million_letters(directory: Path) -> Arguments:
-    name = "/" + "a" * 5_000_000 + "/joint_states"
-    return mcap(directory, MAGIC, channel(1, name, 0), message(1, 1, b"x"))
-
-
-@attack()
-def message_type_of_five_million_letters(directory: Path) -> Arguments:
-    kind = schema(9, "a" * 5_000_000) + channel(1, "/joint_states", 9)
-    return mcap(directory, head(), kind, message(1, 1, b"x"))
-
-
-@attack(quick=True)
-def thirty_thousand_statuses(directory: Path) -> Arguments:
-    many = (message(5, i, status(1 + i, i * 10**9, 10)) for i in range(30_000))
-    return mcap(directory, head(), zstd_chunk(packed(experiment())), zstd_chunks(many))
-
-
-@attack()
-def statuses_of_one_trial_by_the_hundred_thousand(directory: Path) -> Arguments:
-    many = zstd_chunk(message(5, 1, status(1, 0, 1000)) * 1000) * 300
-    return mcap(directory, head(), zstd_chunk(packed(experiment())), many)
-
-
-@attack(quick=True)
-def trials_that_overlap(directory: Path) -> Arguments:
-    many = (message(5, i, status(1 + i, 60 * PERIOD_NS + i, 100_000)) for i in range(900))
-    data = zstd_chunks(records_of(samples(50_000)))
-    return mcap(directory, head(), data, zstd_chunks(many))
-
-
-@attack()
-def trials_of_ten_million_samples(directory: Path) -> Arguments:
-    many = (message(5, i, status(1 + i, i * 10**6, 10_000_000)) for i in range(900))
-    data = zstd_chunk(packed(experiment()))
-    return mcap(directory, head(), data, zstd_chunks(many))
-
-
-@attack()
-def many_trials_of_many_samples(directory: Path) -> Arguments:
-    many = (message(5, i, status(1 + i, i * 10**8, 100)) for i in range(900))
-    data = zstd_chunks(records_of(samples(90_000)))
-    return mcap(directory, head(), data, zstd_chunks(many))
-
-
-@attack()
-def clipped_intervals_beyond_reason(directory: Path) -> Arguments:
-    intervals = " ".join(["0-" + "9" * 19] * 100)
-    one = status(1, 60 * PERIOD_NS, 10_000_000, clipped=1, clipped_intervals=intervals)
-    done = status(1, 60 * PERIOD_NS, 10_000_000, phase=Phase.DONE)
-    return mcap(
-        directory, head(), zstd_chunk(packed(experiment())), message(5, 1, one), message(5, 2, done)
-    )
-
-
-@attack()
-def perturbed_joint_changes_with_each_sample(directory: Path) -> Arguments:
-    data = zstd_chunks(records_of(samples(50_000, joint=lambda tick: tick % 2)))
-    return mcap(directory, head(), data)
-
-
-@attack()
+@attack
 def every_third_sample_is_not_finite(directory: Path) -> Arguments:
     data = records_of(samples(150_000, value=lambda tick: np.nan if tick % 3 == 0 else 0.1))
-    return "estimate", *mcap(directory, head(), zstd_chunks(data))[1:], "--allow-gaps"
-
-
-@attack()
-def stamps_years_apart(directory: Path) -> Arguments:
-    def late(one: Message) -> Message:
-        return one[0], one[1], one[2][:4] + struct.pack("<iI", one[1] % 2**31, 0) + one[2][12:]
-
-    return mcap(directory, head(), zstd_chunks(records_of(map(late, samples(20_000)))))
-
-
-@attack()
-def messages_of_changing_layout(directory: Path) -> Arguments:
-    encoders = [
-        JointStateEncoder(("joint_1", "joint_2"), "effort", frame_id=str(10_000 + i))
-        for i in range(1000)
-    ]
-    parts = []
-    for tick in range(150_000):
-        raw = encoders[tick % 1000].encode(tick * PERIOD_NS, [1.0, 0.0])
-        parts += [message(topic, tick, raw) for topic in (2, 3)]
-    half = len(parts) // 2
-    return mcap(directory, head(), *(zstd_chunk(b"".join(p)) for p in (parts[:half], parts[half:])))
-
-
-def million_joints() -> tuple[str, ...]:
-    return tuple(f"j{i}" for i in range(300_000))
-
-
-@attack(quick=True)
-def three_hundred_thousand_joints_in_messages(directory: Path) -> Arguments:
-    names = million_joints()
-    parts = []
-    for number, field in ((1, "position"), (2, "effort"), (3, "effort")):
-        encoder = JointStateEncoder(names, field)  # type: ignore[arg-type]
-        values = [float(i == 0) for i in range(len(names))]
-        parts += [message(number, i, encoder.encode(i * PERIOD_NS, values)) for i in range(4)]
-    return mcap(directory, head(), *(zstd_chunk(part) for part in parts))
-
-
-@attack()
-def three_hundred_thousand_joints_in_metadata(directory: Path) -> Arguments:
-    names = "[" + ",".join(f'"{name}"' for name in million_joints()) + "]"
-    data = zstd_chunk(packed(experiment()))
-    return mcap(directory, head(), metadata_record("armimp", {"joint_names": names}), data)
-
-
-@attack()
-def metadata_of_millions_of_nodes(directory: Path) -> Arguments:
-    bomb = metadata_record("rosbag2", {"serialized_metadata": "- a\n" * 2_000_000})
-    return mcap(directory, head(), bomb, zstd_chunk(packed(experiment())))
-
-
-@attack()
-def metadata_that_is_told_again_and_again(directory: Path) -> Arguments:
-    bomb = metadata_record("rosbag2", {"serialized_metadata": "[" + "a," * 5000 + "]"})
-    return mcap(directory, head(), bomb * 900, zstd_chunk(packed(experiment())))
-
-
-@attack()
-def metadata_nested_without_end(directory: Path) -> Arguments:
-    values = dict.fromkeys(("config", "truth", "joint_names"), "[" * 3000000)
-    bomb = metadata_record("armimp", values)
-    return mcap(directory, head(), bomb, zstd_chunk(packed(experiment())))
+    return *mcap(directory, head(), zstd_chunks(data)), "--allow-gaps"
 
 
 # --- SQLite -----------------------------------------------------------------------------------
@@ -505,57 +397,37 @@ _COUNTING: Final = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM
 _TOPICS_TABLE, _MESSAGES_TABLE = _SCHEMA.strip().splitlines()
 
 
-@attack(quick=True)
-def recursive_view_of_messages(directory: Path) -> Arguments:
-    view = (
-        f"CREATE VIEW messages AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data"
-    )
-    return database(directory, f"{_TOPICS_TABLE} {view} FROM n;")
+_VIEW: Final = f"AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
+_VIRTUAL: Final = "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL"
+SQL: Final = {
+    "recursive view of messages": f"{_TOPICS_TABLE} CREATE VIEW messages {_VIEW};",
+    "recursive view that finds nothing": f"{_TOPICS_TABLE} CREATE VIEW messages {_VIEW}"
+    " WHERE i < 0;",
+    "recursive view of metadata": f"{_SCHEMA} CREATE VIEW metadata AS {_COUNTING}"
+    " SELECT i AS id, '- a' AS metadata FROM n;",
+    "generated column": f"{_TOPICS_TABLE} CREATE TABLE messages(id INTEGER PRIMARY KEY,"
+    f" topic_id INTEGER, timestamp INTEGER, {_VIRTUAL});"
+    " INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3), (2, 4);",
+    "virtual table": f"{_TOPICS_TABLE} CREATE VIRTUAL TABLE messages"
+    " USING fts5(topic_id, timestamp, data);",
+    "a million topics": f"{_SCHEMA} {_COUNTING}"
+    " INSERT INTO topics SELECT 10 + i, i, '', 'cdr' FROM n LIMIT 400000;",
+}
+"""Scripts that make a database."""
 
 
-@attack()
-def recursive_view_that_finds_nothing(directory: Path) -> Arguments:
-    view = (
-        f"CREATE VIEW messages AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data"
-    )
-    return database(directory, f"{_TOPICS_TABLE} {view} FROM n WHERE i < 0;")
+def _database(script: str) -> Attack:
+    return lambda directory: database(directory, script)
 
 
-@attack()
+ATTACKS |= {name: _database(script) for name, script in SQL.items()}
+
+
+@attack
 def recursive_view_of_topics(directory: Path) -> Arguments:
     view = f"CREATE VIEW topics AS {_COUNTING} SELECT i AS id, '/' || i AS name, '' AS type"
     script = f"{_MESSAGES_TABLE} {view}, 'cdr' AS serialization_format FROM n;"
     return database(directory, script, fill=False)
-
-
-@attack()
-def recursive_view_of_metadata(directory: Path) -> Arguments:
-    view = f"CREATE VIEW metadata AS {_COUNTING} SELECT i AS id, '- a' AS metadata FROM n;"
-    return database(directory, _SCHEMA + view)
-
-
-@attack()
-def generated_column(directory: Path) -> Arguments:
-    columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER"
-    generated = "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL"
-    rows = "INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3), (2, 4);"
-    return database(
-        directory, f"{_TOPICS_TABLE} CREATE TABLE messages({columns}, {generated});{rows}"
-    )
-
-
-@attack()
-def virtual_table(directory: Path) -> Arguments:
-    columns = "topic_id, timestamp, data"
-    return database(
-        directory, f"{_TOPICS_TABLE} CREATE VIRTUAL TABLE messages USING fts5({columns});"
-    )
-
-
-@attack()
-def a_million_topics(directory: Path) -> Arguments:
-    rows = f"{_COUNTING} INSERT INTO topics SELECT 10 + i, i, '', 'cdr' FROM n LIMIT 400000;"
-    return database(directory, _SCHEMA + rows)
 
 
 def interior_page(child: int, cells: int, size: int = 4096) -> bytes:
@@ -569,7 +441,7 @@ def interior_page(child: int, cells: int, size: int = 4096) -> bytes:
     return bytes(page)
 
 
-@attack(quick=True)
+@attack
 def tree_whose_branches_are_one(directory: Path) -> Arguments:
     arguments = database(directory, _SCHEMA + "INSERT INTO messages VALUES (1, 9, 1, x'00');")
     file = Path(arguments[1])
@@ -589,7 +461,7 @@ def tree_whose_branches_are_one(directory: Path) -> Arguments:
     return arguments
 
 
-@attack(quick=True)
+@attack
 def journal_that_has_another_file_deleted(directory: Path) -> Arguments:
     rows = f"{_COUNTING} INSERT INTO messages SELECT i, 1, i, zeroblob(100) FROM n LIMIT 100;"
     arguments = database(directory, _SCHEMA + rows)
@@ -611,20 +483,120 @@ def journal_that_has_another_file_deleted(directory: Path) -> Arguments:
     return arguments
 
 
-@attack()
-def log_that_is_a_device(directory: Path) -> Arguments:
+# --- what is no regular file -------------------------------------------------------------------
+
+
+def _hole(path: Path) -> None:
+    """Give a file a tebibyte that nobody ever wrote."""
+    path.touch()
+    os.truncate(path, 1 << 40)
+
+
+KINDS: Final[dict[str, Callable[[Path], object]]] = {
+    "a pipe": os.mkfifo,
+    "a device": lambda path: path.symlink_to("/dev/zero"),
+    "a hole": _hole,
+}
+
+
+def study(directory: Path) -> Arguments:
+    only = "friction=0,resolution=0,perturbation=3"
+    return "reproduce", "--no-figures", "--only", only, "--out", str(directory)
+
+
+def configured(file: Path) -> Arguments:
+    return "run", "--config", str(file), "--out", str(file.parent / "out")
+
+
+def finished(directory: Path) -> Arguments:
+    """A bag whose metadata are good."""
+    (directory / "metadata.yaml").write_text(
+        "rosbag2_bagfile_information: {storage_identifier: mcap, message_count: 0,"
+        " relative_file_paths: [bag.mcap]}\n"
+    )
+    return "estimate", str(directory)
+
+
+def with_database(directory: Path) -> Arguments:
     arguments = database(directory, _SCHEMA)
-    Path(f"{arguments[1]}-journal").symlink_to("/dev/zero")
-    Path(f"{arguments[1]}-wal").write_bytes(b"x" * 100)
+    (directory / "bag.db3-wal").write_bytes(b"x" * 100)
     return arguments
 
 
-@attack()
-def log_that_is_a_pipe(directory: Path) -> Arguments:
-    arguments = database(directory, _SCHEMA)
-    os.mkfifo(f"{arguments[1]}-journal")
-    Path(f"{arguments[1]}-wal").write_bytes(b"x" * 100)
+PLACES: Final[dict[str, tuple[str, Attack]]] = {
+    "metadata": ("metadata.yaml", lambda directory: ("estimate", str(directory))),
+    "storage": ("bag.mcap", finished),
+    "journal of a database": ("bag.db3-journal", with_database),
+    "configuration": ("config.yaml", lambda directory: configured(directory / "config.yaml")),
+    "configuration of a study": ("config.json", study),
+}
+"""Files by what they are, and what reads them."""
+
+
+def _in_place_of(name: str, make: Callable[[Path], object], arguments: Attack) -> Attack:
+    def attack_with(directory: Path) -> Arguments:
+        found = arguments(directory)
+        make(directory / name)
+        return found
+
+    return attack_with
+
+
+for _place, (_name, _arguments) in PLACES.items():
+    for _kind, _make in KINDS.items():
+        ATTACKS[f"{_kind} as {_place}"] = _in_place_of(_name, _make, _arguments)
+
+
+def enlarged(file: Path) -> None:
+    """Let a file be followed by a hole."""
+    os.truncate(file, 1 << 40)
+
+
+@attack
+def storage_with_a_hole(directory: Path) -> Arguments:
+    arguments = mcap(directory, head(), sound())
+    enlarged(directory / "bag.mcap")
     return arguments
+
+
+@attack
+def database_with_a_hole(directory: Path) -> Arguments:
+    arguments = database(directory, _SCHEMA)
+    enlarged(directory / "bag.db3")
+    return arguments
+
+
+@attack
+def metadata_on_the_terminal(directory: Path) -> Arguments:
+    (directory / "metadata.yaml").symlink_to("/dev/full")
+    return "estimate", str(directory)
+
+
+@attack
+def lock_of_a_study_that_is_a_link(directory: Path) -> Arguments:
+    (directory / ".lock").symlink_to(directory.parent / WITNESS / "canary")
+    (directory / "config.json").write_text("{}")
+    return study(directory)
+
+
+@attack
+def lock_of_a_study_that_is_a_pipe(directory: Path) -> Arguments:
+    os.mkfifo(directory / ".lock")
+    (directory / "config.json").write_text("{}")
+    return study(directory)
+
+
+@attack
+def results_of_a_study_that_are_elsewhere(directory: Path) -> Arguments:
+    (directory / "conditions").symlink_to(directory.parent / WITNESS)
+    (directory / "config.json").write_text("{}")
+    return study(directory)
+
+
+@attack
+def study_configured_by_nine_million_lists(directory: Path) -> Arguments:
+    (directory / "config.json").write_text("[" + "[]," * 3_000_000 + "[]]")
+    return study(directory)
 
 
 # --- directories ------------------------------------------------------------------------------
@@ -640,155 +612,93 @@ def provisional(directory: Path, *content: bytes) -> Path:
     return bag
 
 
-@attack()
+@attack
 def link_in_place_of_the_temporary_metadata(directory: Path) -> Arguments:
-    bag = provisional(directory, zstd_chunk(packed(experiment())))
+    bag = provisional(directory, sound())
     (bag / ".metadata.yaml.tmp").symlink_to(directory.parent / WITNESS / "canary")
     return "estimate", str(bag)
 
 
-@attack()
+@attack
 def pipe_in_place_of_the_temporary_metadata(directory: Path) -> Arguments:
-    bag = provisional(directory, zstd_chunk(packed(experiment())))
+    bag = provisional(directory, sound())
     os.mkfifo(bag / ".metadata.yaml.tmp")
     return "estimate", str(bag)
 
 
-@attack(quick=True)
+@attack
 def unfinished_bag_of_large_chunks(directory: Path) -> Arguments:
-    begin = struct.pack("<BQ", 5, 22 + (30 << 20)) + struct.pack("<HIQQ", 1, 0, 1, 1)
-    content = begin + bytes(30 << 20)
+    content = endless(30 << 20) + bytes(30 << 20)
     return "estimate", str(provisional(directory, zstd_chunk(content) * 200))
 
 
-@attack(quick=True)
-def metadata_from_a_pipe(directory: Path) -> Arguments:
-    os.mkfifo(directory / "metadata.yaml")
-    return "estimate", str(directory)
-
-
-@attack()
-def metadata_on_a_device(directory: Path) -> Arguments:
-    (directory / "metadata.yaml").symlink_to("/dev/zero")
-    return "estimate", str(directory)
-
-
-@attack()
-def metadata_on_the_terminal(directory: Path) -> Arguments:
-    (directory / "metadata.yaml").symlink_to("/dev/full")
-    return "estimate", str(directory)
-
-
-@attack(quick=True)
+@attack
 def metadata_of_ten_million_letters(directory: Path) -> Arguments:
     (directory / "metadata.yaml").write_text("- a\n" * 2_400_000)
     return "estimate", str(directory)
 
 
-@attack()
+@attack
 def metadata_that_lists_a_file_again_and_again(directory: Path) -> Arguments:
-    mcap(directory, head(), zstd_chunk(packed(experiment())))
+    mcap(directory, head(), sound())
     paths = {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.mcap"] * 20_000}}
     (directory / "metadata.yaml").write_text(yaml.safe_dump(paths))
     return "estimate", str(directory)
 
 
-@attack()
+@attack
 def a_file_under_many_names(directory: Path) -> Arguments:
-    mcap(directory, head(), zstd_chunk(packed(experiment())))
+    mcap(directory, head(), sound())
     for i in range(3000):
         (directory / f"bag_{i}.mcap").symlink_to("bag.mcap")
     return "estimate", str(directory)
 
 
-@attack()
-def storage_from_a_pipe(directory: Path) -> Arguments:
-    os.mkfifo(directory / "bag.mcap")
-    (directory / "metadata.yaml").write_text(
-        "rosbag2_bagfile_information: {storage_identifier: mcap, message_count: 0,"
-        " relative_file_paths: [bag.mcap]}\n"
-    )
-    return "estimate", str(directory)
-
-
-@attack()
-def storage_on_a_device(directory: Path) -> Arguments:
-    (directory / "bag.mcap").symlink_to("/dev/zero")
-    return "estimate", str(directory / "bag.mcap")
-
-
-@attack(quick=True)
+@attack
 def name_that_is_not_text(directory: Path) -> Arguments:
     name = os.fsdecode(b"b\xff\xfeg.mcap")
-    return mcap(directory, head(), zstd_chunk(packed(experiment())), name=name)
+    return mcap(directory, head(), sound(), name=name)
 
 
-@attack()
+@attack
 def directory_whose_name_is_not_text(directory: Path) -> Arguments:
     bag = directory / os.fsdecode(b"\xff\xfe")
     bag.mkdir()
-    mcap(bag, head(), zstd_chunk(packed(experiment())))
+    mcap(bag, head(), sound())
     return "estimate", str(bag)
 
 
-@attack()
+@attack
 def results_into_a_name_that_is_not_text(directory: Path) -> Arguments:
-    arguments = mcap(directory, head(), zstd_chunk(packed(experiment())))
+    arguments = mcap(directory, head(), sound())
     return (*arguments, "--out", str(directory / os.fsdecode(b"\xff\xfe")))
 
 
-def enlarged(file: Path) -> None:
-    """Give a file a tebibyte that nobody ever wrote."""
-    with file.open("r+b") as content:
-        content.truncate(1 << 40)
-
-
-@attack(quick=True)
-def storage_that_is_a_hole(directory: Path) -> Arguments:
-    arguments = mcap(directory, head(), zstd_chunk(packed(experiment())))
-    enlarged(directory / "bag.mcap")
-    return arguments
-
-
-@attack()
-def database_that_is_a_hole(directory: Path) -> Arguments:
-    arguments = database(directory, _SCHEMA)
-    enlarged(directory / "bag.db3")
-    return arguments
-
-
-@attack()
+@attack
 def unfinished_bag_that_is_a_hole(directory: Path) -> Arguments:
-    bag = provisional(directory, zstd_chunk(packed(experiment())), struct.pack("<BQ", 6, 1 << 39))
+    bag = provisional(directory, sound(), struct.pack("<BQ", 6, 1 << 39))
     enlarged(bag / "bag_0.mcap")
     return "estimate", str(bag)
 
 
-@attack()
-def metadata_that_is_a_hole(directory: Path) -> Arguments:
-    (directory / "metadata.yaml").touch()
-    enlarged(directory / "metadata.yaml")
-    return "estimate", str(directory)
-
-
-@attack(quick=True)
+@attack
 def link_to_an_unfinished_bag_elsewhere(directory: Path) -> Arguments:
-    bag = provisional(directory.parent / WITNESS, zstd_chunk(packed(experiment())))
+    bag = provisional(directory.parent / WITNESS, sound())
     run = directory / "bags"
     run.mkdir()
     (run / "trial_1_joint_1").symlink_to(bag)
     return "estimate", str(directory)
 
 
-@attack()
+@attack
 def unfinished_storage_that_is_a_link(directory: Path) -> Arguments:
-    bag = provisional(directory, zstd_chunk(packed(experiment())))
+    bag = provisional(directory, sound())
     (bag / "bag_0.mcap").rename(directory.parent / WITNESS / "bag.mcap")
     (bag / "bag_0.mcap").symlink_to(directory.parent / WITNESS / "bag.mcap")
     return "estimate", str(bag)
 
 
-@attack()
+@attack
 def links_in_a_circle(directory: Path) -> Arguments:
     (directory / "bags").mkdir()
     for i in range(100):
@@ -797,39 +707,39 @@ def links_in_a_circle(directory: Path) -> Arguments:
     return "estimate", str(directory)
 
 
-@attack(quick=True)
+@attack
 def thousands_of_links_to_one_bag(directory: Path) -> Arguments:
     (directory / "one").mkdir()
-    mcap(directory / "one", head(), zstd_chunk(packed(experiment())))
+    mcap(directory / "one", head(), sound())
     for i in range(1000):
         (directory / f"bag_{i}").symlink_to("one")
     return "estimate", str(directory)
 
 
-@attack()
+@attack
 def thousands_of_bags_with_one_storage(directory: Path) -> Arguments:
-    mcap(directory, head(), zstd_chunk(packed(experiment())), name="storage")
+    mcap(directory, head(), sound(), name="storage")
     for i in range(5000):
         (directory / f"bag_{i}").mkdir()
         (directory / f"bag_{i}" / "bag.mcap").hardlink_to(directory / "storage")
     return "estimate", str(directory)
 
 
-@attack()
+@attack
 def a_hundred_thousand_files(directory: Path) -> Arguments:
     for i in range(100_000):
         (directory / f"{i}.mcap").touch()
     return "estimate", str(directory)
 
 
-@attack()
+@attack
 def a_hundred_thousand_foreign_files(directory: Path) -> Arguments:
     for i in range(100_000):
         (directory / f"{i}.txt").touch()
     return "estimate", str(directory)
 
 
-@attack(quick=True)
+@attack
 def names_of_many_lines(directory: Path) -> Arguments:
     bag = directory / "a\narmimp: all is well\r\x1b[2J"
     bag.mkdir()
@@ -837,7 +747,7 @@ def names_of_many_lines(directory: Path) -> Arguments:
     return "estimate", str(bag)
 
 
-@attack()
+@attack
 def storage_named_by_many_lines(directory: Path) -> Arguments:
     name = "a\nb\x1b[2J" + "c" * 100
     paths = {"rosbag2_bagfile_information": {"relative_file_paths": [name]}}
@@ -847,7 +757,7 @@ def storage_named_by_many_lines(directory: Path) -> Arguments:
 
 def changing(directory: Path, change: Callable[[Path, bytes, int], object]) -> Arguments:
     """A bag that another process changes, again and again, for as long as it may be read."""
-    arguments = mcap(directory, head(), *(zstd_chunk(packed(experiment())) for _ in range(20)))
+    arguments = mcap(directory, head(), *(sound() for _ in range(20)))
     file = Path(arguments[1])
     content = file.read_bytes()
     if not os.fork():
@@ -861,7 +771,7 @@ def changing(directory: Path, change: Callable[[Path, bytes, int], object]) -> A
     return arguments
 
 
-@attack()
+@attack
 def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
     def change(file: Path, content: bytes, turn: int) -> None:
         os.truncate(file, turn * 7919 % len(content))
@@ -870,7 +780,7 @@ def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
     return changing(directory, change)
 
 
-@attack()
+@attack
 def storage_that_is_scrambled_while_it_is_read(directory: Path) -> Arguments:
     def change(file: Path, content: bytes, turn: int) -> None:
         with file.open("r+b") as open_file:
@@ -880,7 +790,7 @@ def storage_that_is_scrambled_while_it_is_read(directory: Path) -> Arguments:
     return changing(directory, change)
 
 
-@attack()
+@attack
 def storage_that_becomes_a_pipe_and_back(directory: Path) -> Arguments:
     def change(file: Path, content: bytes, turn: int) -> None:
         file.unlink()
@@ -892,143 +802,78 @@ def storage_that_becomes_a_pipe_and_back(directory: Path) -> Arguments:
     return changing(directory, change)
 
 
-# --- studies that go on ----------------------------------------------------------------------
-
-
-def study(directory: Path) -> Arguments:
-    only = "friction=0,resolution=0,perturbation=3"
-    return "reproduce", "--no-figures", "--only", only, "--out", str(directory)
-
-
-@attack()
-def lock_of_a_study_that_is_a_link(directory: Path) -> Arguments:
-    (directory / ".lock").symlink_to(directory.parent / WITNESS / "canary")
-    (directory / "config.json").write_text("{}")
-    return study(directory)
-
-
-@attack()
-def lock_of_a_study_that_is_a_pipe(directory: Path) -> Arguments:
-    os.mkfifo(directory / ".lock")
-    (directory / "config.json").write_text("{}")
-    return study(directory)
-
-
-@attack()
-def results_of_a_study_that_are_elsewhere(directory: Path) -> Arguments:
-    (directory / "conditions").symlink_to(directory.parent / WITNESS)
-    (directory / "config.json").write_text("{}")
-    return study(directory)
-
-
-@attack()
-def study_configured_by_a_pipe(directory: Path) -> Arguments:
-    os.mkfifo(directory / "config.json")
-    return study(directory)
-
-
-@attack()
-def study_configured_by_a_device(directory: Path) -> Arguments:
-    (directory / "config.json").symlink_to("/dev/zero")
-    return study(directory)
-
-
-@attack()
-def study_configured_by_a_hole(directory: Path) -> Arguments:
-    (directory / "config.json").touch()
-    enlarged(directory / "config.json")
-    return study(directory)
-
-
-@attack()
-def study_configured_by_nine_million_lists(directory: Path) -> Arguments:
-    (directory / "config.json").write_text("[" + "[]," * 3_000_000 + "[]]")
-    return study(directory)
-
-
 # --- configurations ---------------------------------------------------------------------------
 
 
-def config(directory: Path, content: str | bytes) -> Arguments:
-    file = directory / "config.yaml"
-    file.write_bytes(content.encode() if isinstance(content, str) else content)
-    return "run", "--config", str(file), "--out", str(directory / "out")
+def _nested(first: str, other: str) -> str:
+    """Aliases of aliases of aliases, nine of them in each."""
+    lines = [f"a0: &a0 {first}"]
+    lines += [f"a{i}: &a{i} " + other.format(", ".join([f"*a{i - 1}"] * 9)) for i in range(1, 12)]
+    return "arm_sim:\n" + "".join(f"  {line}\n" for line in lines)
 
 
-@attack(quick=True)
-def config_nested_nine_hundred_deep(directory: Path) -> Arguments:
-    return config(directory, "arm_sim: {a: " + "[" * 900 + "]" * 900 + "}")
+def _joints(number: int) -> str:
+    return f"arm_sim: {{joints: [{', '.join(f'j{i}' for i in range(number))}]}}"
 
 
-@attack()
-def config_nested_a_million_deep(directory: Path) -> Arguments:
-    return config(directory, "[" * 1_000_000)
+CONFIGS: Final[dict[str, Callable[[], str]]] = {
+    "nested nine hundred deep": lambda: "arm_sim: {a: " + "[" * 900 + "]" * 900 + "}",
+    "nested a million deep": lambda: "[" * 1_000_000,
+    "of nested aliases": lambda: _nested("[x, x, x, x, x, x, x, x, x]", "[{}]"),
+    "of nested merges": lambda: _nested("{x: 1}", "{{<<: [{}]}}"),
+    "of a million joints": lambda: _joints(1_000_000),
+    "of ten thousand joints": lambda: _joints(10_000),
+    "with a number of base sixty": lambda: "seed: 1" + ":59" * 2_000_000,
+    "with a real number of base sixty": lambda: "duration: 1" + ":59" * 5_000 + ".5",
+    "with a value of ten million letters": lambda: "mode: " + "a" * 9_500_000,
+}
+"""Contents of a configuration file."""
 
 
-@attack(quick=True)
-def config_of_nested_aliases(directory: Path) -> Arguments:
-    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
-    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
-    return config(directory, "arm_sim:\n" + "".join(f"  {line}\n" for line in lines))
+def config(directory: Path, content: str, name: str = "config.yaml") -> Arguments:
+    (directory / name).write_text(content)
+    return configured(directory / name)
 
 
-@attack()
-def config_of_nested_merges(directory: Path) -> Arguments:
-    lines = ["a0: &a0 {x: 1}"]
-    lines += [f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}" for i in range(1, 12)]
-    return config(directory, "arm_sim:\n" + "".join(f"  {line}\n" for line in lines))
+def _configured_by(make: Callable[[], str]) -> Attack:
+    return lambda directory: config(directory, make())
 
 
-@attack()
-def config_of_a_million_joints(directory: Path) -> Arguments:
-    names = ", ".join(f"j{i}" for i in range(1_000_000))
-    return config(directory, f"arm_sim: {{joints: [{names}]}}")
+ATTACKS |= {f"config {name}": _configured_by(make) for name, make in CONFIGS.items()}
 
 
-@attack(quick=True)
-def config_of_ten_thousand_joints(directory: Path) -> Arguments:
-    names = ", ".join(f"j{i}" for i in range(10_000))
-    return config(directory, f"arm_sim: {{joints: [{names}]}}")
-
-
-@attack()
-def config_with_a_number_of_base_sixty(directory: Path) -> Arguments:
-    return config(directory, "seed: 1" + ":59" * 2_000_000)
-
-
-@attack(quick=True)
-def config_with_a_real_number_of_base_sixty(directory: Path) -> Arguments:
-    return config(directory, "duration: 1" + ":59" * 5_000 + ".5")
-
-
-@attack()
-def config_with_a_value_of_ten_million_letters(directory: Path) -> Arguments:
-    return config(directory, "mode: " + "a" * 9_500_000)
-
-
-@attack()
-def config_from_a_pipe(directory: Path) -> Arguments:
-    os.mkfifo(directory / "config.yaml")
-    return "run", "--config", str(directory / "config.yaml"), "--out", str(directory / "out")
-
-
-@attack()
-def config_on_a_device(directory: Path) -> Arguments:
-    return "run", "--config", "/dev/zero", "--out", str(directory / "out")
-
-
-@attack()
-def config_that_is_a_hole(directory: Path) -> Arguments:
-    arguments = config(directory, "mode: realtime\n")
-    enlarged(directory / "config.yaml")
-    return arguments
-
-
-@attack()
+@attack
 def config_whose_name_is_not_text(directory: Path) -> Arguments:
-    file = directory / os.fsdecode(b"\xff.yaml")
-    file.write_text("mode: nonsense")
-    return "run", "--config", str(file), "--out", str(directory / "out")
+    return config(directory, "mode: nonsense", os.fsdecode(b"\xff.yaml"))
+
+
+QUICK: Final = [
+    "zstd chunks of a gibibyte",
+    "lz4 chunk bomb",
+    "messages without content",
+    "compressed messages",
+    "compressed file of zeros",
+    "topic with a name of five million letters",
+    "thirty thousand statuses",
+    "trials that overlap",
+    "three hundred thousand joints in messages",
+    "recursive view of messages",
+    "tree whose branches are one",
+    "journal that has another file deleted",
+    "unfinished bag of large chunks",
+    "a pipe as metadata",
+    "metadata of ten million letters",
+    "name that is not text",
+    "storage with a hole",
+    "link to an unfinished bag elsewhere",
+    "thousands of links to one bag",
+    "names of many lines",
+    "config nested nine hundred deep",
+    "config of nested aliases",
+    "config of ten thousand joints",
+    "config with a real number of base sixty",
+]
+"""Those that also run in the quick tests, one for each way to harm."""
 
 
 # --- trying them ------------------------------------------------------------------------------

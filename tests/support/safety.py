@@ -6,7 +6,7 @@ from armimp_control.safety_limiter import SafetyParameters
 
 
 def torque_only(limit: float) -> SafetyParameters:
-    """A gate that limits the torque, N·m, and nothing else; what is not finite still stops it."""
+    """A limiter of the torque, N·m, and of nothing else; what is not finite still stops it."""
     return SafetyParameters(
         position_limit=(1e300,),
         velocity_limit=(1e300,),

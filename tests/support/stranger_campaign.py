@@ -182,8 +182,8 @@ def status(**changes: Any) -> Callable[[Rng], DiagnosticStatus]:
     return lambda _: status_message(TrialStatus(**values))
 
 
-def judgement(trial: int) -> Callable[[Rng], DiagnosticStatus]:
-    """Make a judgement that a trial may end."""
+def decision(trial: int) -> Callable[[Rng], DiagnosticStatus]:
+    """Make a decision that a trial may end."""
     made = StoppingDecision(trial=trial, samples=1000, enough=True, due=None, bound=0.5)
     return lambda _: status_message(made)
 
@@ -273,14 +273,12 @@ ACTS: dict[str, Act] = {
         qos.PROGRESS,
         *(rubbish("impedance_estimator: progress") for _ in range(20)),
     ),
-    "judgement": message(
-        DiagnosticStatus, topics.STOPPING, qos.LATCHED, judgement(1), judgement(2)
-    ),
-    "judgement that cannot be read": message(
+    "decision": message(DiagnosticStatus, topics.STOPPING, qos.LATCHED, decision(1), decision(2)),
+    "decision that cannot be read": message(
         DiagnosticStatus,
         topics.STOPPING,
         qos.LATCHED,
-        *(rubbish("impedance_estimator: judgement") for _ in range(5)),
+        *(rubbish("impedance_estimator: stopping") for _ in range(5)),
     ),
     "shorter trial": message(DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(ticks=1500)),
     "trial of another joint": message(

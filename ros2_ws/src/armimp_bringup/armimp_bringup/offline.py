@@ -81,7 +81,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     scalars: NDArray[np.float64],
     rules: NDArray[np.float64],
     memory: NDArray[np.float64],
-    gates: NDArray[np.float64],
+    limiters: NDArray[np.float64],
     journals: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
     voluntary: NDArray[np.float64],
@@ -102,7 +102,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     scalars : (lanes, 2) Γ, rad/s; L, s
     rules : (lanes, RULE_ROWS, n) of the safety limiters
     memory : (lanes, MEMORY_ROWS, n) of the law, updated
-    gates, journals : (lanes, LIMITER_ROWS, n) and (lanes, JOURNAL) of the safety limiters, updated
+    limiters, journals : (lanes, LIMITER_ROWS, n), (lanes, JOURNAL) of the safety limiters, updated
     tau_delta, voluntary : (ticks, lanes, n) N·m
     record : (3, lanes, n, ticks), written: positions, torques, commands
     clipped : (lanes,) numbers of clipped joint commands, added to
@@ -129,7 +129,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
                 scalars[lane, 1],
                 rules[lane],
                 memory[lane],
-                gates[lane],
+                limiters[lane],
                 journals[lane],
                 command[lane],
             )
@@ -229,7 +229,7 @@ def run_segments(
             for law, rig in zip(configs, rigs, strict=True)
         ]
     )
-    gates, journals = np.zeros((lanes, LIMITER_ROWS, n)), np.zeros((lanes, JOURNAL))
+    limiters, journals = np.zeros((lanes, LIMITER_ROWS, n)), np.zeros((lanes, JOURNAL))
     streams = [
         VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
         for rig in rigs
@@ -262,7 +262,7 @@ def run_segments(
             scalars,
             rules,
             memory,
-            gates,
+            limiters,
             journals,
             tau_delta,
             np.stack([stream.take(segment.ticks) for stream in streams], axis=1),

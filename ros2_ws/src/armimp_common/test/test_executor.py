@@ -125,30 +125,6 @@ def test_idle_spinning_costs_next_to_nothing(node: Node) -> None:
     assert time.process_time() - before < 0.3
 
 
-def test_messages_from_another_process_arrive(node: Node) -> None:
-    script = """
-import rclpy, time
-from rosgraph_msgs.msg import Clock
-rclpy.init()
-node = rclpy.create_node("other")
-publisher = node.create_publisher(Clock, "topic", 10)
-while True:
-    publisher.publish(Clock())
-    time.sleep(0.02)
-"""
-    received: list[object] = []
-    node.create_subscription(Clock, "topic", received.append, 10)
-    late = deadline(20.0)
-    other = subprocess.Popen([sys.executable, "-c", script])
-    try:
-        spin(node, lambda: len(received) >= 3 or late(), period=0.05)
-    finally:
-        other.kill()
-        other.wait()
-
-    assert len(received) >= 3
-
-
 def test_when_rclpy_has_no_events_executor_expect_the_single_threaded_one(
     context: Context, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -290,34 +266,6 @@ sys.exit(run_node(factory, ["program"]))
         process.wait()
 
     assert (process.returncode, error) == (0, "")
-
-
-def keep_busy(node: Node) -> None:
-    """Have a message answered by the next one without end."""
-    publisher = node.create_publisher(Clock, "echo", 10)
-    node.create_subscription(Clock, "echo", lambda _: publisher.publish(Clock()), 10)
-
-    def begin() -> None:
-        publisher.publish(Clock())
-        timer.cancel()
-
-    timer = node.create_timer(0.01, begin)
-
-
-def test_when_there_is_always_another_event_expect_stop_conditions_to_be_looked_at(
-    node: Node,
-) -> None:
-    keep_busy(node)
-    asked: list[float] = []
-    late = deadline()
-
-    def should_stop() -> bool:
-        asked.append(time.monotonic())
-        return len(asked) > 3 or late()
-
-    spin(node, should_stop, period=0.05)
-
-    assert not late()
 
 
 WATCHED = """

@@ -1,4 +1,4 @@
-"""What the gate promises for every output, whatever comes in."""
+"""What the safety limiter promises for every output, whatever comes in."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from armimp_control.safety_limiter import (
     Action,
     SafetyParameters,
 )
-from support import gate_campaign
+from support import limiter_campaign
 from support.fault_figures import Figures
-from support.gate_campaign import PROMISES, campaign
+from support.limiter_campaign import PROMISES, campaign
 
 ANY = st.floats(allow_nan=True, allow_infinity=True, allow_subnormal=True)
 SENSIBLE = st.floats(-0.6, 0.6)
@@ -134,7 +134,7 @@ class TestJudge:
         fallen: int = 0,
     ) -> list[str]:
         broken = np.zeros(len(PROMISES), np.int64)
-        gate_campaign._judge_output(
+        limiter_campaign._judge_output(
             np.array([command]),
             np.array([before]),
             np.array([speed]),
@@ -152,7 +152,7 @@ class TestJudge:
         broken = np.zeros(len(PROMISES), np.int64)
         rules = self.RULES.copy()
         rules[STOPS] = 1.0
-        gate_campaign._judge_passing(
+        limiter_campaign._judge_passing(
             np.array([command]),
             np.array([50.0]),
             np.array([asked]),

@@ -34,7 +34,7 @@ BAD = [np.nan, np.inf, -np.inf]
 
 
 class SafetyLimiter:
-    """A gate of its own, fed tick by tick."""
+    """A limiter of its own, fed tick by tick."""
 
     def __init__(self, joints: int = 2, *, config: SafetyParameters = WIDE, **limits: Any) -> None:
         self.rules = config.model_copy(update=limits).rules(np.zeros(joints), PERIOD)

@@ -186,7 +186,7 @@ def _growth(config: ImbicConfig, perturbed: int) -> float:
     """Factor per tick by which an unstable loop grows, measured."""
     sizes = _sizes(config, perturbed, 500)
     # Swinging modes make single sizes erratic, so compare the largest of two stretches. Beyond
-    # them the power of the fastest growing loop would be infinite, which the gate does not allow.
+    # them the power of the fastest growing loop would be infinite, which no limiter allows.
     return float((np.max(sizes[400:]) / np.max(sizes[200:300])) ** (1.0 / 200.0))
 
 

@@ -1,7 +1,7 @@
-"""A campaign against the safety gate: random sequences, and a judge that knows only its promises.
+"""A campaign against the safety limiter: random sequences, and a judge that knows its promises.
 
 The sequences hold what no rig should send: NaN, infinities, denormal and enormous numbers, jumps.
-Limits, actions, ramps and the number of joints are random, too. Half of the sequences give the gate
+Limits, actions, ramps and the number of joints are random, too. Half of the sequences give
 arbitrary commands, the others go through the law of the study. The judge sees what goes in and what
 comes out, works out velocities anew, and counts how often a promise of
 :mod:`armimp_control.safety_limiter` was broken.
@@ -59,8 +59,8 @@ PROMISES = (
     "after the ramp the torque is zero and stays so",
     "what is within all limits passes unchanged",
     "the number of clipped commands is told",
-    "a sample beyond a limit that means a stop closes the gate",
-    "a closed gate stays closed",
+    "a sample beyond a limit that means a stop stops the limiter",
+    "a limiter that has stopped stays so",
     "the law remembers what was sent",
 )
 """What the judge looks at; indices of the counts of violations."""
@@ -137,7 +137,7 @@ def _judge_output(
 ) -> None:
     """Count the broken promises about the output of one tick.
 
-    ``fallen`` is the number of ticks since the gate closed, the present one included; 0 if it is
+    ``fallen`` is the number of ticks since the limiter closed, the present one included; 0 if it is
     open.
     """
     for i in range(command.size):
@@ -167,7 +167,7 @@ def _judge_passing(
     clipped: int,
     broken: NDArray[np.int64],
 ) -> None:
-    """Count the broken promises of an open gate about what it does to a command."""
+    """Count the broken promises of an open limiter about what it does to a command."""
     changed = 0
     within = True
     for i in range(command.size):
@@ -209,13 +209,13 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
     ----------
     law : kind of the law that commands come from; negative: from ``asked``
     theta, tau_h, tau_delta, asked : (ticks, n) rad, N·m
-    role, model, rules : (ROLE_ROWS, n), (MODEL_ROWS, n, n), (RULE_ROWS, n) of law and gate
-    event, event_tick : what the caller asks the gate for, and when
+    role, model, rules : (ROLE_ROWS, n), (MODEL_ROWS, n, n), (RULE_ROWS, n) of law and limiter
+    event, event_tick : what the caller asks the limiter for, and when
     broken : (promises,) added to
     counts : (3,) of faults, poisoned ticks and clipped joint commands, added to
     """
     ticks, n = theta.shape
-    memory, gate, journal = (
+    memory, limiter, journal = (
         np.zeros((MEMORY_ROWS, n)),
         np.zeros((LIMITER_ROWS, n)),
         np.zeros(JOURNAL),
@@ -227,7 +227,7 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
         cut = False
         if event != _NONE and k == event_tick:
             cut = event == _CUT
-            stop_commands(0 if cut else int(rules[RAMP, 0]), event != _RELEASED, gate, journal)
+            stop_commands(0 if cut else int(rules[RAMP, 0]), event != _RELEASED, limiter, journal)
         poisoned = not (_finite(theta[k]) and _finite(tau_h[k]) and _finite(tau_delta[k]))
         if not poisoned:
             for i in range(n):
@@ -249,14 +249,14 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
                 _PERIOD,
                 rules,
                 memory,
-                gate,
+                limiter,
                 journal,
                 command,
             )
         else:
-            used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, _PERIOD, gate, journal)
+            used = check_sample(theta[k], tau_h[k], tau_delta[k], rules, _PERIOD, limiter, journal)
             command[:] = asked[k]
-            clipped = limit_command(command, rules, gate, journal)
+            clipped = limit_command(command, rules, limiter, journal)
             poisoned = poisoned or (used and not _finite(asked[k]))
         closed = journal[STOPPED] != 0.0
         if closed and closed_at < 0:
@@ -267,12 +267,14 @@ def _run_sequence(  # noqa: PLR0917 (compiled code takes no objects)
             for i in range(n):
                 differs = differs or memory[COMMAND, i] != (0.0 if closed else command[i])
             broken[_LAW] += differs
-            # That the law itself overflows, nobody but the gate can see.
+            # That the law itself overflows, nobody but the limiter can see.
             cut = cut or (closed and not was_closed and journal[FAULT] == BAD_COMMAND)
         fallen = k - closed_at + 1 if closed else 0
         _judge_output(command, before, speed, rules, poisoned, cut, fallen, broken)
         if not closed:
-            _judge_passing(command, before, gate[ASKED], speed, excursion, rules, clipped, broken)
+            _judge_passing(
+                command, before, limiter[ASKED], speed, excursion, rules, clipped, broken
+            )
         before[:] = command
         counts[1] += poisoned
         counts[2] += clipped
@@ -358,7 +360,7 @@ def _rules(rng: np.random.Generator, m: int, n: int) -> NDArray[np.float64]:
 
 
 def campaign(sequences: int, seed: int) -> CampaignResult:
-    """Run random sequences of 80 ticks against the gate.
+    """Run random sequences of 80 ticks against the limiter.
 
     Parameters
     ----------
