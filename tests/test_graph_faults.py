@@ -106,8 +106,8 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
 def test_when_a_phase_without_recording_takes_long_expect_the_run_to_go_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(orchestrator, "_STALL", 0.5)
-    sequence = {"sequence.settle": 20.0}
+    monkeypatch.setattr(orchestrator, "_STALL", 5.0)
+    sequence = {"sequence.settle": 100.0}
 
     summary = run_experiment(config(imbic_controller=sequence), tmp_path / "out")
 
