@@ -122,57 +122,63 @@ class Script:
         return bool(self.conclusions)
 
 
-MakeEstimator = Callable[..., ImpedanceEstimatorNode]
+class Desk:
+    """An estimator, a script that feeds it, and where its results go."""
 
+    def __init__(self, context: Context, node: Node, spinner: Spinner, directory: Path) -> None:
+        self.context, self.node, self.spinner, self.directory = context, node, spinner, directory
+        self.script = Script(node)
+        self.made: list[ImpedanceEstimatorNode] = []
 
-@pytest.fixture
-def spinner(node: Node) -> Iterator[Spinner]:
-    with Spinner([node]) as spinner:
-        yield spinner
-
-
-@pytest.fixture
-def make(context: Context, spinner: Spinner, tmp_path: Path) -> Iterator[MakeEstimator]:
-    made: list[ImpedanceEstimatorNode] = []
-    settings = EstimatorParameters(directory=str(tmp_path / "out"), progress_period=0.05)
-
-    def factory(
-        changes: Mapping[str, Value] | None = None, **kwargs: Any
-    ) -> ImpedanceEstimatorNode:
-        estimator = ImpedanceEstimatorNode(
-            context=context, parameter_overrides=overrides(settings, changes), **kwargs
+    def make(self, changes: Mapping[str, Value] | None = None, **kwargs: Any) -> None:
+        settings = EstimatorParameters(directory=str(self.directory / "out"), progress_period=0.05)
+        self.estimator = ImpedanceEstimatorNode(
+            context=self.context, parameter_overrides=overrides(settings, changes), **kwargs
         )
-        made.append(estimator)
-        spinner.add_node(estimator)
-        return estimator
+        self.made.append(self.estimator)
+        self.spinner.add_node(self.estimator)
 
-    yield factory
-    for estimator in made:
-        spinner.remove_node(estimator)
-        estimator.destroy_node()
+    def bring_up(self, changes: Mapping[str, Value] | None = None) -> None:
+        self.make(changes)
+        self.activate()
+
+    def activate(self) -> None:
+        assert self.estimator.trigger_configure() is SUCCESS, self.estimator.transition_error
+        assert self.estimator.trigger_activate() is SUCCESS, self.estimator.transition_error
+        self.script.wait_for_estimator()
+
+    def play(self, messages: Iterable[Message]) -> None:
+        self.script.play(self.spinner, messages)
+
+    def eventually(self, condition: Callable[[], bool], what: str) -> None:
+        eventually(self.spinner, condition, what)
+
+    def conclude(self) -> None:
+        self.eventually(self.script.concluded, "the conclusion")
+
+    def announce(self, phase: Phase) -> None:
+        raw = next(raw for topic, _, raw in MADE_UP if topic == TRIAL)
+        start_ns = None if phase is Phase.SETTLE else 0
+        status = replace(decode_trial_status(raw), phase=phase, start_ns=start_ns)
+        self.script.publishers[TRIAL].publish(encode_trial_status(status))
+
+    @property
+    def summary(self) -> Summary:
+        return read_summary(self.directory / "out" / "summary.json")
+
+    @property
+    def bags(self) -> list[Path]:
+        return sorted((self.directory / "out" / "bags").iterdir())
 
 
 @pytest.fixture
-def script(node: Node) -> Script:
-    return Script(node)
-
-
-def bring_up(estimator: ImpedanceEstimatorNode, script: Script) -> None:
-    assert estimator.trigger_configure() is SUCCESS, estimator.transition_error
-    assert estimator.trigger_activate() is SUCCESS, estimator.transition_error
-    script.wait_for_estimator()
-
-
-def stored(directory: Path) -> Summary:
-    return read_summary(directory / "out" / "summary.json")
-
-
-def bags_of(directory: Path) -> list[Path]:
-    return sorted((directory / "out" / "bags").iterdir())
-
-
-def samples_told(script: Script) -> list[str]:
-    return [values_of(message)["samples"] for message in script.progress]
+def desk(context: Context, node: Node, tmp_path: Path) -> Iterator[Desk]:
+    with Spinner([node]) as spinner:
+        desk = Desk(context, node, spinner, tmp_path)
+        yield desk
+        for estimator in desk.made:
+            spinner.remove_node(estimator)
+            estimator.destroy_node()
 
 
 class TestResults:
@@ -189,25 +195,25 @@ class TestResults:
         return {"joints": list(self.NAMES), "metadata": json.dumps(metadata)}
 
     def test_column_is_published_as_its_trial_ends_and_the_matrix_after_the_last(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
-        bring_up(make(self.settings()), script)
+        desk.bring_up(self.settings())
 
-        script.play(spinner, self.RECORDING.messages[: self.FIRST])
-        eventually(spinner, lambda: bool(script.columns), "the first column")
-        a_moment(spinner)
-        assert [result.name for result in script.results] == ["impedance_estimator: column 1"]
+        desk.play(self.RECORDING.messages[: self.FIRST])
+        desk.eventually(lambda: bool(desk.script.columns), "the first column")
+        a_moment(desk.spinner)
+        assert [result.name for result in desk.script.results] == ["impedance_estimator: column 1"]
 
-        script.play(spinner, self.RECORDING.messages[self.FIRST :])
-        eventually(spinner, script.concluded, "the conclusion")
-        a_moment(spinner)
-        assert [result.name for result in script.results] == [
+        desk.play(self.RECORDING.messages[self.FIRST :])
+        desk.conclude()
+        a_moment(desk.spinner)
+        assert [result.name for result in desk.script.results] == [
             "impedance_estimator: column 1",
             "impedance_estimator: column 2",
             RESULT_NAME,
         ]
-        assert [result.level for result in script.columns] == [bytes([Level.OK])] * 2
-        column = values_of(script.columns[1])
+        assert [result.level for result in desk.script.columns] == [bytes([Level.OK])] * 2
+        column = values_of(desk.script.columns[1])
         assert (column["trial"], column["joint"], column["lost"]) == ("2", "2", "0")
         points = len(column["f"].split())
         for curve in ("R", "T", "Z"):
@@ -216,34 +222,34 @@ class TestResults:
                 assert len(column[f"{curve}_{element}.im"].split()) == points
 
         # What is stored and published is what the bags give.
-        contents = [read_bag(path) for path in bags_of(tmp_path)]
+        contents = [read_bag(path) for path in desk.bags]
         offline = conclude(
             [content.trials[0] for content in contents],
             metadata=contents[0].metadata,
             joint_names=("shoulder", "elbow"),
             estimators=EstimatorParameters().estimators,
         ).summary
-        live = stored(tmp_path)
+        live = desk.summary
         assert live.estimators == offline.estimators
         assert (live.valid, live.problems) == (offline.valid, offline.problems)
         assert [trial.bag for trial in live.trials] == [
-            f"bags/{path.name}" for path in bags_of(tmp_path)
+            f"bags/{path.name}" for path in desk.bags
         ]
-        values = values_of(script.conclusions[0])
+        values = values_of(desk.script.conclusions[0])
         for name, result in offline.estimators.items():
             for key in ("M", "B", "K"):
                 published = [float(text) for text in values[f"{name}.{key}"].split()]
                 assert published == np.ravel(getattr(result, key)).tolist()
 
     def test_progress_is_published_while_a_trial_is_recorded(
-        self, make: MakeEstimator, script: Script, spinner: Spinner
+        self, desk: Desk
     ) -> None:
-        bring_up(make(self.settings()), script)
+        desk.bring_up(self.settings())
 
-        script.play(spinner, self.RECORDING.messages[: 2 + 4 * (60 + 4500)])
-        eventually(spinner, lambda: "4500" in samples_told(script), "progress with all samples")
+        desk.play(self.RECORDING.messages[: 2 + 4 * (60 + 4500)])
+        desk.eventually(lambda: "4500" in samples_told(script), "progress with all samples")
 
-        values = values_of(script.progress[-1])
+        values = values_of(desk.script.progress[-1])
         assert (values["trial"], values["trials"], values["joint"]) == ("1", "2", "1")
         assert (values["phase"], values["planned"]) == ("perturb", "5000")
         assert float(values["rate"]) > 0.0
@@ -253,18 +259,15 @@ class TestResults:
     @pytest.mark.parametrize("changes", [{"record": False}, {"directory": ""}], ids=str)
     def test_recording_and_storing_can_be_switched_off(
         self,
-        make: MakeEstimator,
-        script: Script,
-        spinner: Spinner,
-        tmp_path: Path,
+        desk: Desk,
         monkeypatch: pytest.MonkeyPatch,
         changes: dict[str, Value],
     ) -> None:
         monkeypatch.chdir(tmp_path)
-        bring_up(make(changes), script)
+        desk.bring_up(changes)
 
-        script.play(spinner, MADE_UP)
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play(MADE_UP)
+        desk.conclude()
 
         files = [path.name for path in tmp_path.rglob("*") if path.is_file()]
         assert files == (["summary.json"] if "record" in changes else [])
@@ -272,144 +275,138 @@ class TestResults:
 
 class TestFaults:
     def test_when_samples_are_lost_expect_the_account_and_an_invalid_result(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
-        bring_up(make(), script)
+        desk.bring_up()
         messages = list(MADE_UP)
         del messages[1 + 4 * (SETTLE + 40) + 1]
 
-        script.play(spinner, messages)
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play(messages)
+        desk.conclude()
 
-        (problem,) = stored(tmp_path).problems
+        (problem,) = desk.summary.problems
         assert (problem.code, problem.trial) == (ProblemCode.SAMPLES_MISSING, 1)
         where = {"first": 0.04, "last": 0.041}
         assert problem.values == {"stream": "joint_states", "count": 1, **where}
-        assert stored(tmp_path).trials[0].lost == 1
-        assert script.conclusions[0].level == bytes([Level.ERROR])
-        assert script.conclusions[0].message == f"not valid: {problem}"
-        assert script.columns[0].message.startswith(problem.sentence)
-        assert values_of(script.columns[0])["lost"] == "1"
+        assert desk.summary.trials[0].lost == 1
+        assert desk.script.conclusions[0].level == bytes([Level.ERROR])
+        assert desk.script.conclusions[0].message == f"not valid: {problem}"
+        assert desk.script.columns[0].message.startswith(problem.sentence)
+        assert values_of(desk.script.columns[0])["lost"] == "1"
 
     def test_when_a_message_is_malformed_expect_it_named_and_the_node_alive(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
-        bring_up(make(), script)
+        desk.bring_up()
         messages, topic = list(MADE_UP), topics.PERTURBATION
         spoiled = next(i for i in range(500, 600) if messages[i][0] == topic)
         messages[spoiled] = (topic, 0, b"\0\1\0\0")
 
-        script.play(spinner, messages)
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play(messages)
+        desk.conclude()
 
-        summary = stored(tmp_path)
+        summary = desk.summary
         assert not summary.valid
         refused, missing = summary.problems[:2]
         assert (refused.code, refused.values["stream"]) == (ProblemCode.MESSAGE_REFUSED, topic)
         assert (missing.code, missing.values["stream"]) == (ProblemCode.SAMPLES_MISSING, topic)
-        assert len(bags_of(tmp_path)) == 2
+        assert len(desk.bags) == 2
 
     @pytest.mark.parametrize("order", [DATA_STREAMS, DATA_STREAMS[::-1]])
     def test_samples_are_acknowledged_whichever_stream_comes_last(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, order: Sequence[str]
+        self, desk: Desk, order: Sequence[str]
     ) -> None:
         """As after a halt of the process, when all of one stream comes before the others."""
         told: list[int] = []
-        CountSubscription(script.node, topics.RECEIVED, told.append)
-        bring_up(make(), script)
-        eventually(spinner, lambda: told == [0], "the first count")
+        CountSubscription(desk.script.node, topics.RECEIVED, told.append)
+        desk.bring_up()
+        desk.eventually(lambda: told == [0], "the first count")
         ticks = 5 * topics.RECEIVED_EVERY - 1
 
         for topic in order:
             stream = [message for message in MADE_UP if message[0] == topic]
-            script.play(spinner, stream[:ticks])
-        eventually(spinner, lambda: told[-1] == ticks + 1 - topics.RECEIVED_EVERY, "the count")
+            desk.play(stream[:ticks])
+        desk.eventually(lambda: told[-1] == ticks + 1 - topics.RECEIVED_EVERY, "the count")
         for topic in order:
-            script.play(spinner, [m for m in MADE_UP if m[0] == topic][ticks : ticks + 1])
-        eventually(spinner, lambda: told[-1] == ticks + 1, "the last count")
+            desk.play([m for m in MADE_UP if m[0] == topic][ticks : ticks + 1])
+        desk.eventually(lambda: told[-1] == ticks + 1, "the last count")
 
         assert told == sorted(set(told))
 
     def test_a_status_that_makes_no_sense_is_refused_and_a_problem(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
-        bring_up(make(), script)
-        script.play(spinner, MADE_UP[: 4 * (SETTLE + 40)])
+        desk.bring_up()
+        desk.play(MADE_UP[: 4 * (SETTLE + 40)])
 
-        script.publishers[TRIAL].publish(DiagnosticStatus(name="imbic_controller: trial"))
-        script.play(spinner, [*MADE_UP[4 * (SETTLE + 40) :], DONE])
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.script.publishers[TRIAL].publish(DiagnosticStatus(name="imbic_controller: trial"))
+        desk.play([*MADE_UP[4 * (SETTLE + 40) :], DONE])
+        desk.conclude()
 
-        refused = stored(tmp_path).problems[0]
+        refused = desk.summary.problems[0]
         assert refused.code is ProblemCode.MESSAGE_REFUSED
         assert refused.values["stream"] == TRIAL
-        assert [(trial.ticks, trial.lost) for trial in stored(tmp_path).trials] == [(TICKS, 0)] * 2
+        assert [(trial.ticks, trial.lost) for trial in desk.summary.trials] == [(TICKS, 0)] * 2
 
     def test_samples_may_come_after_the_end_was_announced(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
-        bring_up(make(), script)
+        desk.bring_up()
         statuses = [message for message in MADE_UP if message[0] == TRIAL]
 
-        script.play(spinner, [*statuses, DONE])
-        a_moment(spinner)
-        assert script.results == []
-        script.play(spinner, [message for message in MADE_UP if message[0] != TRIAL])
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play([*statuses, DONE])
+        a_moment(desk.spinner)
+        assert desk.script.results == []
+        desk.play([message for message in MADE_UP if message[0] != TRIAL])
+        desk.conclude()
 
-        assert [(trial.ticks, trial.lost) for trial in stored(tmp_path).trials] == [(TICKS, 0)] * 2
-        assert len(bags_of(tmp_path)) == 2
+        assert [(trial.ticks, trial.lost) for trial in desk.summary.trials] == [(TICKS, 0)] * 2
+        assert len(desk.bags) == 2
 
     def test_when_samples_stay_away_after_the_end_expect_the_result_without_them(
         self,
-        make: MakeEstimator,
-        script: Script,
-        spinner: Spinner,
-        tmp_path: Path,
+        desk: Desk,
         monkeypatch: pytest.MonkeyPatch,
     ) -> None:
         monkeypatch.setattr("armimp_estimation.node._STRAGGLERS", 0.1)
-        bring_up(make(), script)
+        desk.bring_up()
         whole = ONE_TRIAL + 4 * (SETTLE + TICKS)
         cut = [message for message in MADE_UP[whole:] if message[0] == TRIAL]
 
-        script.play(spinner, [*MADE_UP[: whole - 40], *cut, DONE])
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play([*MADE_UP[: whole - 40], *cut, DONE])
+        desk.conclude()
 
-        assert not stored(tmp_path).valid
-        first, second = stored(tmp_path).trials
+        assert not desk.summary.valid
+        first, second = desk.summary.trials
         assert first.lost == 0
         assert second.lost > 0
 
     def test_when_the_bag_exists_expect_the_end_with_the_reason_and_nothing_overwritten(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
         bag = tmp_path / "out" / "bags" / "trial_1_joint_1"
         bag.mkdir(parents=True)
-        bring_up(make(), script)
+        desk.bring_up()
 
-        script.play(spinner, MADE_UP[:ONE_TRIAL])
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play(MADE_UP[:ONE_TRIAL])
+        desk.conclude()
 
-        problem = stored(tmp_path).problems[0]
+        problem = desk.summary.problems[0]
         assert problem.code is ProblemCode.RECORDING_FAILED
         assert str(bag) in problem.sentence
         assert list(bag.iterdir()) == []
 
     def test_when_a_result_exists_expect_it_kept(
         self,
-        make: MakeEstimator,
-        script: Script,
-        spinner: Spinner,
-        tmp_path: Path,
+        desk: Desk,
         capfd: pytest.CaptureFixture[str],
     ) -> None:
         (tmp_path / "out").mkdir()
         (tmp_path / "out" / "summary.json").write_text("precious")
-        bring_up(make({"record": False}), script)
+        desk.bring_up({"record": False})
 
-        script.play(spinner, MADE_UP)
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play(MADE_UP)
+        desk.conclude()
 
         assert (tmp_path / "out" / "summary.json").read_text() == "precious"
         assert "result not stored" in capfd.readouterr().err
@@ -417,7 +414,7 @@ class TestFaults:
 
 class TestParameters:
     def test_while_active_changes_are_refused_with_a_reason(
-        self, make: MakeEstimator, script: Script
+        self, desk: Desk
     ) -> None:
         estimator = make()
         bring_up(estimator, script)
@@ -445,9 +442,7 @@ class TestParameters:
     )
     def test_when_values_make_no_sense_expect_configure_to_fail_and_the_node_alive(
         self,
-        make: MakeEstimator,
-        node: Node,
-        spinner: Spinner,
+        desk: Desk,
         capfd: pytest.CaptureFixture[str],
         changes: dict[str, Value],
         reason: str,
@@ -474,32 +469,29 @@ class TestLife:
     @pytest.mark.parametrize("how", ["trigger_deactivate", "trigger_shutdown", "destroy_node"])
     def test_when_stopped_in_a_trial_expect_a_closed_bag_and_an_invalid_result(
         self,
-        make: MakeEstimator,
-        script: Script,
-        spinner: Spinner,
-        tmp_path: Path,
+        desk: Desk,
         how: str,
     ) -> None:
         estimator = make()
         bring_up(estimator, script)
-        script.play(spinner, MADE_UP[: ONE_TRIAL + 4 * (SETTLE + 40)])
-        a_moment(spinner)
+        desk.play(MADE_UP[: ONE_TRIAL + 4 * (SETTLE + 40)])
+        a_moment(desk.spinner)
 
         getattr(estimator, how)()
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.conclude()
 
         done = {"trigger_deactivate": "stopped", "trigger_shutdown": "shut down"}.get(how, "ended")
-        summary = stored(tmp_path)
+        summary = desk.summary
         assert summary.problems[0].code is ProblemCode.RECORDING_STOPPED
         assert done in summary.problems[0].sentence
         assert not summary.valid
-        assert script.conclusions[0].level == bytes([Level.ERROR])
-        assert len(bags_of(tmp_path)) == 2
-        (cut,) = read_bag(bags_of(tmp_path)[-1]).trials
+        assert desk.script.conclusions[0].level == bytes([Level.ERROR])
+        assert len(desk.bags) == 2
+        (cut,) = read_bag(desk.bags[-1]).trials
         assert 35 <= cut.segments[0].samples <= 40
 
     def test_life_can_be_gone_through_again_with_another_directory(
-        self, make: MakeEstimator, node: Node, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
         estimator = make()
         for name in ("one", "two"):
@@ -507,8 +499,8 @@ class TestLife:
             estimator.set_parameters([Parameter("directory", value=str(directory))])
             script = Script(node)
             bring_up(estimator, script)
-            script.play(spinner, MADE_UP)
-            eventually(spinner, script.concluded, "the conclusion")
+            desk.play(MADE_UP)
+            desk.conclude()
             assert estimator.trigger_deactivate() is SUCCESS
             assert estimator.trigger_cleanup() is SUCCESS
             script.close()
@@ -517,20 +509,20 @@ class TestLife:
         assert estimator.trigger_shutdown() is SUCCESS
 
     def test_what_came_before_the_activation_does_not_count(
-        self, make: MakeEstimator, script: Script, spinner: Spinner, tmp_path: Path
+        self, desk: Desk
     ) -> None:
         """Perturbations that still wait for their callback would be paired with later commands."""
         estimator = make()
         assert estimator.trigger_configure() is SUCCESS
-        script.wait_for_estimator()
+        desk.script.wait_for_estimator()
         for topic, _, raw in MADE_UP[1 : 1 + 4 * 30]:
-            script.publishers[topic].publish(raw)
+            desk.script.publishers[topic].publish(raw)
 
         assert estimator.trigger_activate() is SUCCESS
-        script.play(spinner, MADE_UP)
-        eventually(spinner, script.concluded, "the conclusion")
+        desk.play(MADE_UP)
+        desk.conclude()
 
-        (first, _) = bags_of(tmp_path)
+        (first, _) = desk.bags
         with AnyReader([first]) as reader:
             wanted = [one for one in reader.connections if one.topic.endswith(COMMANDS)]
             recorded = [bytes(raw) for _, _, raw in reader.messages(connections=wanted)]
@@ -539,7 +531,7 @@ class TestLife:
         assert recorded == sent[: len(recorded)]
 
     def test_when_nobody_publishes_expect_activation_to_fail_with_the_topics_named(
-        self, make: MakeEstimator, monkeypatch: pytest.MonkeyPatch
+        self, desk: Desk, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
         estimator = make()
@@ -553,23 +545,19 @@ class TestLife:
 
     def test_node_in_a_namespace_keeps_to_it(
         self,
-        make: MakeEstimator,
-        context: Context,
-        spinner: Spinner,
-        script: Script,
-        tmp_path: Path,
+        desk: Desk,
     ) -> None:
         left = Node("script", context=context, namespace="/left")
         spinner.add_node(left)
         left_script = Script(left)
         bring_up(make(cli_args=["--ros-args", "-r", "__ns:=/left"]), left_script)
 
-        script.play(spinner, MADE_UP[:ONE_TRIAL])
-        left_script.play(spinner, MADE_UP)
-        eventually(spinner, left_script.concluded, "the conclusion")
+        desk.play(MADE_UP[:ONE_TRIAL])
+        left_desk.play(MADE_UP)
+        desk.eventually(left_script.concluded, "the conclusion")
 
         assert left_script.people[0].topic_name == "/left/impedance_estimator/result"
-        assert script.results == []
-        assert [trial.lost for trial in stored(tmp_path).trials] == [0, 0]
+        assert desk.script.results == []
+        assert [trial.lost for trial in desk.summary.trials] == [0, 0]
         spinner.remove_node(left)
         left.destroy_node()

@@ -4,9 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-import scipy.linalg
 from numpy.typing import NDArray
-from scipy import signal
 
 from armimp_common.errors import DataError
 from armimp_common.topics import COMMANDS, TRIAL
@@ -19,55 +17,13 @@ from armimp_estimation.hold_correction import command_steps, update_jump
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
+from support.held_commands import PERIOD, SAMPLES, TRANSMISSION, rig_record
 from support.synthetic_bags import SyntheticRecording, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM
 
 FloatArray = NDArray[np.float64]
 
 ARM = TWO_JOINT_ARM
-SAMPLES, PERIOD = 30_000, 1e-3
-ROBOT = np.array([[0.354, 0.191], [0.191, 0.180]])
-FRICTION = np.diag([3.0, 1.5])  # N·m·s/rad: only the robot has it
-TRANSMISSION = ARM.M @ np.linalg.inv(ARM.M + ROBOT)
-
-
-def rig_record(joint: int, *, chatter: float, seed: int = 1, count: float = 0.0) -> TrialRecord:
-    """Arm and robot without control; commands are held, torques read just before the next one.
-
-    The exact solution of the equations of motion: ``(M_r + M_h) θ̈ = u - (F + B_h) θ̇ - K_h θ``.
-    """
-    rng = np.random.default_rng((seed, joint))
-    sos = signal.butter(8, 15.0, fs=1.0 / PERIOD, output="sos")
-    perturbation = np.zeros((2, SAMPLES))
-    perturbation[joint] = 10.0 * signal.sosfilt(sos, rng.uniform(-1.0, 1.0, SAMPLES))
-    command = perturbation + chatter * rng.standard_normal((2, SAMPLES))
-
-    inverse = np.linalg.inv(ARM.M + ROBOT)
-    system = np.block(
-        [[np.zeros((2, 2)), np.eye(2)], [-inverse @ ARM.K, -inverse @ (ARM.B + FRICTION)]]
-    )
-    drive = np.concatenate((np.zeros((2, 2)), inverse))
-    whole = scipy.linalg.expm(PERIOD * np.block([[system, drive], [np.zeros((2, 6))]]))
-    values, vectors = np.linalg.eig(whole[:4, :4])
-    modal = np.linalg.solve(vectors, whole[:4, 4:]) @ command
-    modes = [signal.lfilter([0.0, 1.0], [1.0, -v], x) for v, x in zip(values, modal, strict=True)]
-    state = (vectors @ np.stack(modes)).real
-    position, velocity = state[:2], state[2:]
-    held = np.concatenate((np.zeros((2, 1)), command[:, :-1]), axis=1)  # before the update
-    acceleration = inverse @ (held - (ARM.B + FRICTION) @ velocity - ARM.K @ position)
-    torque = ARM.M @ acceleration + ARM.B @ velocity + ARM.K @ position
-    return TrialRecord(
-        trial=joint + 1,
-        perturbed_joint=joint,
-        rate=1.0 / PERIOD,
-        joint_names=("a", "b"),
-        perturbation=perturbation,
-        position=np.round(position / count) * count if count else position,
-        torque=torque,
-        start_ns=0,
-        seed=seed,
-        command=command,
-    )
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,14 @@
-import dataclasses
-
 import numpy as np
 import pytest
-import scipy.stats
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.estimators.estimate import Estimator, ImpedanceEstimate
-from armimp_estimation.estimators.welch import WelchFull, WelchSiso
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk, r_squared
 from armimp_estimation.mbk import MBK
-from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import TrialData
-from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
+from support.synthetic_trials import TWO_JOINT_ARM
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -175,59 +169,3 @@ def test_when_matrices_of_the_model_do_not_fit_expect_configuration_error(
 ) -> None:
     with pytest.raises(ConfigurationError, match=message):
         MBK(M=np.eye(2), B=matrix, K=np.eye(2))
-
-
-RUNS = 400
-# As 50 s at 1 kHz in resolution, band and segments, with an eighth of the samples. The loop is
-# damped well enough that leakage biases the parameters by less than their scatter.
-WELCH = WelchConfig(segment=1024, overlap=768)
-LOOP = SyntheticConfig(rate=125.0, samples=6144, viscosity=4.0, stiffness=30.0)
-
-
-def coverage_accepted(inside: NDArray[np.bool_]) -> bool:
-    """Whether the intervals can be said to cover 92 to 98 %, each parameter and all together.
-
-    The share of a single parameter scatters by 1.1 % over 400 runs, so its count is only held
-    against what chance allows (1 in 1000 at either end); that of all 12 together has to be near.
-    """
-    counts = np.sum(inside, axis=0)
-    lowest = scipy.stats.binom.ppf(0.001, len(inside), 0.92)
-    highest = scipy.stats.binom.ppf(0.999, len(inside), 0.98)
-    return bool(
-        (counts >= lowest).all() and (counts <= highest).all() and 0.93 < inside.mean() < 0.97
-    )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("estimator", "changes"),
-    [
-        # The subject pushes: the noise moves the joints through the loop.
-        (WelchSiso(), {"voluntary": 1.0}),
-        (WelchSiso(), {"voluntary": 0.5, "torque_noise": 0.5}),
-        # Locked joints give way.
-        (WelchFull(), {"voluntary": 0.5, "torque_noise": 0.5, "lock_stiffness": 300.0}),
-    ],
-    ids=["siso voluntary", "siso mixed", "full"],
-)
-def test_95_per_cent_intervals_of_parameters_cover_the_truth_as_often(
-    estimator: Estimator, changes: dict[str, float]
-) -> None:
-    loop = dataclasses.replace(LOOP, **changes)  # type: ignore[arg-type]
-    arm = TWO_JOINT_ARM
-    truth = np.stack((arm.M, arm.B, arm.K))
-    error = np.empty((RUNS, 3, 2, 2))
-    deviation = np.empty((RUNS, 3, 2, 2))
-    for run in range(RUNS):
-        data = [
-            TrialData.from_record(synthetic_trial(arm, joint, loop, run), WELCH)
-            for joint in range(2)
-        ]
-        # The known biases of averaged spectra are no part of this arm's noise.
-        fit = fit_mbk(estimator.estimate(data).without_systematics())
-        error[run] = np.abs(stacked(fit) - truth)
-        deviation[run] = errors(fit)
-    assert coverage_accepted(error <= 1.96 * deviation)
-    # The check itself must notice standard errors that are wrong by a fifth.
-    assert not coverage_accepted(error <= 0.8 * 1.96 * deviation)
-    assert not coverage_accepted(error <= 1.25 * 1.96 * deviation)

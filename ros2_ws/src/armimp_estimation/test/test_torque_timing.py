@@ -8,9 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-import scipy.linalg
 from numpy.typing import NDArray
-from scipy import signal
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
@@ -23,14 +21,12 @@ from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
+from support.held_commands import TRANSMISSION, rig_record
 from support.synthetic_trials import TWO_JOINT_ARM
 
 FloatArray = NDArray[np.float64]
 
-ARM = TWO_JOINT_ARM
-SAMPLES, PERIOD, RATE = 30_000, 1e-3, 1e3
-ROBOT = np.array([[0.354, 0.191], [0.191, 0.180]])
-FRICTION = np.diag([3.0, 1.5])  # N·m·s/rad: only the robot has it
+ARM, RATE = TWO_JOINT_ARM, 1e3
 F = np.array([0.122, 1.0, 5.0, 15.0])
 
 LATE = {
@@ -107,82 +103,6 @@ def test_without_the_poles_of_the_filter_a_step_is_there_after_as_many_readings(
     np.testing.assert_allclose(steps[weights.size - 1 :], 1.0, atol=1e-12)
 
 
-def rig_record(joint: int, reading: TorqueReading) -> TrialRecord:
-    """Arm, robot, drives and transducers without control, under commands that are held and chatter.
-
-    The exact solution; the filter's output is read ``delay`` before each update.
-    """
-    rng = np.random.default_rng((1, joint))
-    sos = signal.butter(8, 15.0, fs=RATE, output="sos")
-    perturbation = np.zeros((2, SAMPLES))
-    perturbation[joint] = 10.0 * signal.sosfilt(sos, rng.uniform(-1.0, 1.0, SAMPLES))
-    command = perturbation + rng.standard_normal((2, SAMPLES))
-
-    inverse = np.linalg.inv(ARM.M + ROBOT)
-    eye, zero = np.eye(2), np.zeros((2, 2))
-    lag = reading.actuator_lag
-    # θ, v, torque of the drives; then the filter. Inputs: commands.
-    fall = -eye / lag if lag else zero
-    damping = ARM.B + FRICTION
-    a = np.block(
-        [
-            [zero, eye, zero],
-            [-inverse @ ARM.K, -inverse @ damping, inverse if lag else zero],
-            [zero, zero, fall],
-        ]
-    )
-    b = np.concatenate([zero, zero if lag else inverse, eye / lag if lag else zero])
-    # Torque on the arm from these.
-    load = np.concatenate(
-        [
-            ARM.K - ARM.M @ inverse @ ARM.K,
-            ARM.B - ARM.M @ inverse @ damping,
-            ARM.M @ inverse if lag else zero,
-        ],
-        axis=1,
-    )
-    direct = zero if lag else ARM.M @ inverse
-    out, out_direct = load, direct
-    if reading.cutoff:
-        zpk = signal.butter(reading.order, 2.0 * np.pi * reading.cutoff, analog=True, output="zpk")
-        fa, fb, fc, _ = signal.zpk2ss(*zpk)
-        fa, fb, fc = (np.kron(m, eye) for m in (fa, fb, fc))
-        a = np.block([[a, np.zeros((6, len(fa)))], [fb @ load, fa]])
-        b = np.concatenate([b, fb @ direct])
-        out, out_direct = np.concatenate([np.zeros((2, 6)), fc], axis=1), zero
-    states = len(a)
-    whole = int(np.floor(reading.delay / PERIOD + 1e-9))
-    phase = PERIOD * (1.0 - (reading.delay / PERIOD - whole))
-
-    def over(time: float) -> tuple[FloatArray, FloatArray]:
-        system = np.block([[a, b], [np.zeros((2, states + 2))]])
-        found = scipy.linalg.expm(time * system)
-        return found[:states, :states], found[:states, states:]
-
-    transition, driven = over(PERIOD)
-    part, part_driven = over(phase)
-    values, vectors = np.linalg.eig(transition)
-    modal = np.linalg.solve(vectors, driven) @ command
-    modes = [signal.lfilter([0.0, 1.0], [1.0, -v], x) for v, x in zip(values, modal, strict=True)]
-    state = (vectors @ np.stack(modes)).real
-    # Read within the period that a command begins, and known at its end or later.
-    read = out @ (part @ state + part_driven @ command) + out_direct @ command
-    torque = np.zeros((2, SAMPLES))
-    torque[:, whole + 1 :] = read[:, : SAMPLES - whole - 1]
-    return TrialRecord(
-        trial=joint + 1,
-        perturbed_joint=joint,
-        rate=RATE,
-        joint_names=("a", "b"),
-        perturbation=perturbation,
-        position=state[:2],
-        torque=torque,
-        start_ns=0,
-        seed=1,
-        command=command,
-    )
-
-
 def fitted(records: list[TrialRecord], reading: TorqueReading) -> MBK:
     data = [TrialData.from_record(record, None, reading) for record in records]
     return fit_mbk(LpmFull(config=LpmConfig(reading=reading)).estimate(data)).mbk
@@ -200,8 +120,7 @@ def errors(found: MBK) -> dict[str, float]:
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
     jump = update_jump([rig_record(joint, reading) for joint in range(2)], reading)
     assert jump is not None
-    transmission = ARM.M @ np.linalg.inv(ARM.M + ROBOT)
-    np.testing.assert_allclose(jump.torque, transmission, atol=0.03 * np.max(transmission))
+    np.testing.assert_allclose(jump.torque, TRANSMISSION, atol=0.03 * np.max(TRANSMISSION))
 
 
 @late

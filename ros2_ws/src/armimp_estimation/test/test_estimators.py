@@ -1,0 +1,274 @@
+"""What all estimators promise, against closed loops with known truth."""
+
+import dataclasses
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+import scipy.stats
+from numpy.typing import NDArray
+
+from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.estimators.direct import Direct
+from armimp_estimation.estimators.estimate import Estimator, confidence_radius
+from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
+from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
+from armimp_estimation.estimators.registry import IdentifyConfig, estimator_names, make_estimator
+from armimp_estimation.estimators.welch import WelchFull, WelchSiso
+from armimp_estimation.fit import fit_mbk
+from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData
+from support.synthetic_trials import (
+    LOOP,
+    THREE_JOINT_ARM,
+    TWO_JOINT_ARM,
+    WELCH,
+    relative_error,
+    share_within,
+    synthetic_trials,
+)
+
+FloatArray = NDArray[np.float64]
+
+SIMULTANEOUS = TorqueReading(timing=TorqueTiming.SIMULTANEOUS)
+SISO, FULL, DIRECT = WelchSiso(), WelchFull(), Direct()
+LPM = LpmFull(config=LpmConfig(reading=SIMULTANEOUS))
+UNBIASED: list[Estimator] = [SISO, FULL, LPM]
+every = pytest.mark.parametrize("estimator", [*UNBIASED, DIRECT], ids=lambda one: one.name)
+arms = pytest.mark.parametrize("arm", [TWO_JOINT_ARM, THREE_JOINT_ARM], ids=["two", "three"])
+
+
+@every
+@arms
+def test_when_locked_joints_stand_still_expect_the_true_impedance(
+    estimator: Estimator, arm: MBK
+) -> None:
+    estimate = estimator.estimate(synthetic_trials(arm=arm))
+    assert estimate.name == estimator.name
+    assert estimate.Z.shape == (arm.joints, arm.joints, 732 if estimator is LPM else 122)
+    assert relative_error(estimate, arm) < (0.001 if estimator is LPM else 0.005)
+
+
+@arms
+def test_when_locked_joints_give_way_expect_only_the_full_estimators_to_stay_right(
+    arm: MBK,
+) -> None:
+    moving = synthetic_trials(dataclasses.replace(LOOP, lock_stiffness=1000.0), arm=arm)
+    siso, full, lpm = (relative_error(one.estimate(moving), arm) for one in UNBIASED)
+    assert siso > 0.2
+    assert full < 0.05
+    assert lpm < min(0.01, 0.3 * full)
+
+
+def test_when_the_subject_pushes_expect_bias_of_the_direct_one_and_none_of_the_others() -> None:
+    # Real parts of relative errors, averaged over the band where the subject pushes.
+    errors: dict[str, list[FloatArray]] = {}
+    for seed in range(30):
+        data = synthetic_trials(dataclasses.replace(LOOP, voluntary=1.0), seed)
+        for estimator in (*UNBIASED, DIRECT):
+            estimate = estimator.estimate(data)
+            band = estimate.f < 2.0
+            true = TWO_JOINT_ARM.impedance(estimate.f)[:, :, band]
+            relative = (estimate.Z[:, :, band] - true) / np.abs(true)
+            errors.setdefault(estimator.name, []).append(np.median(relative.real, axis=2))
+    mean = {name: np.mean(values, axis=0) for name, values in errors.items()}
+    uncertain = {name: np.std(v, axis=0, ddof=1) / np.sqrt(len(v)) for name, v in errors.items()}
+    bias = np.diag(mean["direct"])
+    assert (bias < -0.3).all()
+    assert (bias < -10.0 * np.diag(uncertain["direct"])).all()
+    for estimator in UNBIASED:
+        assert (np.abs(mean[estimator.name]) < 4.0 * uncertain[estimator.name]).all()
+        assert (np.abs(np.diag(mean[estimator.name])) < 0.3 * np.abs(bias)).all()
+
+
+def pushed_record(seed: int) -> TrialRecord:
+    """A static loop: stiffness 4 against one of 6, perturbation x, voluntary torque d."""
+    x, d = np.random.default_rng(seed).standard_normal((2, 6144))
+    angle = (x - d) / (4.0 + 6.0)
+    return TrialRecord(
+        trial=1,
+        perturbed_joint=0,
+        rate=125.0,
+        joint_names=("a",),
+        perturbation=x[None],
+        position=angle[None],
+        torque=(4.0 * angle + d)[None],
+        start_ns=0,
+        seed=seed,
+    )
+
+
+def test_bias_of_the_direct_one_is_that_of_theory() -> None:
+    """``G_θτ/G_θθ = (Z G_xx - Y G_dd)/(G_xx + G_dd)``: with equal powers halfway from Z to -Y."""
+    data = [TrialData.from_record(pushed_record(seed), WELCH) for seed in range(30)]
+    found = np.mean([DIRECT.estimate([one]).Z for one in data])
+    assert abs(found - (4.0 - 6.0) / 2.0) < 0.1
+    unbiased = np.mean([SISO.estimate([one]).Z.real for one in data])
+    assert abs(unbiased - 4.0) < 0.4
+
+
+def test_standard_errors_of_the_direct_one_do_not_know_of_its_bias() -> None:
+    fit = fit_mbk(DIRECT.estimate(synthetic_trials(dataclasses.replace(LOOP, voluntary=3.0))))
+    off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.B_se
+    assert off[0, 0] > 4.0
+
+
+@pytest.mark.parametrize(
+    ("estimator", "changes", "runs"),
+    [
+        # Voluntary torque is kept small: the variance is one of first order.
+        pytest.param(SISO, {"torque_noise": 0.5, "voluntary": 0.3}, 150, marks=pytest.mark.slow),
+        pytest.param(
+            FULL,
+            {"torque_noise": 0.5, "voluntary": 0.3, "lock_stiffness": 300.0},
+            150,
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(LPM, {"torque_noise": 0.3, "voluntary": 0.1}, 40, marks=pytest.mark.slow),
+        (LPM, {"torque_noise": 0.3, "voluntary": 0.1, "lock_stiffness": 300.0}, 40),
+        # Outside the loop; of the bias it knows nothing.
+        (DIRECT, {"torque_noise": 0.5}, 80),
+    ],
+    ids=["welch_siso", "welch_full", "lpm_full, still", "lpm_full", "direct"],
+)
+def test_variance_is_that_of_repeated_experiments(
+    estimator: Estimator, changes: Mapping[str, float], runs: int
+) -> None:
+    loop = dataclasses.replace(LOOP, **changes)  # type: ignore[arg-type]
+    found = [estimator.estimate(synthetic_trials(loop, seed)) for seed in range(runs)]
+    estimates = [one.without_systematics() for one in found] if estimator in (SISO, FULL) else found
+    true = TWO_JOINT_ARM.impedance(estimates[0].f)
+    squares = np.mean([np.abs(e.Z - true) ** 2 for e in estimates], axis=0)
+    variance = np.mean([e.variance for e in estimates], axis=0)
+    # Means over the runs and some 60 independent bins. With n_d in the place of n_d - 1 averaged
+    # spectra would state 9 % less.
+    if estimator is LPM:
+        ratio = np.mean(variance, axis=2) / np.mean(squares, axis=2)
+    else:
+        ratio = np.mean(variance / squares, axis=2)
+    assert (np.abs(ratio - 1.0) < (0.15 if estimator is DIRECT else 0.1)).all()
+    assert 0.94 < share_within(estimates, true, 0.95) < 0.97
+    assert 0.47 < share_within(estimates, true, 0.5) < 0.54
+
+
+def coverage_accepted(inside: NDArray[np.bool_], most_off: float) -> bool:
+    """Whether intervals can be said to cover 92 to 98 %, each parameter and all together.
+
+    The share of a single parameter scatters by some per cent, so its count is only held against
+    what chance allows (1 in 1000 at either end); that of all 12 together has to be near.
+    """
+    counts = np.sum(inside, axis=0)
+    lowest = scipy.stats.binom.ppf(0.001, len(inside), 0.92)
+    highest = scipy.stats.binom.ppf(0.999, len(inside), 0.98)
+    near = bool(abs(inside.mean() - 0.95) < most_off)
+    return bool((counts >= lowest).all() and (counts <= highest).all()) and near
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("estimator", "changes", "runs"),
+    [
+        # The subject pushes: the noise moves the joints through the loop.
+        (SISO, {"voluntary": 1.0}, 400),
+        (SISO, {"voluntary": 0.5, "torque_noise": 0.5}, 400),
+        (LPM, {"voluntary": 1.0}, 120),
+        # Locked joints give way.
+        (FULL, {"voluntary": 0.5, "torque_noise": 0.5, "lock_stiffness": 300.0}, 400),
+        (LPM, {"voluntary": 0.5, "torque_noise": 0.5, "lock_stiffness": 300.0}, 120),
+    ],
+    ids=["siso voluntary", "siso mixed", "lpm voluntary", "full", "lpm mixed"],
+)
+def test_95_per_cent_intervals_of_parameters_cover_the_truth_as_often(
+    estimator: Estimator, changes: Mapping[str, float], runs: int
+) -> None:
+    loop = dataclasses.replace(LOOP, **changes)  # type: ignore[arg-type]
+    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
+    estimates = (estimator.estimate(synthetic_trials(loop, 1000 + seed)) for seed in range(runs))
+    # The known biases of averaged spectra are no part of this arm's noise.
+    fits = [fit_mbk(one if estimator is LPM else one.without_systematics()) for one in estimates]
+    error = np.abs([np.stack((fit.mbk.M, fit.mbk.B, fit.mbk.K)) - truth for fit in fits])
+    deviation = np.array([np.stack((fit.M_se, fit.B_se, fit.K_se)) for fit in fits])
+    most_off = 0.02 if runs > 200 else 0.03
+    assert coverage_accepted(error <= 1.96 * deviation, most_off)
+    # The check itself must notice standard errors that are wrong by a quarter or a third.
+    assert not coverage_accepted(error <= 0.75 * 1.96 * deviation, most_off)
+    assert not coverage_accepted(error <= 1.33 * 1.96 * deviation, most_off)
+
+
+@every
+def test_neither_order_of_trials_nor_place_in_memory_changes_a_bit(estimator: Estimator) -> None:
+    def moved(trial: TrialData, by: int) -> TrialData:
+        arrays = {}
+        for name in ("perturbation", "position", "torque"):
+            values = getattr(trial.record, name)
+            room = np.empty(values.size + by)
+            room[by:] = values.ravel()
+            arrays[name] = room[by:].reshape(values.shape)
+        return dataclasses.replace(trial, record=dataclasses.replace(trial.record, **arrays))
+
+    data = synthetic_trials(dataclasses.replace(LOOP, voluntary=0.5), arm=THREE_JOINT_ARM)
+    one = estimator.estimate(data)
+    other = estimator.estimate([moved(data[k], by) for k, by in ((2, 1), (0, 3), (1, 7))])
+    for name in ("f", "Z", "variance", "R", "T", "bin_correlation"):
+        assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
+
+
+@pytest.mark.parametrize("estimator", [SISO, DIRECT], ids=lambda one: one.name)
+def test_a_column_alone_is_that_of_the_matrix(estimator: WelchSiso | Direct) -> None:
+    data = synthetic_trials()
+    estimate = estimator.estimate(data)
+    for k in range(2):
+        column = estimator.column(data[k].spectra)
+        assert column.joint == k
+        np.testing.assert_array_equal(column.Z, estimate.Z[:, k])
+        noise = estimate.without_systematics().variance[:, k]
+        np.testing.assert_allclose(column.variance, noise, rtol=1e-9)
+
+
+def still(trial: TrialData) -> TrialRecord:
+    return dataclasses.replace(trial.record, position=np.zeros_like(trial.record.position))
+
+
+def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error() -> None:
+    record = still(synthetic_trials()[1])
+    spectra = TrialData.from_record(record, WELCH).spectra
+    with pytest.raises(DataError, match="joint 2 does not follow its perturbation"):
+        SISO.column(spectra)
+    with pytest.raises(DataError, match=r"joint 2 does not move at 0\.1221 Hz"):
+        DIRECT.column(spectra)
+    with pytest.raises(DataError, match="joint 2 does not move"):
+        LPM.column(record)
+
+
+def test_confidence_radius_tends_to_that_of_a_known_variance() -> None:
+    known = np.sqrt(-np.log(0.05) * 4.0)
+    radius = confidence_radius(np.array([4.0]), 1e7, 0.95)
+    np.testing.assert_allclose(radius, known, rtol=1e-5)
+    assert confidence_radius(np.array([4.0]), 11.0)[0] > 1.05 * known
+
+
+@pytest.mark.parametrize("level", [0.0, 1.0, -0.5, float("nan")])
+def test_when_the_level_is_no_probability_expect_configuration_error(level: float) -> None:
+    with pytest.raises(ConfigurationError, match="confidence level"):
+        confidence_radius(np.array([1.0]), 11.0, level)
+
+
+def test_registry_makes_each_estimator_by_its_name() -> None:
+    names = estimator_names()
+    assert {"welch_siso", "welch_full"} <= set(names)
+    assert [make_estimator(name, IdentifyConfig()).name for name in names] == list(names)
+    with pytest.raises(ConfigurationError, match=r"unknown estimator 'welsh'.*welch_siso"):
+        make_estimator("welsh", IdentifyConfig())
+
+
+def test_registry_gives_the_local_polynomials_the_band_and_their_options() -> None:
+    options = IdentifyConfig(
+        welch=WelchConfig(f_low=1.0, f_high=5.0),
+        lpm=LpmConfig(local=LocalPolynomialConfig(order=1), reading=SIMULTANEOUS),
+    )
+    estimate = make_estimator("lpm_full", options).estimate(synthetic_trials())
+    assert (estimate.f[0], estimate.f[-1]) == pytest.approx((1.0, 5.0), abs=0.03)
+    assert estimate.averages == 22.0
