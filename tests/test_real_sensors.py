@@ -21,7 +21,7 @@ from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import EstimatorResult, identify
 from armimp_estimation.mbk import MBK
-from armimp_estimation.metadata import reading_of
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import SimulatedRig
@@ -202,7 +202,7 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
 
     def known(**more: Any) -> TorqueReading:
         config = ExperimentConfig.model_validate({**values, **more})
-        return reading_of(node_parameters(config, None).estimator.bag_metadata())
+        return Metadata.of(node_parameters(config, None).estimator.bag_metadata()).reading
 
     prompt = TorqueReading(timing=TorqueTiming.BEFORE_UPDATE)
     everything = TorqueReading(

@@ -235,7 +235,7 @@ def read_bag(*bags: str | Path) -> Recording:
         If the bags don't belong together, or a trial has lost samples.
     """
     from armimp_bringup.offline_estimate import read_bags
-    from armimp_estimation.metadata import calibration_of, latest_metadata, reading_of
+    from armimp_estimation.metadata import Metadata, latest_metadata
 
     contents = read_bags([Path(bag) for bag in bags])
     records = []
@@ -244,12 +244,8 @@ def read_bag(*bags: str | Path) -> Recording:
         if others:
             raise DataError(f"trial {record.trial}: clipped commands divide it: armimp estimate")
         records.append(record)
-    metadata = latest_metadata([content.metadata for content in contents])
-    return Recording(
-        trials=tuple(records),
-        reading=reading_of(metadata),
-        calibration=calibration_of(metadata),
-    )
+    known = Metadata.of(latest_metadata([content.metadata for content in contents]))
+    return Recording(trials=tuple(records), reading=known.reading, calibration=known.calibration)
 
 
 def identify(recording: Recording, estimator: str = "lpm_full", model: str = "auto") -> Result:

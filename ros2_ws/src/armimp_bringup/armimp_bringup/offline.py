@@ -28,7 +28,7 @@ from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
-from armimp_estimation.metadata import reading_of
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
@@ -341,7 +341,7 @@ class SimulatedExperiment:
     @property
     def options(self) -> IdentifyConfig:
         """Options of an estimate that suit the shortest record and the sensors."""
-        reading = reading_of(self.parameters.estimator.bag_metadata())
+        reading = Metadata.of(self.parameters.estimator.bag_metadata()).reading
         shortest = min(record.samples for record in self.records)
         welch = WelchConfig.for_samples(shortest)
         return IdentifyConfig(welch=welch, lpm=LpmConfig(reading=reading))

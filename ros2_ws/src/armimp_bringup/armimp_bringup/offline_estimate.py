@@ -13,15 +13,7 @@ from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.files import require_distinct
 from armimp_estimation.bags.finishing import finish_bag
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.metadata import (
-    CALIBRATION_KEYS,
-    MODEL_KEY,
-    RATE_KEY,
-    TIMING_KEY,
-    UNCERTAINTY_KEY,
-    Metadata,
-    latest_metadata,
-)
+from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata, latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result, conclude
 from armimp_estimation.torque_timing import TorqueTiming
@@ -95,11 +87,11 @@ def _metadata_of(declared: Declared) -> dict[str, str]:
     """What was declared, as metadata of a bag."""
     timing = declared.torque_timing
     told = {
-        TIMING_KEY: None if timing is None else _TIMINGS[timing].value,
+        "torque_timing": None if timing is None else _TIMINGS[timing].value,
         "torque_delay": declared.torque_delay,
-        UNCERTAINTY_KEY: declared.torque_uncertainty,
-        RATE_KEY: declared.rate,
-        MODEL_KEY: declared.model,
+        "torque_uncertainty": declared.torque_uncertainty,
+        "sampling_rate": declared.rate,
+        "arm_model": declared.model,
         **{key: getattr(declared, key) for key in CALIBRATION_KEYS},
     }
     return {key: json.dumps(value) for key, value in told.items() if value is not None}

@@ -21,7 +21,7 @@ from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters
-from armimp_estimation.metadata import CALIBRATION_KEYS, TIMING_KEY
+from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import PlantConfig
@@ -240,7 +240,7 @@ def bag_metadata(
         "seed": json.dumps(config.seed),
         "joint_names": json.dumps(list(simulator.joints)),
         "truth": json.dumps(truth),
-        TIMING_KEY: json.dumps(simulator.sensors.sampling.value),
+        "torque_timing": json.dumps(simulator.sensors.sampling.value),
         **dict.fromkeys(CALIBRATION_KEYS, "0"),
     }
 

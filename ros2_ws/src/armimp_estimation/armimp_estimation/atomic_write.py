@@ -1,4 +1,4 @@
-"""Files of which nobody ever sees a part, and files that must be plain ones to be read."""
+"""Writing files so that nobody ever sees a part of one, and reading regular files alone."""
 
 import os
 import re

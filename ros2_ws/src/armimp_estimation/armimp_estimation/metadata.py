@@ -4,41 +4,41 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any
+from dataclasses import asdict, replace
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 from typing_extensions import Self
 
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.realtime import LATE_NS, TimingLimits
 from armimp_common.status import TimingFigures
 from armimp_estimation.arm_models import AUTO, require_model
-from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import JsonModel, Number, first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
-TIMING_KEY = "torque_timing"
-"""Name in the metadata of bags of when torques are read, see :class:`TorqueTiming`."""
-UNCERTAINTY_KEY = "torque_uncertainty"
-"""Name there of the standard error with which the instant of torque readings is known, s."""
-MODEL_KEY = "arm_model"
-"""Name there of the model of the arm that was asked for."""
 CALIBRATION_KEYS = {"gain_uncertainty": "gain", "cross_talk_uncertainty": "cross_talk"}
-"""Names there of what is declared of the transducers, by attribute of :class:`Calibration`."""
-RATE_KEY = "sampling_rate"
-"""Name there of the sampling rate, Hz, where it is an uncustomary one."""
+"""Names in the metadata of what is declared of the transducers, by attribute of `Calibration`."""
 READING_KEYS = {
     "torque_delay": "delay",
     "torque_cutoff": "cutoff",
     "torque_order": "order",
     "actuator_lag": "actuator_lag",
 }
-"""Names there of what else is known of the readings, by attribute of :class:`TorqueReading`."""
+"""Names there of what is known of the readings beside their timing, by attribute of
+:class:`TorqueReading`."""
 
 _LARGEST_TRUTH = 1e12
 """Far beyond any arm, far from where squares and products would overflow; SI units."""
@@ -94,7 +94,7 @@ class Timing(JsonModel):
         return found
 
     def begins(self, other: Timing) -> bool:
-        """Whether this can be the beginning of the same run, which the other knows more of."""
+        """Whether the other timing may be that of the same run at a later moment."""
         limits = ("max_late_share", "max_missed_share", "max_latency")
         return (
             all(getattr(self, name) == getattr(other, name) for name in limits)
@@ -106,26 +106,25 @@ class Timing(JsonModel):
             and not self.latency_max > other.latency_max
         )
 
-    @classmethod
-    def from_metadata(cls, metadata: Mapping[str, str]) -> Timing | None:
-        """That in the metadata of a bag; None if there is none.
 
-        Raises
-        ------
-        DataError
-            If it makes no sense.
-        """
-        if RECORD_KEY not in metadata:
-            return None
-        try:
-            return cls.model_validate_json(metadata[RECORD_KEY])
-        except ValidationError as error:
-            raise DataError(f"metadata: {RECORD_KEY}: {first_complaint(error)}") from None
+def _matrices(value: Any) -> MBK | None:
+    if value is None:
+        return None
+    try:
+        found = MBK(**{name: np.array(value[name], dtype=np.float64) for name in ("M", "B", "K")})
+    except (LookupError, TypeError, ValueError, OverflowError, ArmimpError) as error:
+        raise ValueError(f"not three matrices M, B, K: {error}") from None
+    largest = max(float(np.max(np.abs(matrix))) for matrix in (found.M, found.B, found.K))
+    if not largest < _LARGEST_TRUTH:
+        raise ValueError(f"an element of {largest:g}, which no arm has")
+    return found
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Metadata:
-    """What is known of an experiment beside its samples.
+_Known = Annotated[float | None, Field(strict=True)]
+
+
+class Metadata(BaseModel):
+    """What is known of an experiment beside its samples, by the names that bags have for it.
 
     Attributes
     ----------
@@ -137,36 +136,46 @@ class Metadata:
         Of all random signals.
     timing : Timing or None
         Of a run in real time.
-    reading : TorqueReading
-        How torques were read; ``unknown`` if nobody says.
-    uncertainty : float
-        Standard error with which the instant of torque readings is known, s.
-    rate : float or None
-        Sampling rate that was declared, Hz.
-    model : str
+    torque_timing : TorqueTiming
+        When torques are read.
+    torque_uncertainty : float or None
+        Standard error with which that instant is known, s.
+    torque_delay, torque_cutoff, torque_order, actuator_lag : float or int or None
+        What else is known of the readings, see :class:`TorqueReading`.
+    gain_uncertainty, cross_talk_uncertainty : float or None
+        What is declared of the transducers, see :class:`Calibration`.
+    sampling_rate : float or None
+        Rate that was declared, where it is an uncustomary one, Hz.
+    arm_model : str
         Model of the arm that was asked for.
-    calibration : Calibration
-        What is known of the torque transducers.
     """
 
-    config: dict[str, Any]
-    truth: MBK | None
-    seed: int | None
-    timing: Timing | None
-    reading: TorqueReading
-    uncertainty: float
-    rate: float | None
-    model: str
-    calibration: Calibration
+    model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
+
+    config: dict[str, Any] = {}
+    truth: Annotated[MBK | None, BeforeValidator(_matrices)] = None
+    seed: Annotated[int | None, BeforeValidator(lambda v: v if type(v) is int else None)] = None
+    timing: Timing | None = None
+    torque_timing: TorqueTiming = TorqueTiming.UNKNOWN
+    torque_uncertainty: Annotated[float | None, Field(strict=True, ge=0.0, le=1.0)] = None
+    torque_delay: _Known = None
+    torque_cutoff: _Known = None
+    torque_order: Annotated[int | None, Field(strict=True)] = None
+    actuator_lag: _Known = None
+    gain_uncertainty: _Known = None
+    cross_talk_uncertainty: _Known = None
+    sampling_rate: _Known = None
+    arm_model: Annotated[str, AfterValidator(require_model)] = AUTO
 
     @classmethod
-    def of(cls, metadata: Mapping[str, str], joints: int) -> Metadata:
+    def of(cls, metadata: Mapping[str, str], joints: int | None = None) -> Metadata:
         """Read the metadata of a bag, which may be empty.
 
         Parameters
         ----------
         metadata : mapping of str to str
-        joints : int
+            JSON by name.
+        joints : int, optional
             Number of joints n of the data.
 
         Raises
@@ -174,107 +183,39 @@ class Metadata:
         DataError
             If something is there, but makes no sense.
         """
-        config = _parsed(metadata, "config", {})
-        if not isinstance(config, dict):
-            raise DataError(f"metadata: config is not a JSON object: {metadata['config'][:60]!r}")
-        truth = _truth(metadata)
-        if truth is not None and truth.joints != joints:
-            raise DataError(f"metadata: truth is of {truth.joints} joints, the data of {joints}")
-        seed = _parsed(metadata, "seed", None)
-        uncertainty = _number(metadata, UNCERTAINTY_KEY)
-        if uncertainty is not None and not 0.0 <= uncertainty <= 1.0:
-            raise DataError(f"metadata: {UNCERTAINTY_KEY} is not a time in s: {uncertainty!r}")
-        return cls(
-            config=config,
-            truth=truth,
-            seed=seed if type(seed) is int else None,
-            timing=Timing.from_metadata(metadata),
-            reading=reading_of(metadata),
-            uncertainty=LpmConfig.timing_uncertainty if uncertainty is None else uncertainty,
-            rate=_number(metadata, RATE_KEY),
-            model=_model(metadata),
-            calibration=calibration_of(metadata),
-        )
+        try:
+            found = cls.model_validate(
+                {key: _parsed(metadata, key) for key in cls.model_fields if key in metadata}
+            )
+            _ = found.reading, found.calibration  # which check their ranges
+        except ValidationError as error:
+            given = f"{error.errors()[0]['input']!r:.60}"
+            raise DataError(f"metadata: {first_complaint(error)}, got {given}") from None
+        except ConfigurationError as error:
+            raise DataError(f"metadata: {error}") from None
+        if found.truth is not None and joints not in (None, found.truth.joints):
+            raise DataError(
+                f"metadata: truth is of {found.truth.joints} joints, the data of {joints}"
+            )
+        return found
+
+    @property
+    def reading(self) -> TorqueReading:
+        """How torques were read."""
+        known = {name: getattr(self, key) for key, name in READING_KEYS.items()}
+        given = {name: value for name, value in known.items() if value is not None}
+        return TorqueReading(timing=self.torque_timing, **given)
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is declared of the transducers, else what is assumed of any."""
+        known = {name: getattr(self, key) for key, name in CALIBRATION_KEYS.items()}
+        given = {name: value for name, value in known.items() if value is not None}
+        assumed = len(given) < len(CALIBRATION_KEYS)
+        return replace(Calibration.undeclared(), assumed=assumed, **given)
 
 
-def reading_of(metadata: Mapping[str, str]) -> TorqueReading:
-    """How torques were read, from the metadata of a bag; ``unknown`` if it does not know.
-
-    Raises
-    ------
-    DataError
-        If something is there, but makes no sense.
-    """
-    known = [timing.value for timing in TorqueTiming]
-    timing = _parsed(metadata, TIMING_KEY, TorqueTiming.UNKNOWN.value)
-    if timing not in known:
-        raise DataError(f"metadata: {TIMING_KEY} is {timing!r}, known are {', '.join(known)}")
-    others: dict[str, Any] = {
-        name: value
-        for key, name in READING_KEYS.items()
-        if (value := _number(metadata, key, integer=name == "order")) is not None
-    }
-    try:
-        return TorqueReading(timing=TorqueTiming(timing), **others)
-    except ValidationError as error:
-        raise DataError(f"metadata: {first_complaint(error)}") from None
-
-
-def calibration_of(metadata: Mapping[str, str]) -> Calibration:
-    """What the metadata of a bag declare of the transducers, else what is assumed of any.
-
-    Raises
-    ------
-    DataError
-        If something is there, but makes no sense.
-    """
-    declared = {
-        name: _number(metadata, key) for key, name in CALIBRATION_KEYS.items() if key in metadata
-    }
-    if not declared:
-        return Calibration.undeclared()
-    if None in declared.values():
-        raise DataError(f"metadata: uncertainty of the calibration is not a number: {declared!r}")
-    try:
-        return replace(
-            Calibration.undeclared(), assumed=len(declared) < len(CALIBRATION_KEYS), **declared
-        )
-    except ConfigurationError as error:
-        raise DataError(f"metadata: {error}") from None
-
-
-def _model(metadata: Mapping[str, str]) -> str:
-    try:
-        return require_model(_parsed(metadata, MODEL_KEY, AUTO))
-    except ConfigurationError as error:
-        raise DataError(f"metadata: {error}") from None
-
-
-def _truth(metadata: Mapping[str, str]) -> MBK | None:
-    truth = _parsed(metadata, "truth", None)
-    if truth is None:
-        return None
-    try:
-        found = MBK(**{name: np.array(truth[name], dtype=np.float64) for name in ("M", "B", "K")})
-    except (LookupError, TypeError, ValueError, OverflowError, ArmimpError) as error:
-        raise DataError(f"metadata: truth is not three matrices M, B, K: {error}") from None
-    largest = max(float(np.max(np.abs(matrix))) for matrix in (found.M, found.B, found.K))
-    if not largest < _LARGEST_TRUTH:
-        raise DataError(f"metadata: truth has an element of {largest:g}, which no arm has")
-    return found
-
-
-def _number(metadata: Mapping[str, str], key: str, *, integer: bool = False) -> Any:
-    value = _parsed(metadata, key, None)
-    if value is not None and type(value) not in ((int,) if integer else (int, float)):
-        kind = "an integer" if integer else "a number"
-        raise DataError(f"metadata: {key} is not {kind}: {value!r}")
-    return value
-
-
-def _parsed(metadata: Mapping[str, str], key: str, default: Any) -> Any:
-    if key not in metadata:
-        return default
+def _parsed(metadata: Mapping[str, str], key: str) -> Any:
     try:
         value = json.loads(metadata[key])
         # Half a surrogate pair can be read, but not be written again.
@@ -295,7 +236,7 @@ def latest_metadata(metadata: Sequence[Mapping[str, str]]) -> dict[str, str]:
     DataError
         If the timing of one makes no sense.
     """
-    known = [one for one in map(Timing.from_metadata, metadata) if one is not None]
+    known = [timing for one in metadata if (timing := Metadata.of(one).timing) is not None]
     if not known:
         return dict(metadata[0])
     latest = [one for one in known if not any(one.begins(other) for other in known)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pydantic import JsonValue
@@ -104,7 +104,7 @@ def conclude(
     most_excluded: float = MOST_EXCLUDED,
     problems: Sequence[Problem] = (),
 ) -> Result:
-    """Identify the impedance from the trials; what stands against it becomes a problem.
+    """Identify the impedance from the trials, and collect the problems of the result.
 
     Parameters
     ----------
@@ -143,18 +143,20 @@ def conclude(
         found += (
             one
             for one in trial.judged(allow_gaps=allow_gaps, most_excluded=most_excluded)
-            if one not in found and not _rate_is_declared(one, known.rate)
+            if one not in found and not _rate_is_declared(one, known.sampling_rate)
         )
     identification = None
     if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
         try:
             parts = [trial.segments for trial in trials]
             if config is None:
-                lpm = LpmConfig(reading=known.reading, timing_uncertainty=known.uncertainty)
+                lpm = LpmConfig(reading=known.reading)
+                if known.torque_uncertainty is not None:
+                    lpm = replace(lpm, timing_uncertainty=known.torque_uncertainty)
                 config = IdentifyConfig(
                     welch=segments_for(parts),
                     lpm=lpm,
-                    model=known.model,
+                    model=known.arm_model,
                     calibration=known.calibration,
                 )
             reading = config.lpm.reading

@@ -207,7 +207,7 @@ class Coherences:
 
     @classmethod
     def of(cls, trials: Sequence[TrialSpectra], estimate: ImpedanceEstimate) -> "Coherences":
-        """Those of an estimate, from trials in order of the perturbed joint."""
+        """Compute the coherences behind an estimate from trials in order of the perturbed joint."""
         n = len(trials)
         return cls(
             f=trials[0].f,

@@ -204,7 +204,7 @@ class OriginSummary(JsonModel):
 
     @classmethod
     def of(cls, arguments: Sequence[str]) -> OriginSummary:
-        """That of a command which runs now, from its program and arguments."""
+        """Describe the command that runs now, from its program and arguments."""
         program, *others = arguments
         date = datetime.now().astimezone().isoformat(" ", timespec="minutes")
         return cls(command=shlex.join([Path(program).name, *others]), date=date)
@@ -235,7 +235,7 @@ class Summary(JsonModel):
     @computed_field  # type: ignore[prop-decorator]
     @property
     def verdict(self) -> Verdict:
-        """The verdicts, on which problems of estimators that decide nothing have no bearing."""
+        """The two verdicts; problems of estimators that decide nothing do not count."""
         deciding = [name for name, one in self.estimators.items() if one.decides]
         return self.verdict_on(*deciding)
 
@@ -253,7 +253,7 @@ class Summary(JsonModel):
         return [one for one in errors if one.estimator in deciding]
 
     def verdict_on(self, *estimators: str) -> Verdict:
-        """Whether the numbers of estimators can be trusted; of none at all never."""
+        """Judge whether the numbers of estimators can be trusted; without any they cannot."""
         impedance, parameters = (
             bool(estimators) and not any(spoiled(self.problems, concern, e) for e in estimators)
             for concern in (Concern.IMPEDANCE, Concern.PARAMETERS)

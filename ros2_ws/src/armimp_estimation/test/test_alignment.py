@@ -1,7 +1,7 @@
 """Trials out of streams: windows, records, the account of every sample, and what is refused."""
 
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -426,6 +426,38 @@ def test_source_is_named() -> None:
 
 
 # --- commands ---------------------------------------------------------------------------------
+
+
+def not_finite(commands: list[bytes]) -> list[bytes]:
+    """The same with a number in one of the first trial that is none."""
+    return [*commands[:20], commands[20][:-8] + np.array([np.nan]).tobytes(), *commands[21:]]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "known"),
+    [
+        (lambda commands: commands, [True, True]),
+        (lambda commands: commands[:-1], [True, True]),  # cut within a tick
+        (lambda commands: commands[:0], [False, False]),
+        (lambda commands: commands[:60], [False, False]),
+        (lambda commands: commands[2:], [False, False]),
+        (lambda commands: [*commands[:3], b"rubbish", *commands[4:]], [False, False]),
+        (not_finite, [False, True]),
+    ],
+    ids=["all", "cut", "none", "half", "late", "malformed", "not finite"],
+)
+def test_each_sample_has_the_command_that_answered_it_unless_that_is_not_known(
+    spoil: Callable[[list[bytes]], list[bytes]], known: list[bool]
+) -> None:
+    several = synthetic_recording(perturbed=(0, 1), ticks=40, settle=10, rest=5)
+    topics = several.by_topic()
+    topics[COMMANDS] = spoil(topics[COMMANDS])
+    records = [trial.segments[0] for trial in trials_of(topics, statuses_of(several))]
+    assert [record.command is not None for record in records] == known
+    for record in records:
+        if record.command is not None:
+            # So they are made.
+            np.testing.assert_array_equal(record.command, record.torque + record.perturbation)
 
 
 @pytest.mark.parametrize("with_numbers", [False, True])

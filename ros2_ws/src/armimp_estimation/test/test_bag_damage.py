@@ -68,7 +68,7 @@ class TestTruncation:
         whole = storage_file(own).read_bytes()
         file = tmp_path / "bag.mcap"
         samples: list[int] = []
-        for size in range(0, len(whole), 67):
+        for size in range(0, len(whole), 131):
             file.write_bytes(whole[:size])
             samples.append(samples_or_refusal(file))
         assert samples == sorted(samples)
@@ -224,7 +224,7 @@ class TestEveryByte:
 
 
 class TestChangedBytes:
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=80, deadline=None)
     @given(data=st.data())
     def test_foreign_bag_gives_no_other_error(
         self, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -244,7 +244,7 @@ class TestChangedBytes:
         for record in read_or_refused(file):
             assert record.samples <= TICKS + 50
 
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=80, deadline=None)
     @given(data=st.data())
     def test_metadata_is_used_or_refused(
         self, own: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject

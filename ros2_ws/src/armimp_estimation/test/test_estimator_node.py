@@ -1,11 +1,13 @@
 """The estimator node over real DDS, fed by a script: results, faults, parameters, life cycle."""
 
 import json
+import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -127,8 +129,11 @@ class Desk:
 
     def __init__(self, context: Context, node: Node, spinner: Spinner, directory: Path) -> None:
         self.context, self.node, self.spinner, self.directory = context, node, spinner, directory
-        self.script = Script(node)
         self.made: list[ImpedanceEstimatorNode] = []
+
+    @cached_property
+    def script(self) -> Script:
+        return Script(self.node)
 
     def make(self, changes: Mapping[str, Value] | None = None, **kwargs: Any) -> None:
         settings = EstimatorParameters(directory=str(self.directory / "out"), progress_period=0.05)
@@ -143,9 +148,10 @@ class Desk:
         self.activate()
 
     def activate(self) -> None:
+        script = self.script
         assert self.estimator.trigger_configure() is SUCCESS, self.estimator.transition_error
         assert self.estimator.trigger_activate() is SUCCESS, self.estimator.transition_error
-        self.script.wait_for_estimator()
+        script.wait_for_estimator()
 
     def play(self, messages: Iterable[Message]) -> None:
         self.script.play(self.spinner, messages)
@@ -232,22 +238,21 @@ class TestResults:
         live = desk.summary
         assert live.estimators == offline.estimators
         assert (live.valid, live.problems) == (offline.valid, offline.problems)
-        assert [trial.bag for trial in live.trials] == [
-            f"bags/{path.name}" for path in desk.bags
-        ]
+        assert [trial.bag for trial in live.trials] == [f"bags/{path.name}" for path in desk.bags]
         values = values_of(desk.script.conclusions[0])
         for name, result in offline.estimators.items():
             for key in ("M", "B", "K"):
                 published = [float(text) for text in values[f"{name}.{key}"].split()]
                 assert published == np.ravel(getattr(result, key)).tolist()
 
-    def test_progress_is_published_while_a_trial_is_recorded(
-        self, desk: Desk
-    ) -> None:
+    def test_progress_is_published_while_a_trial_is_recorded(self, desk: Desk) -> None:
         desk.bring_up(self.settings())
 
         desk.play(self.RECORDING.messages[: 2 + 4 * (60 + 4500)])
-        desk.eventually(lambda: "4500" in samples_told(script), "progress with all samples")
+        told = desk.script.progress
+        desk.eventually(
+            lambda: bool(told) and values_of(told[-1])["samples"] == "4500", "all samples"
+        )
 
         values = values_of(desk.script.progress[-1])
         assert (values["trial"], values["trials"], values["joint"]) == ("1", "2", "1")
@@ -263,13 +268,13 @@ class TestResults:
         monkeypatch: pytest.MonkeyPatch,
         changes: dict[str, Value],
     ) -> None:
-        monkeypatch.chdir(tmp_path)
+        monkeypatch.chdir(desk.directory)
         desk.bring_up(changes)
 
         desk.play(MADE_UP)
         desk.conclude()
 
-        files = [path.name for path in tmp_path.rglob("*") if path.is_file()]
+        files = [path.name for path in desk.directory.rglob("*") if path.is_file()]
         assert files == (["summary.json"] if "record" in changes else [])
 
 
@@ -333,9 +338,7 @@ class TestFaults:
 
         assert told == sorted(set(told))
 
-    def test_a_status_that_makes_no_sense_is_refused_and_a_problem(
-        self, desk: Desk
-    ) -> None:
+    def test_a_status_that_makes_no_sense_is_refused_and_a_problem(self, desk: Desk) -> None:
         desk.bring_up()
         desk.play(MADE_UP[: 4 * (SETTLE + 40)])
 
@@ -348,9 +351,7 @@ class TestFaults:
         assert refused.values["stream"] == TRIAL
         assert [(trial.ticks, trial.lost) for trial in desk.summary.trials] == [(TICKS, 0)] * 2
 
-    def test_samples_may_come_after_the_end_was_announced(
-        self, desk: Desk
-    ) -> None:
+    def test_samples_may_come_after_the_end_was_announced(self, desk: Desk) -> None:
         desk.bring_up()
         statuses = [message for message in MADE_UP if message[0] == TRIAL]
 
@@ -364,9 +365,7 @@ class TestFaults:
         assert len(desk.bags) == 2
 
     def test_when_samples_stay_away_after_the_end_expect_the_result_without_them(
-        self,
-        desk: Desk,
-        monkeypatch: pytest.MonkeyPatch,
+        self, desk: Desk, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("armimp_estimation.node._STRAGGLERS", 0.1)
         desk.bring_up()
@@ -384,7 +383,7 @@ class TestFaults:
     def test_when_the_bag_exists_expect_the_end_with_the_reason_and_nothing_overwritten(
         self, desk: Desk
     ) -> None:
-        bag = tmp_path / "out" / "bags" / "trial_1_joint_1"
+        bag = desk.directory / "out" / "bags" / "trial_1_joint_1"
         bag.mkdir(parents=True)
         desk.bring_up()
 
@@ -397,27 +396,24 @@ class TestFaults:
         assert list(bag.iterdir()) == []
 
     def test_when_a_result_exists_expect_it_kept(
-        self,
-        desk: Desk,
-        capfd: pytest.CaptureFixture[str],
+        self, desk: Desk, capfd: pytest.CaptureFixture[str]
     ) -> None:
-        (tmp_path / "out").mkdir()
-        (tmp_path / "out" / "summary.json").write_text("precious")
+        existing = desk.directory / "out" / "summary.json"
+        existing.parent.mkdir()
+        existing.write_text("precious")
         desk.bring_up({"record": False})
 
         desk.play(MADE_UP)
         desk.conclude()
 
-        assert (tmp_path / "out" / "summary.json").read_text() == "precious"
+        assert existing.read_text() == "precious"
         assert "result not stored" in capfd.readouterr().err
 
 
 class TestParameters:
-    def test_while_active_changes_are_refused_with_a_reason(
-        self, desk: Desk
-    ) -> None:
-        estimator = make()
-        bring_up(estimator, script)
+    def test_while_active_changes_are_refused_with_a_reason(self, desk: Desk) -> None:
+        desk.bring_up()
+        estimator = desk.estimator
         change = Parameter("record", value=False)
 
         (result,) = estimator.set_parameters([change])
@@ -447,9 +443,13 @@ class TestParameters:
         changes: dict[str, Value],
         reason: str,
     ) -> None:
-        estimator = make(changes)
+        desk.make(changes)
+        estimator = desk.estimator
         manager = LifecycleManager(
-            node, [topics.ESTIMATOR_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
+            desk.node,
+            [topics.ESTIMATOR_NODE],
+            spin_until=desk.spinner.spin_until,
+            timeout=PATIENCE,
         )
 
         with pytest.raises(GraphError, match="impedance_estimator failed to configure"):
@@ -468,16 +468,13 @@ class TestParameters:
 class TestLife:
     @pytest.mark.parametrize("how", ["trigger_deactivate", "trigger_shutdown", "destroy_node"])
     def test_when_stopped_in_a_trial_expect_a_closed_bag_and_an_invalid_result(
-        self,
-        desk: Desk,
-        how: str,
+        self, desk: Desk, how: str
     ) -> None:
-        estimator = make()
-        bring_up(estimator, script)
+        desk.bring_up()
         desk.play(MADE_UP[: ONE_TRIAL + 4 * (SETTLE + 40)])
         a_moment(desk.spinner)
 
-        getattr(estimator, how)()
+        getattr(desk.estimator, how)()
         desk.conclude()
 
         done = {"trigger_deactivate": "stopped", "trigger_shutdown": "shut down"}.get(how, "ended")
@@ -490,35 +487,32 @@ class TestLife:
         (cut,) = read_bag(desk.bags[-1]).trials
         assert 35 <= cut.segments[0].samples <= 40
 
-    def test_life_can_be_gone_through_again_with_another_directory(
-        self, desk: Desk
-    ) -> None:
-        estimator = make()
+    def test_life_can_be_gone_through_again_with_another_directory(self, desk: Desk) -> None:
+        desk.make()
+        base, estimator = desk.directory, desk.estimator
         for name in ("one", "two"):
-            directory = tmp_path / name / "out"
-            estimator.set_parameters([Parameter("directory", value=str(directory))])
-            script = Script(node)
-            bring_up(estimator, script)
+            desk.directory, desk.script = base / name, Script(desk.node)
+            directory = str(desk.directory / "out")
+            estimator.set_parameters([Parameter("directory", value=directory)])
+            desk.activate()
             desk.play(MADE_UP)
             desk.conclude()
             assert estimator.trigger_deactivate() is SUCCESS
             assert estimator.trigger_cleanup() is SUCCESS
-            script.close()
-            assert len(bags_of(tmp_path / name)) == 2
-            assert [trial.lost for trial in stored(tmp_path / name).trials] == [0, 0]
+            desk.script.close()
+            assert len(desk.bags) == 2
+            assert [trial.lost for trial in desk.summary.trials] == [0, 0]
         assert estimator.trigger_shutdown() is SUCCESS
 
-    def test_what_came_before_the_activation_does_not_count(
-        self, desk: Desk
-    ) -> None:
+    def test_what_came_before_the_activation_does_not_count(self, desk: Desk) -> None:
         """Perturbations that still wait for their callback would be paired with later commands."""
-        estimator = make()
-        assert estimator.trigger_configure() is SUCCESS
+        desk.make()
+        assert desk.estimator.trigger_configure() is SUCCESS
         desk.script.wait_for_estimator()
         for topic, _, raw in MADE_UP[1 : 1 + 4 * 30]:
             desk.script.publishers[topic].publish(raw)
 
-        assert estimator.trigger_activate() is SUCCESS
+        assert desk.estimator.trigger_activate() is SUCCESS
         desk.play(MADE_UP)
         desk.conclude()
 
@@ -534,7 +528,8 @@ class TestLife:
         self, desk: Desk, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         monkeypatch.setattr("armimp_common.pubsub._PATIENCE", 0.05)
-        estimator = make()
+        desk.make()
+        estimator = desk.estimator
         estimator.trigger_configure()
 
         assert estimator.trigger_activate() is FAILURE
@@ -543,21 +538,79 @@ class TestLife:
         for topic in (*DATA_STREAMS, TRIAL):
             assert f"/{topic}" in estimator.transition_error
 
-    def test_node_in_a_namespace_keeps_to_it(
-        self,
-        desk: Desk,
-    ) -> None:
-        left = Node("script", context=context, namespace="/left")
-        spinner.add_node(left)
-        left_script = Script(left)
-        bring_up(make(cli_args=["--ros-args", "-r", "__ns:=/left"]), left_script)
+    def test_node_in_a_namespace_keeps_to_it(self, desk: Desk) -> None:
+        left = Node("script", context=desk.context, namespace="/left")
+        desk.spinner.add_node(left)
+        outside, desk.script = desk.script, Script(left)
+        desk.make(cli_args=["--ros-args", "-r", "__ns:=/left"])
+        desk.activate()
 
-        desk.play(MADE_UP[:ONE_TRIAL])
-        left_desk.play(MADE_UP)
-        desk.eventually(left_script.concluded, "the conclusion")
+        outside.play(desk.spinner, MADE_UP[:ONE_TRIAL])
+        desk.play(MADE_UP)
+        desk.conclude()
 
-        assert left_script.people[0].topic_name == "/left/impedance_estimator/result"
-        assert desk.script.results == []
+        assert desk.script.people[0].topic_name == "/left/impedance_estimator/result"
+        assert outside.results == []
         assert [trial.lost for trial in desk.summary.trials] == [0, 0]
-        spinner.remove_node(left)
+        desk.spinner.remove_node(left)
         left.destroy_node()
+
+
+class TestController:
+    def heard(self, desk: Desk, *, alive: int, silent: int) -> None:
+        """What the middleware says of the heartbeat of the controller."""
+        desk.estimator._controller._on_event(
+            SimpleNamespace(alive_count=alive, not_alive_count=silent)
+        )
+
+    def begin(self, desk: Desk, *phases: Phase) -> None:
+        desk.bring_up()
+        for phase in phases:
+            desk.announce(phase)
+        estimator = desk.estimator
+        desk.eventually(
+            lambda: (
+                estimator._recording.status is not None
+                and (Phase.DONE not in phases or estimator._done_at < math.inf)
+            ),
+            "the statuses",
+        )
+
+    def test_when_it_is_lost_expect_a_conclusion_with_the_reason(self, desk: Desk) -> None:
+        self.begin(desk, Phase.PERTURB)
+        self.heard(desk, alive=1, silent=0)
+        a_moment(desk.spinner)
+        assert not desk.script.conclusions
+
+        self.heard(desk, alive=0, silent=1)
+
+        desk.conclude()
+        problem = str(desk.summary.problems[0])
+        assert problem.startswith("imbic_controller gave no sign of life for")
+
+    def test_when_it_leaves_after_the_end_expect_no_complaint(self, desk: Desk) -> None:
+        self.begin(desk, Phase.PERTURB, Phase.DONE)
+        self.heard(desk, alive=1, silent=0)
+
+        self.heard(desk, alive=0, silent=0)
+
+        desk.conclude()
+        assert not any("imbic_controller" in str(one) for one in desk.summary.problems)
+
+    def test_its_statuses_of_the_last_experiment_count_no_more_after_a_new_configuration(
+        self, desk: Desk
+    ) -> None:
+        self.begin(desk, Phase.PERTURB, Phase.DONE)
+        estimator = desk.estimator
+        assert estimator.trigger_deactivate() is SUCCESS
+        assert estimator.trigger_cleanup() is SUCCESS
+        desk.conclude()
+
+        estimator.set_parameters([Parameter("directory", value="")])
+        desk.activate()
+        a_moment(desk.spinner, 0.5)
+
+        assert estimator._done_at == math.inf
+        assert estimator._recording.status is None
+        desk.announce(Phase.SETTLE)
+        desk.eventually(lambda: estimator._recording.status is not None, "the new trial")

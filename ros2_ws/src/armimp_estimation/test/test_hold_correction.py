@@ -7,10 +7,6 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_common.topics import COMMANDS, TRIAL
-from armimp_estimation.alignment.assemble import assemble_trials
-from armimp_estimation.alignment.streams import decode_streams
-from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import command_steps, update_jump
@@ -18,7 +14,6 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.held_commands import PERIOD, SAMPLES, TRANSMISSION, rig_record
-from support.synthetic_bags import SyntheticRecording, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM
 
 FloatArray = NDArray[np.float64]
@@ -142,60 +137,3 @@ def test_steps_are_differences_of_commands_and_begin_with_zero(smooth: list[Tria
     np.testing.assert_array_equal(command_steps(record, 4), [[0.0, 3.0, 5.0, 7.0]] * 2)
     with pytest.raises(ValueError, match="trial 1 has no commands"):
         command_steps(dataclasses.replace(record, command=None), 4)
-
-
-class TestCommandsOfRecords:
-    NAMES = ("shoulder", "elbow")
-    RECORDING = synthetic_recording(perturbed=(0, 1), ticks=40, settle=10, rest=5)
-
-    def assembled(
-        self, topics: dict[str, list[bytes]], recording: SyntheticRecording = RECORDING
-    ) -> list[TrialRecord]:
-        statuses, problem = decode_trial_statuses(recording.by_topic()[TRIAL])
-        assert not problem
-        streams = decode_streams(self.NAMES, topics)
-        return [trial.segments[0] for trial in assemble_trials(streams, statuses)]
-
-    def test_each_sample_has_the_command_that_answered_it(self) -> None:
-        records = self.assembled(self.RECORDING.by_topic())
-        assert len(records) == 2
-        for record in records:
-            assert record.command is not None
-            # So they are made.
-            np.testing.assert_array_equal(record.command, record.torque + record.perturbation)
-
-    def test_a_recording_that_is_cut_within_a_tick_keeps_them(self) -> None:
-        topics = self.RECORDING.by_topic()
-        del topics[COMMANDS][-1]
-        assert all(record.command is not None for record in self.assembled(topics))
-
-    @pytest.mark.parametrize("left", [slice(0, 0), slice(0, 60), slice(2, None)])
-    def test_when_commands_are_missing_expect_a_record_without(self, left: slice) -> None:
-        topics = self.RECORDING.by_topic()
-        topics[COMMANDS] = topics[COMMANDS][left]
-        assert [record.command for record in self.assembled(topics)] == [None, None]
-
-    def test_when_a_command_is_malformed_expect_records_without(self) -> None:
-        topics = self.RECORDING.by_topic()
-        topics[COMMANDS][3] = b"rubbish"
-        assert [record.command for record in self.assembled(topics)] == [None, None]
-
-    def test_when_a_command_is_not_finite_expect_that_record_without(self) -> None:
-        topics = self.RECORDING.by_topic()
-        raw = bytearray(topics[COMMANDS][20])
-        raw[-8:] = np.array([np.nan]).tobytes()
-        topics[COMMANDS][20] = bytes(raw)
-        first, second = self.assembled(topics)
-        assert first.command is None
-        assert second.command is not None
-
-
-def test_when_a_command_of_a_record_does_not_fit_expect_data_error(
-    smooth: list[TrialRecord],
-) -> None:
-    with pytest.raises(DataError, match="command has 5 samples, perturbation has 30000"):
-        dataclasses.replace(smooth[0], command=np.zeros((2, 5)))
-    command = np.zeros((2, SAMPLES))
-    command[1, 7] = np.inf
-    with pytest.raises(DataError, match="command of b is inf at sample 7"):
-        dataclasses.replace(smooth[0], command=command)

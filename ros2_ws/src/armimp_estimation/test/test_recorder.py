@@ -137,7 +137,7 @@ def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
         ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(
     late=st.fixed_dictionaries(dict.fromkeys((*DATA_STREAMS, TRIAL), st.integers(0, 15))),
     together=st.sampled_from([1, 7, 20]),
@@ -153,7 +153,7 @@ def test_however_late_a_stream_is_each_trial_has_exactly_its_samples(
         assert trial.segments[0].command is not None
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(
     lost=st.fixed_dictionaries(
         dict.fromkeys(DATA_STREAMS, st.sets(st.integers(0, 2 * TICKS), max_size=12))

@@ -2,10 +2,8 @@
 
 import base64
 import hashlib
-import json
 import re
 from dataclasses import replace
-from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
@@ -18,48 +16,12 @@ from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, uncertain
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary, read_summary, write_summary
+from support.pages import Page
 from support.recordings import recorded_arm
 from support.results import METADATA, make_result
 from support.synthetic_bags import Message, synthetic_recording
 
 HOSTILE = "\"'><script>alert(1)</script><img src=x onerror=alert(1)><a href='javascript:alert(1)'>"
-
-
-class Page(HTMLParser):
-    """Elements of a page, its text outside of scripts, and its scripts."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.elements: list[tuple[str, dict[str, str | None]]] = []
-        self.scripts: list[tuple[dict[str, str | None], str]] = []
-        self.words = ""
-        self._open: str = ""
-        self.feed(page)
-        self.close()
-        self.words = " ".join(self.words.split())
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.elements.append((tag, dict(attrs)))
-        self._open = tag
-        if tag == "script":
-            self.scripts.append((dict(attrs), ""))
-
-    def handle_endtag(self, tag: str) -> None:
-        self._open = ""
-
-    def handle_data(self, data: str) -> None:
-        if self._open == "script":
-            attributes, text = self.scripts[-1]
-            self.scripts[-1] = (attributes, text + data)
-        elif self._open != "style":
-            self.words += data + " "
-
-    def ids(self) -> list[str]:
-        return [attributes["id"] or "" for _, attributes in self.elements if "id" in attributes]
-
-    def plots(self) -> list[dict[str, object]]:
-        kind = "application/json"
-        return [json.loads(text) for given, text in self.scripts if given.get("type") == kind]
 
 
 @pytest.fixture(scope="module")

@@ -1,10 +1,9 @@
 """Strings stay text whatever they hold; numbers and the origin of parameters are written."""
 
 import json
-from html.parser import HTMLParser
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from markupsafe import Markup, escape
 
@@ -20,27 +19,11 @@ from armimp_estimation.report.formats import (
 from armimp_estimation.report.page import Section, Table, render_page, script_json
 from armimp_estimation.report.run import advised
 from armimp_estimation.report.settings import ASSUMPTION, CHOSEN, assumptions_content, origin
+from support.pages import Page
 from support.results import METADATA
 
 CONFIG = json.loads(METADATA["config"])
 HOSTILE = "\"><script>alert(1)</script><img src=x onerror=alert(1)>'&amp;{{ 7 * 7 }}"
-
-
-class Elements(HTMLParser):
-    """Start tags with attributes, and the text, as a browser would find them."""
-
-    def __init__(self, page: str) -> None:
-        super().__init__()
-        self.found: list[tuple[str, dict[str, str | None]]] = []
-        self.content = ""
-        self.feed(page)
-        self.close()
-
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.found.append((tag, dict(attrs)))
-
-    def handle_data(self, data: str) -> None:
-        self.content += data
 
 
 def test_strings_in_cells_captions_and_titles_stay_text() -> None:
@@ -57,13 +40,13 @@ def test_strings_in_cells_captions_and_titles_stay_text() -> None:
     assumed = {"joints": 2, "friction": "level 3", "sensors": "a resolution"}
     made = render_page(HOSTILE, "report/assumptions.html", [section], content=assumed)
     body = made[made.index("<body>") : made.index("<script>")]
-    page = Elements(body)
-    assert {"script", "img"}.isdisjoint(tag for tag, _ in page.found)
-    assert page.content.count(HOSTILE) == 7
-    (frame,) = [given for _, given in page.found if given.get("role") == "region"]
+    page = Page(body)
+    assert {"script", "img"}.isdisjoint(tag for tag, _ in page.elements)
+    assert page.words.count(HOSTILE) == 7
+    (frame,) = [given for _, given in page.elements if given.get("role") == "region"]
     # Only what can have the focus can be scrolled with the keyboard.
     assert frame["tabindex"] == "0"
-    scopes = [given.get("scope") for tag, given in page.found if tag == "th"]
+    scopes = [given.get("scope") for tag, given in page.elements if tag == "th"]
     assert scopes == ["colgroup", "col", "col", "rowgroup", "row", "row"]
 
 
@@ -81,6 +64,7 @@ def test_symbols_are_markup_whose_parts_are_escaped() -> None:
     assert symbol(HOSTILE) == Markup("<var>") + escape(HOSTILE) + Markup("</var>")
 
 
+@settings(max_examples=40)
 @given(st.recursive(st.text() | st.integers() | st.none(), st.lists))
 def test_json_for_a_script_comes_back_and_cannot_end_the_element(value: object) -> None:
     made = script_json({"value": value, "</script>": "<!--"})

@@ -23,7 +23,7 @@ from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.messages import result_message
-from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata, reading_of
+from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
@@ -228,15 +228,19 @@ def test_without_a_truth_there_is_no_vaf(truth: str | None) -> None:
     ("key", "text", "reason"),
     [
         *(
-            ("truth", text, "truth is not")
+            ("truth", text, "truth")
             for text in ("{}", "[1]", '{"M": [[1]], "B": 2, "K": 3}', "{", "7")
         ),
-        ("config", "[1]", "config is not a JSON object"),
-        ("torque_delay", '"late"', "torque_delay is not a number"),
-        ("torque_order", "1.5", "torque_order is not an integer"),
-        ("torque_uncertainty", "-1", "torque_uncertainty is not a time"),
+        ("config", "[1]", "config: Input should be a valid dictionary, got"),
+        ("torque_delay", '"late"', "torque_delay: Input should be a valid number, got 'late'"),
+        ("torque_order", "1.5", "torque_order: Input should be a valid integer, got 1.5"),
+        (
+            "torque_uncertainty",
+            "-1",
+            "torque_uncertainty: Input should be greater than .*got -1",
+        ),
         *(
-            ("torque_timing", text, "torque_timing is .*known are unknown, before_update")
+            ("torque_timing", text, "torque_timing: Input should be 'unknown', 'before_update'")
             for text in ('"later"', "7", "null", "[1]")
         ),
     ],
@@ -250,8 +254,8 @@ def test_metadata_that_make_no_sense_are_refused_in_one_line(
 
 
 def test_nothing_is_known_of_torques_unless_the_metadata_say_so() -> None:
-    assert reading_of({}) == TorqueReading()
-    mean = reading_of({"torque_timing": '"interval_mean"'})
+    assert Metadata.of({}).reading == TorqueReading()
+    mean = Metadata.of({"torque_timing": '"interval_mean"'}).reading
     assert mean == TorqueReading(timing=TorqueTiming.INTERVAL_MEAN)
 
 
@@ -413,15 +417,15 @@ def test_each_limit_that_is_exceeded_is_a_problem(
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("{", "Invalid JSON"),
-        ("3", "content: "),
+        ("{", " is not JSON"),
+        ("3", ": Input should be"),
         (json.dumps({"ticks": 3}), "late: Field required"),
         (timing().model_dump_json().replace('"late":3', '"late":3000'), "late must lie between 0"),
     ],
 )
 def test_timing_that_makes_no_sense_is_refused_in_one_line(text: str, complaint: str) -> None:
-    with pytest.raises(DataError, match=f"metadata: timing: .*{complaint}") as caught:
-        Timing.from_metadata({RECORD_KEY: text})
+    with pytest.raises(DataError, match=f"metadata: timing.*{complaint}") as caught:
+        Metadata.of({RECORD_KEY: text})
     assert "\n" not in str(caught.value)
 
 

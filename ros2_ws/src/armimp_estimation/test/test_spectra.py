@@ -78,7 +78,7 @@ def test_ends_of_the_band_belong_to_it() -> None:
     np.testing.assert_array_equal(config.frequencies(RATE), [3.0, 4.0, 5.0, 6.0, 7.0])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(
     channels=st.integers(1, 4),
     samples=st.integers(64, 400),
@@ -188,7 +188,7 @@ def test_averages_scatter_and_correlate_as_white_noise_shows() -> None:
     config = WelchConfig(segment=128, overlap=96, f_low=5.0, f_high=58.0)
     bins = 54
     samples = 128 + 20 * 32
-    runs = 600
+    runs = 300
     x = np.random.default_rng(5).standard_normal((2 * runs, samples))
     averages = np.empty((runs, bins), dtype=np.complex128)
     for run in range(runs):

@@ -16,7 +16,7 @@ from armimp_estimation.estimators.welch import WelchFull
 from armimp_estimation.fit import fit_mbk
 from armimp_estimation.hold_correction import update_jump
 from armimp_estimation.mbk import MBK
-from armimp_estimation.metadata import reading_of
+from armimp_estimation.metadata import Metadata
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
@@ -193,20 +193,20 @@ def test_metadata_tell_all_of_it_and_parameters_prevail() -> None:
     expected = TorqueReading(
         timing=TorqueTiming.INTERVAL_MEAN, delay=0.002, cutoff=150, order=2, actuator_lag=0.001
     )
-    assert reading_of(metadata) == expected
+    assert Metadata.of(metadata).reading == expected
     given = EstimatorParameters(
         metadata=json.dumps(metadata), torque=TorqueParameters(delay=0.004)
     ).bag_metadata()
-    assert reading_of(given) == expected.model_copy(update={"delay": 0.004})
-    assert reading_of(EstimatorParameters().bag_metadata()) == TorqueReading()
+    assert Metadata.of(given).reading == expected.model_copy(update={"delay": 0.004})
+    assert Metadata.of(EstimatorParameters().bag_metadata()).reading == TorqueReading()
 
 
 @pytest.mark.parametrize(
     ("metadata", "words"),
     [
-        ({"torque_delay": '"long"'}, "torque_delay is not a number: 'long'"),
-        ({"torque_delay": "true"}, "torque_delay is not a number: True"),
-        ({"torque_order": "1.5"}, "torque_order is not an integer: 1.5"),
+        ({"torque_delay": '"long"'}, "torque_delay: Input should be a valid number, got 'long'"),
+        ({"torque_delay": "true"}, "torque_delay: Input should be a valid number, got True"),
+        ({"torque_order": "1.5"}, "torque_order: Input should be a valid integer, got 1.5"),
         ({"torque_delay": "-2"}, "delay must be within ± 1 s, got -2.0 s"),
         ({"torque_cutoff": "NaN"}, "cutoff must be finite"),
         ({"torque_order": "9"}, "order must be 1 to 4, got 9"),
@@ -214,7 +214,7 @@ def test_metadata_tell_all_of_it_and_parameters_prevail() -> None:
 )
 def test_metadata_that_make_no_sense_are_refused(metadata: dict[str, str], words: str) -> None:
     with pytest.raises(DataError, match=words):
-        reading_of(metadata)
+        Metadata.of(metadata)
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_arrays_of_any_layout_become_contiguous_float64_with_the_same_values() -
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize("name", ["perturbation", "position", "torque"])
+@pytest.mark.parametrize("name", ["perturbation", "position", "torque", "command"])
 def test_when_a_sample_is_not_finite_expect_its_joint_and_place_in_the_error(
     name: str, bad: float
 ) -> None:
@@ -55,6 +55,7 @@ def test_when_a_sample_is_not_finite_expect_its_joint_and_place_in_the_error(
     [
         ({"position": np.zeros((3, 5))}, r"position has shape \(3, 5\), expected \(2, N\)"),
         ({"torque": np.zeros((2, 4))}, "torque has 4 samples, perturbation has 5"),
+        ({"command": np.zeros((2, 4))}, "command has 4 samples, perturbation has 5"),
         ({"perturbation": np.zeros(5)}, r"perturbation has shape \(5,\)"),
         ({"perturbed_joint": 2}, "no joint 3 among 2 joints"),
         ({"perturbed_joint": -1}, "no joint 0"),

@@ -59,7 +59,7 @@ _HEALED = frozenset(
         ProblemCode.COMMANDS_MISSING,
     }
 )
-"""Problems that have no part in the intact parts of a trial."""
+"""Problems that do not affect the intact parts of a trial."""
 _REFUSED = frozenset(
     {
         ProblemCode.TRIAL_SPOILED,
@@ -135,7 +135,7 @@ class StreamStatistics(JsonModel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """A trial, or what could be had of it.
+    """A trial, as far as it was recorded.
 
     Parameters
     ----------
@@ -437,7 +437,7 @@ class _Aligned:
         )
 
     def when(self, ticks: NDArray[np.bool_]) -> dict[str, float | int]:
-        """How many periods, and when they were, s; the end is that of the last period."""
+        """Count periods, and tell when the first begins and the last ends, s."""
         places = np.flatnonzero(ticks)
         return {
             "count": places.size,
@@ -473,7 +473,7 @@ def _span(window: TrialWindow, aligned: Mapping[str, _Aligned]) -> int:
 def _of_window(
     window: TrialWindow, stamps: NDArray[np.int64], numbers: NDArray[np.int64]
 ) -> Iterator[Problem]:
-    """What the controller says against the trial, and stamps that do not belong together."""
+    """Report faults that the controller announced, and stamps that do not belong together."""
     if window.fault is not None:
         yield window.fault
     close = np.flatnonzero(np.diff(numbers) == 0)
@@ -485,7 +485,7 @@ def _of_window(
 def _of_streams(
     aligned: Mapping[str, _Aligned], counts: Mapping[str, StreamCount]
 ) -> Iterator[Problem]:
-    """What is missing, or not as it should be, in the streams with stamps."""
+    """Report what is missing, or not as it should be, in the streams with stamps."""
     missing: dict[bytes, list[str]] = {}
     for topic, one in aligned.items():
         missing.setdefault(one.present.tobytes(), []).append(topic)
@@ -548,7 +548,7 @@ def _count_commands(streams: Streams, leading: _Aligned) -> tuple[StreamCount, i
 def _of_commands(
     window: TrialWindow, leading: _Aligned, count: StreamCount, foreign: int
 ) -> Iterator[Problem]:
-    """What speaks against the commands. A recording without any is not judged by them."""
+    """Report problems of the commands; a recording without any has none of these."""
     if not count.received:
         return
     cut = not window.ended or window.fault is not None  # maybe between the messages of a tick

@@ -1,4 +1,4 @@
-"""Messages that have come and wait to be recorded, as many ticks at once are cheaper than one."""
+"""Collecting the messages of the four streams, so that many samples are recorded at once."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from armimp_common.topics import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
 TOGETHER = 50
 """Samples that are recorded at a time; those that wait for it are lost if the process is killed."""
 _PATIENCE = 20
-"""Samples for which a perturbation waits for other messages of the same sample."""
+"""A perturbation waits for the other messages of its sample until so many more have come."""
 _KEPT = 2000
-"""Samples for which other messages wait for the perturbation, which may be late: they are fetched,
-and it is handed in when its turn comes."""
+"""The perturbation may be late, as it is handed in when its turn comes and the others are fetched:
+their messages wait for it until so many more have come."""
 
 FETCHED = tuple(topic for topic in DATA_STREAMS if topic != PERTURBATION)
-"""Streams that are fetched; the perturbation, mostly the last message of its sample, leads."""
+"""Streams that are fetched. The perturbation, mostly the last message of its sample, leads."""
 
 
 class StreamSynchronizer:
-    """The messages of the four streams, each in the order in which they came.
+    """Keeps the messages of the four streams, each in its order, until they are taken out.
 
-    Those of the perturbation are handed in one by one; the others are fetched with every tenth of
+    Those of the perturbation are handed in one by one. The others are fetched with every tenth of
     them, and before anything is taken out.
 
     Parameters

@@ -84,7 +84,7 @@ class TrialWindow:
 
 
 class AnnouncedTrials:
-    """Lengths of the trials that were announced, to tell statuses that the controller can't send.
+    """Remembers how long trials were announced to be, to find statuses that no controller can send.
 
     Parameters
     ----------
@@ -98,12 +98,12 @@ class AnnouncedTrials:
         self._enough: set[int] = set()
 
     def note(self, decision: StoppingDecision) -> None:
-        """Take what was found of a trial."""
+        """Take a decision of the stopping rule."""
         if decision.enough:
             self._enough.add(decision.trial)
 
     def contradiction(self, status: TrialStatus) -> str:
-        """Return what a status says that cannot be; empty if it is as it should be."""
+        """Return in words how a status contradicts those before; empty if it does not."""
         trial, ticks = status.trial, status.ticks
         planned = self._planned.setdefault(trial, ticks)
         if ticks > planned:
@@ -169,7 +169,7 @@ def _window(start_ns: int, statuses: Sequence[TrialStatus], *, ended: bool) -> T
 
 
 def fault_of(status: TrialStatus) -> Problem | None:
-    """What a status says against its trial."""
+    """Return the fault that a status reports of its trial; None if it reports none."""
     reason = status.reason or "no reason given"
     if status.phase is Phase.ABORTED:
         code = ProblemCode.TRIAL_ABORTED

@@ -72,7 +72,7 @@ def finish_bags(directory: Path) -> list[str]:
 
 
 def _write_anew(path: Path, messages: RawMessages) -> bool:
-    """Replace the files of a bag by new ones; false if it has topics of no recorder of ours."""
+    """Replace the files of a bag by new ones; return false if another recorder made it."""
     names = [contract_topic(name) or "" for name, _ in messages.topics]
     if [absolute(name) for name in names] != [name for name, _ in messages.topics]:
         return False

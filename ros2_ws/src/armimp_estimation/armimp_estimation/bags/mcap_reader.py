@@ -255,7 +255,7 @@ class _McapReading:
 
 
 class _ChunkLayout:
-    """Where the messages are in chunks of nothing else, whose lengths are in the same order.
+    """The places of messages in chunks of nothing else, whose lengths come in the same order.
 
     A recorder of regular streams writes few kinds of chunks. Walking from record to record, where
     each has to be looked at before the next is found, takes longer than everything else in reading

@@ -136,7 +136,7 @@ _LONGEST: Final = 300
 
 
 def one_line(text: object) -> str:
-    """Text, or that of an error, as a short line: damaged files bring along what they like."""
+    """Return a text, or that of an error, as a short line, whatever a damaged file holds."""
     line = " ".join(str(text).split()) or type(text).__name__
     return line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ..."
 
@@ -179,7 +179,7 @@ class RawMessages:
     def extend(
         self, topic_indices: Iterable[int], log_times: Iterable[int], payloads: Iterable[bytes]
     ) -> None:
-        """Add messages, whose content is paid for.
+        """Add messages, for whose content the budget has been charged.
 
         Raises
         ------
