@@ -75,7 +75,7 @@ class ImpedanceCurve:
 
     @classmethod
     def of(cls, result: EstimatorResult) -> ImpedanceCurve:
-        """That of a result, as it comes back from the file."""
+        """Return the curve of a result, with the precision that the file has."""
         estimate = result.estimate
         kept = {one.attribute: getattr(estimate, one.attribute) for one in _STORED.values()}
         for name in ("covariance", "disturbance"):

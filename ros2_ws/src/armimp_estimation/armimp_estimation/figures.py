@@ -346,7 +346,7 @@ def log_axis(axes: Axes, ends: tuple[float, float]) -> None:
 
 
 def frequency_axis(axes: Axes, grids: Sequence[Any], *, last: bool) -> None:
-    """Make an abscissa that of all these frequencies (Hz); only the last one has a title."""
+    """Make an abscissa logarithmic over all these frequencies (Hz); the last one has a title."""
     low, high = min(f[0] for f in grids), max(f[-1] for f in grids)
     axes.set_xscale("log")
     axes.set_xlim(low, high)

@@ -133,7 +133,7 @@ def frf_matrix(trials: Sequence[TrialSpectra]) -> FrfMatrix:
 
 
 def _covariance(trial: TrialSpectra) -> ComplexArray:
-    """Covariance of R and T of a trial: that of what the perturbation does not explain."""
+    """Covariance of R and T of a trial, from the part of the signals that is not explained."""
     matrix, gain = trial.spectra.matrix, noise_gain(trial)
     crossed = matrix[0, 1:]
     explained = crossed[:, None] * np.conj(crossed[None]) / trial.input_power

@@ -1,4 +1,4 @@
-"""What the models of JSON files share: numbers that may be null, and no unknown keys."""
+"""The base of all models of JSON files: numbers may be null, and unknown keys are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the samples of a trial that is being recorded tell so far."""
+"""Coherence and column of the impedance from a trial that is still being recorded."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TOPICS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
 
 class RunningTrial:
-    """What the samples recorded so far tell, for people who watch and to know when it is enough.
+    """Estimates from the samples so far, for people who watch and for the stopping rule.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class RunningTrial:
             return None
 
     def _parts(self) -> list[tuple[int, Stream]]:
-        """Perturbation, angles and torques, each with the place of its first sample."""
+        """Return perturbation, angles and torques, each with the place of its first sample."""
         streams = [self._streams.stamped[topic] for topic in _TOPICS]
         return [(int((one.stamps < self._start_ns).sum()), one) for one in streams]
 

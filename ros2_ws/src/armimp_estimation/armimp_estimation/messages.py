@@ -20,7 +20,7 @@ _SHOWN = 16
 def column_message(
     trial: Trial, spectra: TrialSpectra, column: ImpedanceColumn
 ) -> DiagnosticStatus:
-    """Column k of T, R and Z_h at selected frequencies, as soon as its trial is over."""
+    """Tell column k of T, R and Z_h at selected frequencies, as soon as its trial is over."""
     chosen = _selection(column.f.size)
     values: dict[str, str | int | list[float]] = {
         "trial": trial.trial,
@@ -48,7 +48,7 @@ def column_message(
 
 
 def failed_trial_message(trial: Trial, reason: str) -> DiagnosticStatus:
-    """A trial which can't be estimated, and why."""
+    """Say that a trial cannot be estimated, and why."""
     joint = trial.joint + 1
     return make_status(
         f"{ESTIMATOR_NODE}: column {joint}",
@@ -59,7 +59,7 @@ def failed_trial_message(trial: Trial, reason: str) -> DiagnosticStatus:
 
 
 def result_message(result: Result) -> DiagnosticStatus:
-    """The whole matrix: M, B, K with standard errors, scores, and Z at selected frequencies."""
+    """Tell M, B and K with standard errors, the scores, and Z at selected frequencies."""
     summary = result.summary
     codes = dict.fromkeys(one.code.value for one in summary.faults)
     values: dict[str, str | bool | list[float]] = {

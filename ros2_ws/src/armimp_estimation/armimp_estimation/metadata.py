@@ -1,4 +1,4 @@
-"""What the metadata of a recording tell of its experiment, its timing in real time among it."""
+"""The metadata of a recording: what is known of its experiment beside the samples."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ class Timing(JsonModel):
 
     @classmethod
     def of(cls, figures: TimingFigures, limits: TimingLimits) -> Timing:
-        """Figures from the first sample of the run on, and limits of the run."""
+        """Put together figures from the first sample of the run on, and the limits of the run."""
         return cls(**asdict(figures), **asdict(limits))
 
     @property
     def problems(self) -> list[Problem]:
-        """What is beyond its limit; comparisons are written so that NaN fails."""
+        """List what is beyond its limit; comparisons are written so that NaN fails."""
         found = []
         for code, count, limit in (
             (ProblemCode.SAMPLES_LATE, self.late, self.max_late_share),

@@ -67,7 +67,7 @@ _RECORDED_BESIDE = {topics.CLOCK: Clock, topics.DIAGNOSTICS: DiagnosticArray}
 
 
 class ImpedanceEstimatorNode(PollingNode, ManagedNode):
-    """Records every trial, estimates each as it ends, and the full matrix after the last."""
+    """Records all trials, estimates a column after each, and the whole matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(topics.ESTIMATOR_NODE, **kwargs)
@@ -234,7 +234,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._received.publish(samples)
 
     def _record(self, *, incomplete: bool = False) -> None:
-        """Record what waits for it."""
+        """Record the messages that wait for it."""
         try:
             self._recording.add(self._synchronizer.take(incomplete=incomplete))
         except ArmimpError as error:
@@ -258,7 +258,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._give_up(error)
 
     def _note_timing(self, message: bytes) -> None:
-        """Keep what the rig tells of its timing in realtime."""
+        """Keep the timing that the rig reports in real time."""
         if TimingFigures.STATUS_NAME.encode() not in message:
             return
         limits = self._settings.realtime.limits()

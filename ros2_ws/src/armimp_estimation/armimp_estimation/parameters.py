@@ -32,26 +32,40 @@ class RealtimeParameters(Schema):
     )
 
     def limits(self) -> TimingLimits:
-        """The same as the verdict takes it."""
+        """Return the limits as the verdict takes them."""
         return TimingLimits(**self.model_dump())
 
 
 class TorqueParameters(Schema):
-    """What is known of the torque readings and gets corrected; 0: what the metadata say."""
+    """Known properties of the torque readings, which are corrected."""
 
     delay: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="how late torque readings are (s)"
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        description="delay of the torque readings (s); 0: as the metadata say",
     )
     cutoff: float = Field(
-        default=0.0, ge=0.0, description="anti-alias low-pass before their sampling (Hz)"
+        default=0.0,
+        ge=0.0,
+        description="cut-off frequency of the anti-alias filter of the torque readings (Hz); "
+        "0: as the metadata say",
     )
-    order: int = Field(default=1, ge=1, le=HIGHEST_ORDER, description="its order (Butterworth)")
+    order: int = Field(
+        default=1,
+        ge=1,
+        le=HIGHEST_ORDER,
+        description="order of the anti-alias filter of the torque readings (Butterworth)",
+    )
     actuator_lag: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="time constant of the drives (s)"
+        default=0.0,
+        ge=0.0,
+        le=0.1,
+        description="time constant of the drives (s); 0: as the metadata say",
     )
 
     def metadata(self) -> dict[str, str]:
-        """What is known, as the metadata of bags have it."""
+        """Return what is known in the form that metadata of bags have."""
         known = {key: getattr(self, name) for key, name in READING_KEYS.items()}
         if not self.cutoff:
             del known["torque_order"]

@@ -1,4 +1,4 @@
-"""What is wrong with a result, as data: a code with values. Its words are in ``problems.yaml``."""
+"""Problems of a result as data: a code with values. The words are in ``problems.yaml``."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class ProblemCode(str, Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """Problems about which there is the same thing to do.
+    """A kind of problems, for all of which the same advice holds.
 
     Attributes
     ----------
@@ -142,7 +142,7 @@ def kind_of(code: ProblemCode) -> Kind:
 
 
 class Problem(JsonModel):
-    """One thing that is wrong, or was found and put right.
+    """Something that is wrong with a result, or that was found and corrected.
 
     Attributes
     ----------

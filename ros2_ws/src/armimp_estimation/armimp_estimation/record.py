@@ -13,7 +13,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialRecord:
-    """One trial: what was commanded as perturbation and what the sensors read.
+    """The samples of one trial: the commanded perturbation and the readings of the sensors.
 
     The arrays are converted to C-contiguous float64, so that the estimates do not
     depend on how the caller happened to lay them out.

@@ -1,4 +1,4 @@
-"""From live messages to trials: recording them, and assembling each trial when it is over."""
+"""Recording of live messages, and the assembly of each trial when it is over."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ class TrialRecorder:
             self._writer.write(topic, message, max(*self._log_ns.values(), time_ns or 0))
 
     def progress(self) -> Progress | None:
-        """Where the recording stands, with what the samples tell so far; None between trials."""
+        """Tell how far the recording is, and what the samples show so far; None between trials."""
         if (status := self.status) is None:
             return None
         motion, torque = self.coherence() or (None, None)
@@ -365,7 +365,7 @@ class TrialRecorder:
                 self._writer.write(TRIAL, encode_trial_status(status), time_ns)
 
     def _is_past(self, beyond_ns: int, *topics: str) -> bool:
-        """Whether streams, by default the perturbation, are so far beyond the end of the trial."""
+        """Whether streams, by default the perturbation, are this far past the end of the trial."""
         if self._start_ns is None:
             return False
         planned = self._statuses[-1].ticks * PERIOD_NS

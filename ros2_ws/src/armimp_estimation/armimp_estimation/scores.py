@@ -1,4 +1,4 @@
-"""Measures of how far an estimate can be trusted; all over the band of the spectra.
+"""Scores that tell how far an estimate can be trusted, all over the band of the spectra.
 
 Means over the band are plain means over its frequencies.
 """

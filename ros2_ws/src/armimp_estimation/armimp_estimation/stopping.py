@@ -1,4 +1,4 @@
-"""When a trial has lasted long enough: standard errors below a bound, considered now and then."""
+"""Deciding when a trial has lasted long enough for its standard errors to be below a bound."""
 
 from __future__ import annotations
 

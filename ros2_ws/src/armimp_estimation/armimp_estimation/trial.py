@@ -68,12 +68,12 @@ class TrialSpectra:
 def channels(
     joint: int, perturbation: FloatArray, position: FloatArray, torque: FloatArray
 ) -> FloatArray:
-    """Samples of a trial of a joint (0-based), each (n, m), as channels of `TrialSpectra`."""
+    """Stack samples of the trial of a joint (0-based), each (n, m), as `TrialSpectra` has them."""
     return np.concatenate((perturbation[joint : joint + 1], position, torque))
 
 
 def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
-    """Welch segments that suit the intact parts of the trial that has the least of them."""
+    """Choose Welch segments that suit all trials, by that with the shortest intact parts."""
     configs = [
         WelchConfig.for_stretches([part.samples for part in parts], parts[0].rate)
         for parts in trials

@@ -77,7 +77,7 @@ def _bode(f: FloatArray, z: ComplexArray, radius: FloatArray) -> BodeCurve:
 
 
 def phase_about(truth: ComplexArray, z: ComplexArray) -> FloatArray:
-    """Phase of an estimate in degrees, counted from the truth on: noise can't make it jump a turn.
+    """Phase of an estimate, degrees, counted from that of the truth so that it never jumps a turn.
 
     Both have shape (n_freq,), at the same frequencies, N·m/rad.
     """
@@ -107,7 +107,7 @@ class Distances:
 
 
 def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str:
-    """What estimates are compared with: the truth (empty), or the name of an estimator."""
+    """Tell what estimates are compared with: the truth (empty), or an estimator by its name."""
     if truth is not None:
         return ""
     return _REFERENCE if _REFERENCE in curves else next(iter(curves))

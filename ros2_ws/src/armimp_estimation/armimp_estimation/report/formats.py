@@ -29,7 +29,7 @@ STREAMS: Mapping[str, str] = {
 
 
 def plain(value: object) -> str:
-    """Text of a value as a page can hold it: unwanted and impossible characters are replaced."""
+    """Write a value as text of a page, in which unwanted and impossible characters are replaced."""
     possible = str(value).encode("utf-8", "replace").decode("utf-8")
     return _UNWANTED.sub("\N{REPLACEMENT CHARACTER}", possible)
 
@@ -84,7 +84,7 @@ def code(value: object) -> Markup:
 
 
 def alarming(value: object) -> Markup:
-    """Set off what is not as it should be."""
+    """Mark up a value so that it stands out, as it is not what it should be."""
     return Markup('<strong class="beyond">{}</strong>').format(value)
 
 

@@ -86,13 +86,13 @@ class Section:
 
 
 def box(tag: str, label: str, colour: str, style: str = "solid", width: int = 3) -> Content:
-    """Control that switches what carries a tag, or entry of a key, drawn like its lines."""
+    """Make a control that switches what carries a tag, or an entry of a key, drawn like lines."""
     css = {"solid": "solid", "dot": "dotted"}.get(style, "dashed")
     return {"tag": tag, "label": label, "colour": f"var({colour})", "style": css, "width": width}
 
 
 def script_json(value: Any) -> Markup:
-    """JSON for a script element, which nothing in it can end."""
+    """Write JSON for a script element so that nothing in it can end the element."""
     dumped = json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
     # Only strings can hold these characters, and there the escapes mean the same.
     for character in "<>&":

@@ -49,7 +49,7 @@ _FEW_BUCKETS = 250
 
 
 def report_page(result: Result) -> str:
-    """HTML document of a result, valid or not."""
+    """Return the HTML document of a result, valid or not."""
     summary, names = result.summary, result.joint_names
     estimated: Content | None = {} if summary.estimators else None
     known = summary.torque_reading
@@ -110,7 +110,7 @@ def write_report(directory: Path, result: Result) -> Path:
 
 
 def _title(result: Result, one: Trial) -> str:
-    """Title of a trial; bags and summary may not agree on the joints."""
+    """Return the title of a trial, whose bag and summary may not agree on the joints."""
     joint, names = one.window.joint, result.joint_names
     name = names[joint] if joint < len(names) else f"joint {joint + 1}"
     return f"Trial {one.trial}: {name} perturbed"
@@ -157,7 +157,7 @@ def _limits_table(result: Result) -> Table:
         *,
         ceiling: bool = False,
     ) -> None:
-        """Row of the worst of some values, each with where it was found; NaN is the worst."""
+        """Add a row with the worst of some values and where it was found; NaN is the worst."""
         sign = 1.0 if ceiling else -1.0
         known = list(found)
         if not known:
@@ -260,7 +260,7 @@ def _coherence(result: Result) -> Content | None:
 
 
 def _locking(result: Result) -> Content | None:
-    """Trials with scores of their locking, and the rms motion of all joints in each, degrees."""
+    """List trials with scores of locking, and the rms motion of all joints in each, degrees."""
     scored = [trial for trial in result.summary.trials if not np.isnan(trial.lock_ratio).all()]
     if not scored or result.summary.joints == 1:
         return None
@@ -275,7 +275,7 @@ def _locking(result: Result) -> Content | None:
 
 
 def _signals(result: Result) -> Content:
-    """Time traces of all trials: of each for itself, or with many joints in one plot."""
+    """Plot the signals of all trials: each for itself, or with many joints all in one plot."""
     shown = [one for one in result.trials if one.segments]
     signals = "Perturbation, angles, torques and commands of"
     plots: list[Plot | None] = [None] * len(shown)
