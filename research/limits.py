@@ -131,7 +131,7 @@ def bound_of(
     """
     simulator = node_parameters(experiment.config, None).simulator
     noise = SensorNoise.of_rounding(
-        angle=simulator.sensors.encoder_resolution, torque=simulator.sensors.torque_resolution
+        angle=simulator.sensors.position.resolution, torque=simulator.sensors.torque.resolution
     )
     f, motion = motion_in_band(quiet.records, band)
     disturbance = power_spectrum(simulator.voluntary, f, PERIOD_NS / NS_PER_S)

@@ -80,5 +80,5 @@ def test_when_a_rig_moves_too_far_expect_its_emergency_stop_to_be_called_and_not
 
 
 def test_transducers_that_are_too_coarse_are_named(host: Host, check: Check) -> None:
-    host(DEFECTS.ArmSimNode, mode="lockstep", sensors__torque_resolution=0.05)
+    host(DEFECTS.ArmSimNode, mode="lockstep", sensors__torque__resolution=0.05)
     assert names(check(move=True)) == ["torque_sensors: resolution"]

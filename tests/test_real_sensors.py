@@ -38,14 +38,14 @@ def chosen(
     lag: float = 0.0,
     tare: bool = True,
     duration: float = DURATION,
-    **levels: int,
+    **levels: Any,
 ) -> ExperimentConfig:
-    """An experiment with the given `sensors.torque_...`."""
+    """An experiment with the given `sensors.torque.…`."""
     config = {
         "duration": duration,
         "arm_sim": {
-            "sensors": {f"torque_{name}": value for name, value in (sensors or {}).items()},
-            "actuators": {"lag": lag},
+            "sensors": {"torque": sensors or {}},
+            "actuators": {"bandwidth": 0.5 / np.pi / lag if lag else 0.0},
         },
         "imbic_controller": TARE if tare else {},
         **levels,
@@ -162,7 +162,8 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
 
 @pytest.mark.slow
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
-    config = chosen({"offset": OFFSET, "drift": [0.4, 0.2], "delay": 0.002}, duration=10.0)
+    sensors = {"offset": OFFSET, "drift": [0.4, 0.2], "noise": 0.005}
+    config = chosen(sensors, duration=10.0, rig="realistic", internal_model="observer")
     case = node_parameters(config, None)
     short = {"duration": 0.2, "settle": 0.05, "rest": 0.06}
     controller = case.controller.model_copy(
@@ -197,8 +198,8 @@ def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> N
 
 
 def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> None:
-    sensors = {"sensors": {"torque_delay": 0.0015, "torque_cutoff": 150.0, "torque_order": 2}}
-    values = {"arm_sim": {**sensors, "actuators": {"lag": 0.0002}}}
+    sensors = {"sensors": {"torque": {"delay": 0.0015, "cutoff": 150.0, "order": 2}}}
+    values = {"arm_sim": {**sensors, "actuators": {"bandwidth": 800.0}}}
 
     def known(**more: Any) -> TorqueReading:
         config = ExperimentConfig.model_validate({**values, **more})
@@ -206,7 +207,11 @@ def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> 
 
     prompt = TorqueReading(timing=TorqueTiming.BEFORE_UPDATE)
     everything = TorqueReading(
-        timing=prompt.timing, delay=0.0015, cutoff=150.0, order=2, actuator_lag=0.0002
+        timing=prompt.timing,
+        delay=0.0015,
+        cutoff=150.0,
+        order=2,
+        actuator_lag=1.0 / (2.0 * np.pi * 800.0),
     )
     assert known() == everything
     assert known(torque_delay=0.001) == everything.model_copy(update={"delay": 0.001})

@@ -177,7 +177,7 @@ def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(
         def configure(self, name: str) -> None:
             if name == topics.SIM_NODE:
                 client = AsyncParameterClient(self._node, name)
-                future = client.set_parameters([Parameter("sensors.torque_gain", value=[1.3, 1.3])])
+                future = client.set_parameters([Parameter("sensors.torque.gain", value=[1.3, 1.3])])
                 assert self._spin_until(future, PATIENCE)
             super().configure(name)
 
@@ -186,7 +186,7 @@ def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(
     summary = run_experiment(ExperimentConfig.model_validate(SHORT), out)
     different = summary.problems[0]
     assert different.code is ProblemCode.PARAMETERS_DIFFER
-    assert different.sentence.startswith("arm_sim: sensors.torque_gain is [1.3, 1.3], not ")
+    assert different.sentence.startswith("arm_sim: sensors.torque.gain is [1.3, 1.3], not ")
     assert not summary.trials
     active = yaml.safe_load((out / PARAMETERS_FILE).read_text(encoding="utf-8"))
-    assert active["arm_sim"]["ros__parameters"]["sensors.torque_gain"] == [1.3, 1.3]
+    assert active["arm_sim"]["ros__parameters"]["sensors.torque.gain"] == [1.3, 1.3]

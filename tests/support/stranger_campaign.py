@@ -333,7 +333,7 @@ ACTS: dict[str, Act] = {
     },
 }
 PARAMETERS: dict[str, tuple[str, Parameter]] = {
-    "torque gain": (topics.SIM_NODE, Parameter("sensors.torque_gain", value=[1.3, 1.3])),
+    "torque gain": (topics.SIM_NODE, Parameter("sensors.torque.gain", value=[1.3, 1.3])),
     "seed": (topics.CONTROLLER_NODE, Parameter("perturbation.seed", value=77)),
     "overlap": (topics.ESTIMATOR_NODE, Parameter("welch.overlap", value=1024)),
 }

@@ -78,6 +78,11 @@ class ExperimentConfig(BaseModel):
         description="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder "
         "and 1.8, 3.6, 5.4 N·m at the elbow.",
     )
+    rig: Literal["paper", "realistic"] = Field(
+        default="paper",
+        description="Simulated rig: paper, or realistic, with drives, transducers, cuff and person "
+        "as a good rig has them.",
+    )
     internal_model: Literal["observer", "tde"] = Field(
         default="tde",
         description="Internal model of the control law: observer, or tde, time-delay estimation "

@@ -34,8 +34,9 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, check_ratio, tick
+from armimp_sim.real_rig import RealRig
 from armimp_sim.simd.lanes import Tag
-from armimp_sim.voluntary import VoluntaryTorque
+from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
 
 RATE = NS_PER_S / PERIOD_NS
 """Samples per second, Hz."""
@@ -70,7 +71,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     substeps: int,
     step: float,
     interval_mean: bool,
-    sensor_lanes: NDArray[np.float64] | None,
+    real: RealRig | None,
     resolutions: NDArray[np.float64],
     position: NDArray[np.float64],
     torque: NDArray[np.float64],
@@ -85,6 +86,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     journals: NDArray[np.float64],
     tau_delta: NDArray[np.float64],
     voluntary: NDArray[np.float64],
+    noise: NDArray[np.float64],
     record: NDArray[np.float64],
     clipped: NDArray[np.int64],
 ) -> float:
@@ -93,7 +95,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     Parameters
     ----------
     batch, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
-    substeps, step, interval_mean, sensor_lanes, resolutions : as for
+    substeps, step, interval_mean, real, resolutions : as for
         :func:`armimp_sim.plant.tick`
     position, torque : (lanes, n) readings of the first sample, updated, rad and N·m
     laws : (lanes,) kinds of the laws
@@ -104,6 +106,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     memory : (lanes, MEMORY_ROWS, n) of the law, updated
     limiters, journals : (lanes, LIMITER_ROWS, n), (lanes, JOURNAL) of the safety limiters, updated
     tau_delta, voluntary : (ticks, lanes, n) N·m
+    noise : (ticks or 1, lanes, 2, n) of readings, rad and N·m; the last row holds on
     record : (3, lanes, n, ticks), written: positions, torques, commands
     clipped : (lanes,) numbers of clipped joint commands, added to
 
@@ -144,10 +147,11 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             substeps,
             step,
             interval_mean,
-            sensor_lanes,
+            real,
             resolutions,
             command,
             voluntary[k],
+            noise[min(k, len(noise) - 1)],
             position,
             torque,
         )
@@ -234,6 +238,7 @@ def run_segments(
         VoluntaryTorque(rig.voluntary, joints=n, period=rig.plant.period, seed=rig.seed)
         for rig in rigs
     ]
+    noises = [ReadingNoise(rig.plant.sensors, joints=n, seed=rig.seed) for rig in rigs]
     trials: list[list[OfflineTrial]] = [[] for _ in rigs]
     tares = np.zeros((lanes, n))
     for segment in segments:
@@ -251,7 +256,7 @@ def run_segments(
             plant.config.substeps,
             plant.config.step,
             plant.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            plant.sensor_lanes,
+            plant.real,
             plant.resolutions,
             plant.position,
             plant.torque,
@@ -266,6 +271,8 @@ def run_segments(
             journals,
             tau_delta,
             np.stack([stream.take(segment.ticks) for stream in streams], axis=1),
+            # An ideal rig has none in any tick.
+            np.stack([one.take(segment.ticks if plant.real else 1) for one in noises], axis=1),
             record,
             clipped,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from armimp_bringup.config import ExperimentConfig, ModelT, Overrides
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import build, flatten
-from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
+from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, NS_PER_S, PERIOD_NS, SIM_NODE
 from armimp_common.versions import git_revision, versions
 from armimp_control.laws.law import LawConfig
 from armimp_control.parameters import ControllerParameters
@@ -25,10 +26,19 @@ from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import PlantConfig
+from armimp_sim.presets import LEVELS, sensors
 from armimp_sim.voluntary import VoluntaryParameters
 
 _LARGEST = 1e20
 """Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
+
+
+_PATIENT_LAW: Overrides = {
+    "law.gamma": 60.0,
+    "law.encoder_resolution": sensors(LEVELS[-1]).position.resolution,
+    "target.lock_frequency": 80.0,
+}
+"""With the lags of the realistic rig the loop is stable for arms a third to thrice as heavy."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,6 +146,7 @@ def _simulator(config: ExperimentConfig) -> SimulatorParameters:
         friction=config.friction,
         resolution=config.resolution,
         seed=config.seed,
+        rig=config.rig,
     )
     return _overridden(preset, SIM_NODE, {**_time_of(config), **config.arm_sim})
 
@@ -150,10 +161,12 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
         perturbation=config.perturbation,
         duration=config.duration,
         seed=config.seed,
-        encoder_resolution=plant.sensors.encoder_resolution,
+        encoder_resolution=plant.sensors.position.resolution,
         internal_model=config.internal_model,
     )
     known = {**_time_of(config), **_known_of(simulator)}
+    if config.rig == "realistic" and config.internal_model == "observer":
+        known |= _PATIENT_LAW
     controller = _overridden(preset, CONTROLLER_NODE, {**known, **config.imbic_controller})
     if config.target_error:
         sequence = controller.sequence.model_copy(update={"may_end_early": True})
@@ -178,9 +191,9 @@ def _estimator(
         estimators=config.estimators,
         target_error=config.target_error,
         torque=TorqueParameters(
-            delay=simulator.sensors.torque_delay,
-            cutoff=simulator.sensors.torque_cutoff,
-            order=simulator.sensors.torque_order,
+            delay=simulator.sensors.torque.delay,
+            cutoff=simulator.sensors.torque.cutoff,
+            order=simulator.sensors.torque.order,
             actuator_lag=simulator.actuators.lag,
         ),
         directory="" if directory is None else str(directory),
@@ -195,15 +208,17 @@ def _estimator(
 
 def _known_of(simulator: SimulatorParameters) -> Overrides:
     """What the controller knows of drives and transducers: all that is simulated of them."""
-    known = {
-        "known.actuator_lag": simulator.actuators.lag,
-        "known.torque_delay": simulator.sensors.torque_delay,
-        "known.torque_cutoff": simulator.sensors.torque_cutoff,
+    torque, actuators = simulator.sensors.torque, simulator.actuators
+    known: Overrides = {
+        # Commands that act a fraction of a period late are as bad as those of the next one.
+        "known.command_delay": math.ceil(actuators.delay * NS_PER_S / PERIOD_NS - 1e-6),
+        "known.actuator_lag": actuators.lag,
+        "known.torque_delay": torque.delay,
+        "known.torque_cutoff": torque.cutoff,
     }
-    told: Overrides = {name: value for name, value in known.items() if value}
-    if simulator.sensors.torque_cutoff:
-        told["known.torque_order"] = simulator.sensors.torque_order
-    return told
+    if torque.cutoff:
+        known["known.torque_order"] = torque.order
+    return {name: value for name, value in known.items() if value}
 
 
 def _time_of(config: ExperimentConfig) -> Overrides:
@@ -241,7 +256,9 @@ def bag_metadata(
         "joint_names": json.dumps(list(simulator.joints)),
         "truth": json.dumps(truth),
         "torque_timing": json.dumps(simulator.sensors.sampling.value),
-        **dict.fromkeys(CALIBRATION_KEYS, "0"),
+        # Whoever plants a wrong gain does not declare that there is none.
+        **(dict.fromkeys(CALIBRATION_KEYS, "0") if simulator.sensors.torque.calibrated else {}),
+        **({"arm_model": json.dumps("cuff")} if simulator.cuff.stiffness else {}),
     }
 
 

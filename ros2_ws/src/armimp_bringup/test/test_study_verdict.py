@@ -243,7 +243,7 @@ def test_with_more_joints_elements_that_transducers_cannot_resolve_are_not_judge
         for name, value in (("inertia", 1.0), ("damping", 0.0), ("stiffness", 1.0))
     }
     config = {
-        "arm_sim": {"sensors.torque_resolution": 0.02},
+        "arm_sim": {"sensors.torque.resolution": 0.02},
         "imbic_controller": {"perturbation.peak": [3.0, 3.0, 3.0, 0.1], **target},
     }
     entry = _entry(joints=4, config=config)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 import threading
 from collections import deque
@@ -12,8 +13,9 @@ from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import BITS, Calibration, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters
-from armimp_sim.model.sensors import SensorParameters
-from armimp_sim.parameters import ActuatorParameters, SimulatorParameters
+from armimp_sim.model.drives import ActuatorParameters
+from armimp_sim.model.sensors import ReadingParameters, SensorParameters
+from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
 
 
@@ -106,14 +108,16 @@ def _rig_parameters(parameters: DriverParameters) -> SimulatorParameters:
     rig = SimulatorParameters.preset(joints=len(parameters.joints), friction=options.friction)
     # The counts round; where all joints have the same, the rig can do it.
     sensors = SensorParameters(
-        encoder_resolution=_common(parameters.encoders()),
-        torque_resolution=_common(parameters.transducers()),
-        torque_offset=options.offset,
-        torque_drift=options.drift,
-        torque_delay=options.delay,
-        torque_cutoff=options.cutoff,
+        position=ReadingParameters(resolution=_common(parameters.encoders())),
+        torque=ReadingParameters(
+            resolution=_common(parameters.transducers()),
+            offset=options.offset,
+            drift=options.drift,
+            delay=options.delay,
+            cutoff=options.cutoff,
+        ),
     )
-    actuators = ActuatorParameters(lag=options.lag)
+    actuators = ActuatorParameters(bandwidth=0.5 / math.pi / options.lag if options.lag else 0.0)
     return rig.model_copy(update={"sensors": sensors, "actuators": actuators})
 
 

@@ -13,7 +13,9 @@ from armimp_common.schema import Schema, matrix, vector
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_sim import presets
 from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.drives import ActuatorParameters
 from armimp_sim.model.friction import LuGre
+from armimp_sim.model.muscle import CuffParameters, MuscleParameters, ReflexParameters
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import SensorParameters
 from armimp_sim.plant import PlantConfig
@@ -64,18 +66,6 @@ class FrictionParameters(Schema):
     stribeck_velocity: Vector = Field(description="Stribeck velocity vs of each joint (rad/s)")
 
 
-class ActuatorParameters(Schema):
-    """Drives."""
-
-    lag: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.1,
-        description="time constant with which the torque of the drives follows commands (s); 0 for "
-        "at once",
-    )
-
-
 class RealtimeParameters(SchedulingParameters):
     """What counts in mode realtime only."""
 
@@ -92,7 +82,9 @@ class SimulatorParameters(Schema):
     """All parameters of the node ``arm_sim``."""
 
     joints: tuple[str, ...] = Field(description="names of the joints, from the shoulder outwards")
-    seed: int = Field(default=1, ge=0, description="seed of the voluntary torque")
+    seed: int = Field(
+        default=1, ge=0, description="seed of voluntary torque, tremor, and noise of the sensors"
+    )
     mode: Literal["lockstep", "realtime"] = Field(
         default="lockstep",
         description="lockstep: one step for each command received; realtime: one each millisecond",
@@ -112,14 +104,32 @@ class SimulatorParameters(Schema):
     sensors: SensorParameters
     actuators: ActuatorParameters = ActuatorParameters()
     voluntary: VoluntaryParameters = VoluntaryParameters()
+    reflex: ReflexParameters = ReflexParameters()
+    muscle: MuscleParameters = MuscleParameters()
+    cuff: CuffParameters = CuffParameters()
 
     @classmethod
     def preset(
-        cls, *, joints: int = 2, friction: int = 3, resolution: int = 3, seed: int = 1
+        cls,
+        *,
+        joints: int = 2,
+        friction: int = 3,
+        resolution: int = 3,
+        seed: int = 1,
+        rig: presets.Rig = "paper",
     ) -> SimulatorParameters:
-        """Parameters of the study's rig at given friction and resolution levels (0 to 3)."""
+        """Parameters of the study's rig at given friction and resolution levels (0 to 3).
+
+        With ``rig="realistic"`` it has what a good real one has beside
+        (:data:`armimp_sim.presets.REALISTIC`).
+        """
         arm, robot = presets.human_arm(joints), presets.robot(joints)
         laws = presets.friction(friction, joints)
+        sensors = presets.sensors(resolution)
+        real = presets.REALISTIC if rig == "realistic" else {}
+        if real:
+            noisy = sensors.torque.model_copy(update={"noise": presets.TRANSDUCER_NOISE})
+            sensors = sensors.model_copy(update={"torque": noisy})
         return cls(
             joints=presets.JOINT_NAMES[joints],
             seed=seed,
@@ -141,7 +151,8 @@ class SimulatorParameters(Schema):
                     for name in FrictionParameters.model_fields
                 }
             ),
-            sensors=presets.sensors(resolution),
+            sensors=sensors,
+            **real,
         )
 
     def human_arm(self) -> HumanArm:
@@ -182,7 +193,10 @@ class SimulatorParameters(Schema):
                 for i in range(len(self.joints))
             ),
             sensors=self.sensors,
-            actuator_lag=self.actuators.lag,
+            actuators=self.actuators,
+            reflex=self.reflex,
+            muscle=self.muscle,
+            cuff=self.cuff,
             period=PERIOD_NS / NS_PER_S,
             substeps=self.substeps,
         )

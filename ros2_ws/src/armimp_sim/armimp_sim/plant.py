@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
-from armimp_sim import dynamics, sensor_model
+from armimp_sim import dynamics, real_rig
 from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.drives import ActuatorParameters
 from armimp_sim.model.friction import LuGre
+from armimp_sim.model.muscle import CuffParameters, MuscleParameters, ReflexParameters
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import Sampling, SensorParameters, quantise
+from armimp_sim.real_rig import RealRig
 from armimp_sim.simd.lanes import Tag
 
 RK4_LIMIT = 2.7
@@ -31,12 +34,18 @@ class IntegrationError(ArmimpError):
 class PlantConfig:
     """One arm in one exoskeleton.
 
+    A soft cuff makes a plant of 2n coordinates: first the n joints of the robot, then those of the
+    arm. Its equations are those of a rigid arm on a chain whose outer n links are without mass;
+    arm and cuff are in its inertia, damping and stiffness. What a rigid arm would take from the
+    first n coordinates is then the torque of the cuff, which the transducers measure.
+
     Parameters
     ----------
     arm, robot : with the same number of joints n
     friction : one law per joint
     sensors : SensorParameters
-    actuator_lag : time constant with which the torque of the drives follows commands, s; 0: at once
+    actuators : ActuatorParameters
+    reflex, muscle, cuff : what the arm has beside M, B and K, and how it is strapped in
     period : s, between samples; commands are held over it
     substeps : RK4 steps per period
 
@@ -44,14 +53,17 @@ class PlantConfig:
     ------
     ConfigurationError
         If the numbers of joints disagree, M_r + M_h is not positive definite (symmetric part), or
-        the friction at rest is too stiff for the step.
+        friction at rest or the cuff is too stiff for the step.
     """
 
     arm: HumanArm
     robot: PlanarChain
     friction: tuple[LuGre, ...]
     sensors: SensorParameters
-    actuator_lag: float = 0.0
+    actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
+    reflex: ReflexParameters = field(default_factory=ReflexParameters)
+    muscle: MuscleParameters = field(default_factory=MuscleParameters)
+    cuff: CuffParameters = field(default_factory=CuffParameters)
     period: float = 1e-3
     substeps: int = 100
 
@@ -62,11 +74,17 @@ class PlantConfig:
                 f"plant: arm has {n} joints, robot {self.robot.joints}, "
                 f"friction {len(self.friction)}"
             )
-        self.sensors.check(n)
-        if not 0.0 <= self.actuator_lag < np.inf:
-            raise ConfigurationError(
-                f"actuators: lag must not be negative, got {self.actuator_lag} s"
-            )
+        for where, group in {
+            "sensors: position.": self.sensors.position,
+            "sensors: torque.": self.sensors.torque,
+            "reflex: ": self.reflex,
+            "muscle: ": self.muscle,
+        }.items():
+            for name, values in group:
+                if isinstance(values, tuple) and len(values) not in (1, n):
+                    raise ConfigurationError(
+                        f"{where}{name} has {len(values)} values, needs 1 or {n}"
+                    )
         if not self.period > 0.0 or self.substeps < 1:
             raise ConfigurationError(
                 f"plant: period {self.period} s with {self.substeps} substeps is not a step"
@@ -75,8 +93,8 @@ class PlantConfig:
         smallest = float(np.linalg.eigvalsh(0.5 * (mass + mass.T))[0])
         if not smallest > 0.0:
             raise ConfigurationError(
-                "plant: M_r + M_h must have a positive definite symmetric part, "
-                f"its smallest eigenvalue is {smallest:.3g} kg·m²"
+                f"plant: {'M_r and M_h' if self.soft else 'M_r + M_h'} must have a positive "
+                f"definite symmetric part, its smallest eigenvalue is {smallest:.3g} kg·m²"
             )
         self._check_step(mass)
 
@@ -86,33 +104,68 @@ class PlantConfig:
         return self.arm.joints
 
     @property
+    def soft(self) -> bool:
+        """Whether a cuff lets arm and robot move against each other."""
+        return self.cuff.stiffness > 0.0
+
+    @property
+    def ideal(self) -> bool:
+        """Whether drives and readings are direct, and the arm is M, B and K alone."""
+        sensors = self.sensors
+        readings = sensors.position.direct and sensors.torque.direct
+        return readings and self.actuators.direct and self.reflex.none and self.muscle.none
+
+    @property
     def step(self) -> float:
         """RK4 step h, s."""
         return self.period / self.substeps
 
+    def coordinates(self) -> tuple[NDArray[np.float64], ...]:
+        """Inertia beside the robot's, damping, stiffness, and coefficients of the chain.
+
+        Each is (n, n), or (2n, 2n) with a soft cuff, in the units of the arm.
+        """
+        arm, chain = self.arm, self.robot.coefficients()
+        if not self.soft:
+            return arm.inertia, arm.damping, arm.stiffness, chain
+        nothing = np.zeros_like(chain)
+
+        def cuffed(value: float, of_arm: NDArray[np.float64]) -> NDArray[np.float64]:
+            cuff = value * np.eye(self.joints)
+            return np.block([[cuff, -cuff], [-cuff, cuff + of_arm]])
+
+        return (
+            cuffed(0.0, arm.inertia),
+            cuffed(self.cuff.damping, arm.damping),
+            cuffed(self.cuff.stiffness, arm.stiffness),
+            np.block([[chain, nothing], [nothing, nothing]]),
+        )
+
     def mass_matrix(self) -> NDArray[np.float64]:
-        """M_r(θ_0) + M_h (n, n), kg·m²."""
-        return self.robot.mass_matrix(self.arm.posture) + self.arm.inertia
+        """Inertia of all coordinates in the posture, kg·m²: of a rigid arm M_r(θ_0) + M_h."""
+        inertia: NDArray[np.float64] = self.coordinates()[0].copy()
+        n = self.joints
+        inertia[:n, :n] += self.robot.mass_matrix(self.arm.posture)
+        return inertia
 
     def _check_step(self, mass: NDArray[np.float64]) -> None:
         """Refuse a step which is unstable for the linear system with all joints stuck."""
-        n = self.joints
-        sigma_0 = np.diag([law.sigma_0 for law in self.friction])
-        damping = np.diag([law.sigma_1 + law.sigma_2 for law in self.friction])
+        _, damping, stiffness, _ = (one.copy() for one in self.coordinates())
+        for i, law in enumerate(self.friction):
+            stiffness[i, i] += law.sigma_0
+            damping[i, i] += law.sigma_1 + law.sigma_2
         inverse = np.linalg.inv(mass)
         system = np.block(
             [
-                [np.zeros((n, n)), np.eye(n)],
-                [
-                    -inverse @ (self.arm.stiffness + sigma_0),
-                    -inverse @ (self.arm.damping + damping),
-                ],
+                [np.zeros_like(mass), np.eye(len(mass))],
+                [-inverse @ stiffness, -inverse @ damping],
             ]
         )
         largest = float(np.max(np.abs(np.linalg.eigvals(system)))) * self.step
         if not largest < RK4_RADIUS:
             raise ConfigurationError(
-                f"plant: step {self.step:.3g} s is too long for the stuck joints: "
+                f"plant: step {self.step:.3g} s is too long for the "
+                f"{'cuff and the ' if self.soft else ''}stuck joints: "
                 f"|h·λ| = {largest:.3g}, must be below {RK4_RADIUS}"
             )
 
@@ -130,32 +183,30 @@ class Plant:
     ----------
     position : (lanes, n) encoder readings θ, rad
     torque : (lanes, n) torque transducer readings, torque on the arm, N·m
-    sensor_lanes : of :mod:`armimp_sim.sensor_model`; None where readings and drives are direct
+    real : of :mod:`armimp_sim.real_rig`; None where all rigs are ideal
     """
 
     def __init__(self, configs: Sequence[PlantConfig]) -> None:
         first = configs[0]
         for config in configs:
-            if (config.joints, config.period, config.substeps, config.sensors.sampling) != (
-                first.joints,
-                first.period,
-                first.substeps,
-                first.sensors.sampling,
-            ):
+            if _shared(config) != _shared(first):
                 raise ConfigurationError(
-                    "plant: lanes must agree in joints, period, substeps and sampling"
+                    "plant: lanes must agree in joints, period, substeps, sampling, and in having "
+                    "a soft cuff"
                 )
         self.config = first
         n, lanes = first.joints, len(configs)
         width = dynamics.width_for(lanes)
         blocks = -(-lanes // width)
-        self.batch = np.zeros((blocks, dynamics.rows(n) * width))
-        self.joint_tag, self.width_tag = (0.0,) * n, (0.0,) * width
+        coordinates = n * (1 + first.soft)
+        self.batch = np.zeros((blocks, dynamics.rows(coordinates) * width))
+        self.joint_tag, self.width_tag = (0.0,) * coordinates, (0.0,) * width
         self.resolutions = np.array(
-            [(c.sensors.encoder_resolution, c.sensors.torque_resolution) for c in configs]
+            [(c.sensors.position.resolution, c.sensors.torque.resolution) for c in configs]
         )
-        self.sensor_lanes = _sensor_lanes(configs)
-        self._at_first = None if self.sensor_lanes is None else self.sensor_lanes.copy()
+        self.real = real_rig.real_rig(configs)
+        self._at_first = None if self.real is None else [one.copy() for one in self.real]
+        self._noise = np.zeros((lanes, 2, n))
         self.position = np.zeros((lanes, n))
         self.torque = np.zeros((lanes, n))
         for lane in range(blocks * width):
@@ -163,13 +214,20 @@ class Plant:
             self._of_lane(lane)[:] = _pack(configs[min(lane, lanes - 1)])
         self._sample()
 
-    def tick(self, command: NDArray[np.float64], voluntary: NDArray[np.float64]) -> None:
+    def tick(
+        self,
+        command: NDArray[np.float64],
+        voluntary: NDArray[np.float64],
+        noise: NDArray[np.float64] | None = None,
+    ) -> None:
         """Hold the inputs for one period, then read the sensors.
 
         Parameters
         ----------
         command : (lanes, n) joint torques, N·m
         voluntary : (lanes, n) voluntary torque d, N·m
+        noise : (lanes, 2, n) of the readings of angles and torques, rad and N·m; ideal ones have
+            none
 
         Raises
         ------
@@ -178,11 +236,14 @@ class Plant:
         IntegrationError
             If the friction got too stiff for the step, or the state is not finite.
         """
+        noise = self._noise if noise is None else noise
         if command.shape != self.position.shape or voluntary.shape != self.position.shape:
             raise ValueError(
                 f"plant: command {command.shape} and voluntary torque {voluntary.shape} must "
                 f"both be {self.position.shape}"
             )
+        if noise.shape != self._noise.shape:
+            raise ValueError(f"plant: noise {noise.shape} must be {self._noise.shape}")
         ratio = tick(
             self.batch,
             self.joint_tag,
@@ -190,29 +251,30 @@ class Plant:
             self.config.substeps,
             self.config.step,
             self.config.sensors.sampling is Sampling.INTERVAL_MEAN,
-            self.sensor_lanes,
+            self.real,
             self.resolutions,
             command,
             voluntary,
+            noise,
             self.position,
             self.torque,
         )
         check_ratio(ratio, self.config.step)
 
     def state(self) -> NDArray[np.float64]:
-        """Exact (θ, v, z) of every lane: (lanes, 3, n). A copy."""
-        n, lanes = self.config.joints, len(self.position)
+        """Exact (θ, v, z) of every lane: (lanes, 3, n), 2n with a soft cuff. A copy."""
+        n, lanes = len(self.joint_tag), len(self.position)
         return np.array([self._of_lane(lane)[: 3 * n].reshape(3, n) for lane in range(lanes)])
 
     def set_state(self, state: NDArray[np.float64]) -> None:
-        """Put the plants into the given (θ, v, z), (lanes, 3, n), and read the sensors anew.
+        """Put the plants into the given state, and read the sensors anew.
 
         Filters have seen the present torque for long, drives have no torque, drifts begin.
         """
         for lane, values in enumerate(state):
             self._of_lane(lane)[: values.size] = values.ravel()
-        if self.sensor_lanes is not None:
-            self.sensor_lanes[:] = self._at_first
+        for now, first in zip(self.real or (), self._at_first or (), strict=True):
+            now[...] = first
         self._sample()
 
     def _of_lane(self, lane: int) -> NDArray[np.float64]:
@@ -224,13 +286,19 @@ class Plant:
         return of_lane
 
     def _sample(self) -> None:
-        if self.sensor_lanes is None:
+        if self.real is None:
             dynamics.sample_now(self.batch, self.joint_tag, self.width_tag)
+            arguments = self.batch, self.joint_tag, self.width_tag, self.resolutions
+            read(*arguments, self.position, self.torque)
         else:
-            sensor_model.settle(self.batch, self.joint_tag, self.width_tag, self.sensor_lanes)
-        read(
-            self.batch, self.joint_tag, self.width_tag, self.resolutions, self.position, self.torque
-        )
+            step = self.config.step
+            real_rig.settle(self.batch, self.joint_tag, self.width_tag, self.real, step)
+            real_rig.read(self.real, 1, step, self._noise, self.position, self.torque)
+
+
+def _shared(config: PlantConfig) -> tuple[object, ...]:
+    """What all lanes of a batch must have in common."""
+    return config.joints, config.period, config.substeps, config.sensors.sampling, config.soft
 
 
 def check_ratio(ratio: float, step: float) -> None:
@@ -258,33 +326,15 @@ def check_ratio(ratio: float, step: float) -> None:
     )
 
 
-def _sensor_lanes(configs: Sequence[PlantConfig]) -> NDArray[np.float64] | None:
-    """Sensors and drives of all lanes, or None if all of them are direct."""
-    if all(one.sensors.direct and not one.actuator_lag for one in configs):
-        return None
-    step, substeps = configs[0].step, configs[0].substeps
-    periods = max(sensor_model.whole_periods(one.sensors, step, substeps) for one in configs)
-    return np.array(
-        [
-            sensor_model.lane_numbers(
-                one.sensors,
-                one.actuator_lag,
-                joints=one.joints,
-                step=step,
-                substeps=substeps,
-                periods=periods,
-            )
-            for one in configs
-        ]
-    )
-
-
 def _pack(config: PlantConfig) -> NDArray[np.float64]:
     """All rows of one lane, at rest in the posture."""
     n = config.joints
-    vectors = np.zeros((dynamics.VECTORS, n))
-    arm, friction = config.arm, config.friction
-    vectors[dynamics.THETA] = vectors[dynamics.POSTURE] = arm.posture
+    inertia, damping, stiffness, chain = config.coordinates()
+    vectors = np.zeros((dynamics.VECTORS, len(chain)))
+    # An arm in a cuff has no friction of its own.
+    friction = (*config.friction, *[LuGre.none()] * (len(chain) - n))
+    posture = np.resize(config.arm.posture, len(chain))
+    vectors[dynamics.THETA] = vectors[dynamics.POSTURE] = posture
     # Without friction g(v) may be anything but zero, which it divides.
     vectors[dynamics.COULOMB] = [law.coulomb if law.coulomb > 0.0 else 1.0 for law in friction]
     vectors[dynamics.STRIBECK] = [law.static - law.coulomb for law in friction]
@@ -292,11 +342,11 @@ def _pack(config: PlantConfig) -> NDArray[np.float64]:
     vectors[dynamics.SIGMA_0] = [law.sigma_0 for law in friction]
     vectors[dynamics.SIGMA_1] = [law.sigma_1 for law in friction]
     vectors[dynamics.SIGMA_2] = [law.sigma_2 for law in friction]
-    matrices = np.zeros((dynamics.MATRICES, n, n))
-    matrices[dynamics.INERTIA] = arm.inertia
-    matrices[dynamics.DAMPING] = arm.damping
-    matrices[dynamics.STIFFNESS] = arm.stiffness
-    matrices[dynamics.CHAIN] = config.robot.coefficients()
+    matrices = np.zeros((dynamics.MATRICES, *chain.shape))
+    matrices[dynamics.INERTIA] = inertia
+    matrices[dynamics.DAMPING] = damping
+    matrices[dynamics.STIFFNESS] = stiffness
+    matrices[dynamics.CHAIN] = chain
     return np.concatenate([vectors.ravel(), matrices.ravel()])
 
 
@@ -319,7 +369,7 @@ def read(
     """
     n, m = len(joints), len(width)
     for lane in range(position.shape[0]):
-        for i in range(n):
+        for i in range(position.shape[1]):
             angle = w[dynamics.place(lane, dynamics.THETA * n + i, m)]
             position[lane, i] = quantise(angle, resolutions[lane, 0])
             load = w[dynamics.place(lane, dynamics.TORQUE * n + i, m)]
@@ -334,10 +384,11 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     substeps: int,
     step: float,
     interval_mean: bool,
-    lanes: NDArray[np.float64] | None,
+    real: RealRig | None,
     resolutions: NDArray[np.float64],
     command: NDArray[np.float64],
     voluntary: NDArray[np.float64],
+    noise: NDArray[np.float64],
     position: NDArray[np.float64],
     torque: NDArray[np.float64],
 ) -> float:
@@ -348,9 +399,10 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
     substeps, step : number and length (s) of the RK4 steps
     interval_mean : whether torque is the mean over the period
-    lanes : of :mod:`armimp_sim.sensor_model`, updated; None where all is direct
+    real : of :mod:`armimp_sim.real_rig`, updated; None where all rigs are ideal
     resolutions : (lanes, 2) of encoders, rad, and torque transducers, N·m
     command, voluntary : (lanes, n) N·m
+    noise : (lanes, 2, n) on readings of angles and torques, rad and N·m, where a rig is real
     position, torque : (lanes, n), written, rad and N·m
 
     Returns
@@ -359,14 +411,17 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
         Largest h·σ0|v|/g(v) at the end, for :func:`check_ratio`.
     """
     n, m = len(joints), len(width)
+    used = command.shape[1]
     for lane in range(command.shape[0]):
-        for i in range(n):
+        for i in range(used):
             w[dynamics.place(lane, dynamics.COMMAND * n + i, m)] = command[lane, i]
-            w[dynamics.place(lane, dynamics.VOLUNTARY * n + i, m)] = voluntary[lane, i]
+            # The arm comes last.
+            w[dynamics.place(lane, dynamics.VOLUNTARY * n + n - used + i, m)] = voluntary[lane, i]
     # Of the two only the one that is needed gets compiled, as None is a type.
-    if lanes is None:
+    if real is None:
         dynamics.advance(w, joints, width, substeps, step, interval_mean)
+        read(w, joints, width, resolutions, position, torque)
     else:
-        sensor_model.advance(w, joints, width, substeps, step, interval_mean, lanes)
-    read(w, joints, width, resolutions, position, torque)
+        real_rig.advance(w, joints, width, substeps, step, interval_mean, real)
+        real_rig.read(real, substeps if interval_mean else 1, step, noise, position, torque)
     return dynamics.stiffness_ratio(w, joints, width, step)

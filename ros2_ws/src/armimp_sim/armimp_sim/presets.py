@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
 from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.drives import ActuatorParameters
 from armimp_sim.model.friction import LuGre
+from armimp_sim.model.muscle import CuffParameters
 from armimp_sim.model.robot import PlanarChain
-from armimp_sim.model.sensors import Sampling, SensorParameters
+from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
+from armimp_sim.voluntary import VoluntaryParameters
 
 LEVELS = (0, 1, 2, 3)
 
@@ -33,6 +40,23 @@ _FRICTION = (
     LuGre(coulomb=1.0, static=1.25, sigma_0=1000.0, sigma_1=2.0, sigma_2=0.10),
     LuGre(coulomb=2.0, static=2.5, sigma_0=2000.0, sigma_1=4.0, sigma_2=0.20),
 )
+
+Rig = Literal["paper", "realistic"]
+
+TRANSDUCER_NOISE = 0.005
+"""Of the realistic rig, N·m rms. Assumption: 0.01 % of a range of 50 N·m."""
+REALISTIC: Mapping[str, Any] = MappingProxyType(
+    {
+        # Assumptions: a servo drive, and one cycle of a field bus.
+        "actuators": ActuatorParameters(bandwidth=200.0, delay=0.001),
+        # Assumption: a cast rather than straps.
+        "cuff": CuffParameters(stiffness=1e5, damping=100.0),
+        # Assumptions: small efforts of a person who tries to relax; for tremor, accelerations of
+        # 0.1 m/s² at 0.35 m of the elbow's inertia.
+        "voluntary": VoluntaryParameters(rms=0.3, cutoff=2.0, tremor=0.02),
+    }
+)
+"""What a good real rig has and the paper's has not, by group of the simulator's parameters."""
 
 # Of the even chain, see _rods.
 _REACH = 0.65  # m
@@ -134,9 +158,9 @@ def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorPa
     """
     counts = _ENCODER_COUNTS[_checked("resolution", level)]
     return SensorParameters(
-        encoder_resolution=2.0 * np.pi / counts if counts else 0.0,
-        torque_resolution=_TORQUE_RESOLUTION[level],
         sampling=sampling,
+        position=ReadingParameters(resolution=2.0 * np.pi / counts if counts else 0.0),
+        torque=ReadingParameters(resolution=_TORQUE_RESOLUTION[level]),
     )
 
 

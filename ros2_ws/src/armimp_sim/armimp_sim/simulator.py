@@ -13,7 +13,7 @@ from armimp_common.errors import GraphError
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
-from armimp_sim.voluntary import VoluntaryTorque
+from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
 
 
 class SimulatedRig:
@@ -47,6 +47,7 @@ class SimulatedRig:
             period=config.period,
             seed=parameters.seed,
         )
+        self._noise = ReadingNoise(config.sensors, joints=config.joints, seed=parameters.seed)
         self._command = np.zeros((1, config.joints))
         self._resting = True
         self._fading = 0
@@ -86,7 +87,7 @@ class SimulatedRig:
             self._fading -= 1
         else:
             self._command[:] = 0.0
-        self._plant.tick(self._command, self._voluntary.take(1))
+        self._plant.tick(self._command, self._voluntary.take(1), self._noise.take(1))
         self.tick += 1
 
     def _refuse(self, command: Sequence[float]) -> None:

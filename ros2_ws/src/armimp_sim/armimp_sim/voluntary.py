@@ -1,22 +1,29 @@
-"""Voluntary torque of the person: low-pass filtered noise."""
+"""Noise of the person and of the sensors: voluntary torque, tremor, readings."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
+from armimp_sim.model.sensors import SensorParameters
 
-_STREAM = 2  # keeps this random stream apart from those of the perturbations
+# Of the random streams, which keep these apart from each other and from those of perturbations.
+_VOLUNTARY, _TREMOR, _READINGS = 2, 3, 4
 _BLOCK = 4096
 
 
 class VoluntaryParameters(Schema):
-    """Voluntary torque of the person: second-order Butterworth noise."""
+    """Torque of the person: second-order Butterworth noise for intention, band-passed for tremor.
+
+    The band of physiological tremor is that of Novak & Newell (Neurosci. Lett. 641, 2017).
+    """
 
     rms: float = Field(
         default=0.0, ge=0.0, description="rms of the voluntary torque of every joint (N·m)"
@@ -24,15 +31,33 @@ class VoluntaryParameters(Schema):
     cutoff: float = Field(
         default=2.0, gt=0.0, description="cut-off frequency of the voluntary torque (Hz)"
     )
+    tremor: float = Field(
+        default=0.0, ge=0.0, description="rms of the torque of tremor of every joint (N·m)"
+    )
+    tremor_low: float = Field(
+        default=8.0, gt=0.0, description="lower end of the band of tremor (Hz)"
+    )
+    tremor_high: float = Field(
+        default=12.0, gt=0.0, description="upper end of the band of tremor (Hz)"
+    )
+
+    def bands(self) -> list[tuple[float, tuple[float, ...], int]]:
+        """Of all that the person does: rms, edges of a low-pass or band-pass, random stream."""
+        both = (
+            (self.rms, (self.cutoff,), _VOLUNTARY),
+            (self.tremor, (self.tremor_low, self.tremor_high), _TREMOR),
+        )
+        return [one for one in both if one[0] > 0.0]
 
 
 @functools.lru_cache(maxsize=16)
-def _low_pass(cutoff: float, period: float) -> tuple[NDArray[np.float64], float]:
+def _filter(edges: tuple[float, ...], period: float) -> tuple[NDArray[np.float64], float]:
     """Second-order sections, and the rms with which white noise of rms 1 leaves them (Parseval)."""
     # Where nobody asks for this torque, nobody waits for the import, which takes 0.6 s.
     from scipy import signal
 
-    sos: NDArray[np.float64] = signal.butter(2, cutoff, fs=1.0 / period, output="sos")
+    kind, at = ("low", edges[0]) if len(edges) == 1 else ("band", edges)
+    sos: NDArray[np.float64] = signal.butter(2, at, kind, fs=1.0 / period, output="sos")
     _, response = signal.freqz_sos(sos, worN=1 << 18)
     return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
 
@@ -53,12 +78,66 @@ def power_spectrum(
     (n_freq,) NDArray
         (N·m)², two-sided.
     """
-    from scipy import signal
+    power = np.zeros_like(f)
+    for rms, edges, _ in config.bands():
+        from scipy import signal
 
-    sos, passed = _low_pass(config.cutoff, period)
-    _, response = signal.freqz_sos(sos, worN=f, fs=1.0 / period)
-    power: NDArray[np.float64] = np.abs(config.rms / passed * response) ** 2
+        sos, passed = _filter(edges, period)
+        _, response = signal.freqz_sos(sos, worN=f, fs=1.0 / period)
+        power += np.abs(rms / passed * response) ** 2
     return power
+
+
+class NoiseStream:
+    """Endless, reproducible Gaussian noise in columns, independent of how the stream is cut.
+
+    Parameters
+    ----------
+    rms : (columns,)
+    seed, stream : of the experiment, and which of its random streams
+    edges, period : of a low-pass (one) or band-pass (two), Hz, for values so far apart, s; none for
+        white noise
+    """
+
+    def __init__(
+        self,
+        rms: ArrayLike,
+        *,
+        seed: int,
+        stream: int,
+        edges: tuple[float, ...] = (),
+        period: float = 0.0,
+    ) -> None:
+        self._rms = np.asarray(rms, dtype=np.float64)
+        self._random = np.random.default_rng(np.random.SeedSequence([seed, stream]))
+        self._sos: Any = None
+        if edges:
+            self._sos, passed = _filter(edges, period)
+            self._state = np.zeros((self._sos.shape[0], self._rms.size, 2))
+            self._rms = self._rms / passed
+        self._block = np.zeros((0, self._rms.size))
+        self._next = 0
+
+    def take(self, ticks: int) -> NDArray[np.float64]:
+        """Noise (ticks, columns) of the next ticks."""
+        parts = [np.zeros((0, self._rms.size))]
+        while ticks > 0:
+            if self._next == len(self._block):
+                self._refill()
+            part = self._block[self._next : self._next + ticks]
+            self._next += len(part)
+            ticks -= len(part)
+            parts.append(part)
+        return np.concatenate(parts)
+
+    def _refill(self) -> None:
+        noise = self._random.standard_normal((_BLOCK, self._rms.size)) * self._rms
+        if self._sos is not None:
+            from scipy import signal
+
+            filtered, self._state = signal.sosfilt(self._sos, noise.T, axis=-1, zi=self._state)
+            noise = np.ascontiguousarray(filtered.T)
+        self._block, self._next = noise, 0
 
 
 class VoluntaryTorque:
@@ -74,44 +153,54 @@ class VoluntaryTorque:
     Raises
     ------
     ConfigurationError
-        If the cut-off is not below half the sampling rate.
+        If an edge of a band is not below half the sampling rate, or tremor has no band.
     """
 
     def __init__(
         self, config: VoluntaryParameters, *, joints: int, period: float, seed: int
     ) -> None:
-        if not config.cutoff < 0.5 / period:
+        for name in ("cutoff", "tremor_high"):
+            if not getattr(config, name) < 0.5 / period:
+                raise ConfigurationError(
+                    f"voluntary torque: {name} {getattr(config, name)} Hz is not below half the "
+                    "sampling rate"
+                )
+        if not config.tremor_low < config.tremor_high:
             raise ConfigurationError(
-                f"voluntary torque: cutoff {config.cutoff} Hz is not below half the sampling rate"
+                f"voluntary torque: tremor_low {config.tremor_low} Hz is not below tremor_high "
+                f"{config.tremor_high} Hz"
             )
-        self._rms, self._joints = config.rms, joints
-        self._random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM]))
-        if config.rms > 0.0:
-            self._sos, passed = _low_pass(config.cutoff, period)
-            self._state = np.zeros((self._sos.shape[0], joints, 2))
-            self._gain = config.rms / passed
-        self._block = np.zeros((0, joints))
-        self._next = 0
+        self._joints = joints
+        self._streams = [
+            NoiseStream([rms] * joints, seed=seed, stream=stream, edges=edges, period=period)
+            for rms, edges, stream in config.bands()
+        ]
 
     def take(self, ticks: int) -> NDArray[np.float64]:
         """Torque d (ticks, n), N·m, of the next ticks; independent of how the stream is cut."""
-        if self._rms == 0.0:
-            return np.zeros((ticks, self._joints))
-        parts = [np.zeros((0, self._joints))]
-        while ticks > 0:
-            if self._next == len(self._block):
-                self._refill()
-            part = self._block[self._next : self._next + ticks]
-            self._next += len(part)
-            ticks -= len(part)
-            parts.append(part)
-        return np.concatenate(parts)
+        return _sum([one.take(ticks) for one in self._streams], (ticks, self._joints))
 
-    def _refill(self) -> None:
-        from scipy import signal
 
-        white = self._random.standard_normal((_BLOCK, self._joints))
-        filtered, self._state = signal.sosfilt(
-            self._sos, white.T * self._gain, axis=-1, zi=self._state
-        )
-        self._block, self._next = np.ascontiguousarray(filtered.T), 0
+class ReadingNoise:
+    """An endless, reproducible stream of the noise on readings of angles and torques.
+
+    Parameters
+    ----------
+    sensors : SensorParameters
+    joints : number of joints n
+    seed : of the experiment, not negative
+    """
+
+    def __init__(self, sensors: SensorParameters, *, joints: int, seed: int) -> None:
+        rms = [sensors.position.noise] * joints + [sensors.torque.noise] * joints
+        self._shape = (2, joints)
+        self._streams = [NoiseStream(rms, seed=seed, stream=_READINGS)] if any(rms) else []
+
+    def take(self, ticks: int) -> NDArray[np.float64]:
+        """Noise (ticks, 2, n), rad and N·m, of the next ticks."""
+        parts = [one.take(ticks).reshape(ticks, *self._shape) for one in self._streams]
+        return _sum(parts, (ticks, *self._shape))
+
+
+def _sum(parts: Sequence[NDArray[np.float64]], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    return np.sum(parts, axis=0) if parts else np.zeros(shape)

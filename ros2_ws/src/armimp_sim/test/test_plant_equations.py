@@ -72,7 +72,7 @@ def _random_plant(n: int) -> PlantConfig:
             )
             for _ in range(n)
         ),
-        sensors=SensorParameters(encoder_resolution=0.0, torque_resolution=0.0),
+        sensors=SensorParameters(),
     )
 
 

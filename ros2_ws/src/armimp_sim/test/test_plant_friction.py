@@ -39,7 +39,7 @@ def _joint(
                     centres=np.zeros(1),
                 ),
                 friction=(law,),
-                sensors=SensorParameters(encoder_resolution=0.0, torque_resolution=0.0),
+                sensors=SensorParameters(),
                 substeps=20,
             )
         ]

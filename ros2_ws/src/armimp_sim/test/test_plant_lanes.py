@@ -13,7 +13,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.robot import PlanarChain
-from armimp_sim.model.sensors import Sampling, SensorParameters
+from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.plant import Plant, PlantConfig
 
 Array = NDArray[np.float64]
@@ -41,7 +41,10 @@ def _config(n: int, lane: int) -> PlantConfig:
         friction=tuple(law.scaled(factor) for factor in random.uniform(0.0, 3.0, n))
         if lane
         else (LuGre.none(),) * n,
-        sensors=SensorParameters(encoder_resolution=1e-5 * lane, torque_resolution=1e-3 * lane),
+        sensors=SensorParameters(
+            position=ReadingParameters(resolution=1e-5 * lane),
+            torque=ReadingParameters(resolution=1e-3 * lane),
+        ),
         substeps=20,
     )
 

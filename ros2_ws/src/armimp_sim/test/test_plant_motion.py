@@ -14,7 +14,7 @@ from armimp_sim.plant import Plant, PlantConfig
 
 Array = NDArray[np.float64]
 
-IDEAL = SensorParameters(encoder_resolution=0.0, torque_resolution=0.0)
+IDEAL = SensorParameters()
 PERIOD = 1e-3
 
 

@@ -65,8 +65,8 @@ def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
         assert np.array_equal(plant.state(), exact.state())  # readings don't touch the motion
         assert np.array_equal(exact.position, exact.state()[:, 0])
         for read, true, resolution in (
-            (plant.position, exact.position, sensors.encoder_resolution),
-            (plant.torque, exact.torque, sensors.torque_resolution),
+            (plant.position, exact.position, sensors.position.resolution),
+            (plant.torque, exact.torque, sensors.torque.resolution),
         ):
             counts = np.rint(read / resolution)
             assert read == pytest.approx(counts * resolution, abs=1e-15)

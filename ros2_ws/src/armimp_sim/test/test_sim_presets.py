@@ -31,9 +31,9 @@ def test_resolutions_are_those_of_table_two(
     level: int, counts: int, degrees: float, torque: float
 ) -> None:
     sensors = presets.sensors(level)
-    assert np.degrees(sensors.encoder_resolution) == pytest.approx(360.0 / counts, rel=1e-14)
-    assert np.degrees(sensors.encoder_resolution) == pytest.approx(degrees, abs=5e-7)
-    assert sensors.torque_resolution == torque
+    assert np.degrees(sensors.position.resolution) == pytest.approx(360.0 / counts, rel=1e-14)
+    assert np.degrees(sensors.position.resolution) == pytest.approx(degrees, abs=5e-7)
+    assert sensors.torque.resolution == torque
     assert sensors.sampling is Sampling.BEFORE_UPDATE
 
 

@@ -7,7 +7,8 @@ import pytest
 from scipy import signal
 
 from armimp_common.errors import ConfigurationError
-from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
+from armimp_sim.model.sensors import ReadingParameters, SensorParameters
+from armimp_sim.voluntary import ReadingNoise, VoluntaryParameters, VoluntaryTorque
 
 PERIOD = 1e-3
 
@@ -53,3 +54,28 @@ def test_seed_decides_the_stream() -> None:
 def test_cutoff_beyond_half_the_sampling_rate_is_refused() -> None:
     with pytest.raises(ConfigurationError, match=r"cutoff 500\.0 Hz is not below half"):
         _stream(cutoff=500.0)
+
+
+def test_tremor_fills_its_band_beside_the_voluntary_torque() -> None:
+    config = VoluntaryParameters(rms=0.3, cutoff=2.0, tremor=0.1)
+    both = VoluntaryTorque(config, joints=2, period=PERIOD, seed=3).take(300_000)
+    alone = VoluntaryTorque(
+        config.model_copy(update={"tremor": 0.0}), joints=2, period=PERIOD, seed=3
+    ).take(300_000)
+    tremor = both - alone
+    assert np.sqrt(np.mean(tremor**2, axis=0)) == pytest.approx([0.1, 0.1], rel=0.03)
+    f, density = signal.welch(tremor[:, 0], fs=1.0 / PERIOD, nperseg=4096)
+    assert density[(f > 8.5) & (f < 11.5)].mean() > 30.0 * density[(f < 4.0) | (f > 24.0)].max()
+
+
+def test_noise_of_readings_is_white_and_does_not_depend_on_how_it_is_cut() -> None:
+    sensors = SensorParameters(
+        position=ReadingParameters(noise=1e-4), torque=ReadingParameters(noise=0.01)
+    )
+    whole = ReadingNoise(sensors, joints=2, seed=3).take(50_000)
+    stream = ReadingNoise(sensors, joints=2, seed=3)
+    assert np.array_equal(np.concatenate([stream.take(4097), stream.take(903)]), whole[:5000])
+    for kind, rms in enumerate((1e-4, 0.01)):
+        assert whole[:, kind].std(axis=0) == pytest.approx([rms, rms], rel=0.02)
+    neighbours = np.corrcoef(whole[1:, 1, 0], whole[:-1, 1, 0])[0, 1]
+    assert abs(neighbours) < 0.02

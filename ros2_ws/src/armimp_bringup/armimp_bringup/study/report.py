@@ -58,7 +58,7 @@ _BYTES: Final = 2 * 4 * 4 / 3  # of a point of a line: two numbers of single pre
 _POINTS: Final = (40, 160)
 _LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "friction": ("arm_sim", ("friction.",)),
-    "resolution": ("arm_sim", ("sensors.encoder_resolution", "sensors.torque_resolution")),
+    "resolution": ("arm_sim", ("sensors.position.resolution", "sensors.torque.resolution")),
     "perturbation": ("imbic_controller", ("perturbation.peak",)),
 }
 """Node and beginnings of the parameters that each factor sets."""

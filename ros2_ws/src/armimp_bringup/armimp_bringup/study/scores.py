@@ -122,7 +122,7 @@ def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray
     ndarray, shape (n, n)
         Counts; None if torques are not quantised, or the configuration does not tell.
     """
-    count = setting(entry.config, "arm_sim", "sensors.torque_resolution")
+    count = setting(entry.config, "arm_sim", "sensors.torque.resolution")
     names = ("perturbation.peak", "target.inertia", "target.damping", "target.stiffness")
     found = [setting(entry.config, "imbic_controller", name) for name in names]
     known = all(isinstance(values, list) and len(values) == len(truth.M) for values in found)

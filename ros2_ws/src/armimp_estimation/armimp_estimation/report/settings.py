@@ -26,20 +26,28 @@ _BY_JOINTS: Mapping[str, Mapping[int, str]] = {
 _ORIGINS: tuple[tuple[str, str], ...] = (
     (r"arm\.", "Table I"),
     (r"robot\.|friction\.", ASSUMPTION),
-    (r"sensors\..*_resolution", "paper, Table II"),
+    (r"sensors\..*\.resolution", "paper, Table II"),
     (r"sensors\.|actuators\.|substeps|perturbation\.(cutoff|order)", DESIGN),
     (r"perturbation\.peak", "Table III"),
     (r"law\.kind", "paper: imbic"),
-    (r"voluntary\.|target\.|law\.|safety\.|tare\.|sequence\.(settle|rest)", ASSUMPTION),
+    (
+        r"voluntary\.|reflex\.|muscle\.|cuff\.|target\.|law\.|safety\.|tare\.|sequence\.(settle|rest)",
+        ASSUMPTION,
+    ),
     (r"known\.", "as simulated"),
     (r"sequence\.duration", "paper: 50 s"),
 )
 _IMPERFECTIONS = {
-    "sensors.torque_offset": "an offset",
-    "sensors.torque_drift": "drift",
-    "sensors.torque_gain": "a wrong gain",
-    "sensors.torque_delay": "a delay",
-    "sensors.torque_cutoff": "a low-pass",
+    "sensors.torque.offset": "an offset",
+    "sensors.torque.drift": "drift",
+    "sensors.torque.gain": "a wrong gain",
+    "sensors.torque.delay": "a delay",
+    "sensors.torque.cutoff": "a low-pass",
+    "sensors.torque.cross_talk": "cross-talk",
+    "sensors.torque.hysteresis": "hysteresis",
+    "sensors.torque.noise": "noise",
+    "sensors.torque.hum": "hum",
+    "sensors.torque.limit": "clipping",
 }
 
 
@@ -129,7 +137,7 @@ def _of_sensors(config: Mapping[str, Any]) -> str:
     words = ["a resolution"]
     for name, what in _IMPERFECTIONS.items():
         value = setting(config, "arm_sim", name)
-        neutral = 1.0 if name == "sensors.torque_gain" else 0.0
+        neutral = 1.0 if name == "sensors.torque.gain" else 0.0
         values = value if isinstance(value, list) else [value]
         if any(one not in (None, neutral) for one in values):
             words.append(what)

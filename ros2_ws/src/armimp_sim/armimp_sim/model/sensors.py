@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from armimp_common.compiled import compiled
-from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
 
 Vector = tuple[float, ...]
@@ -26,59 +25,71 @@ class Sampling(str, Enum):
     """Mean over the interval since the last sample: what an integrating converter sees."""
 
 
-class SensorParameters(Schema):
-    """Sensors of the rig.
+class ReadingParameters(Schema):
+    """What stands between a signal and its reading, in this order; the same for both sensors.
 
-    The torque on the arm passes a Butterworth low-pass, is read late, and the reading is
-    ``gain · τ + offset + drift · t``, which is then rounded. Filter and delay act within the
-    control period, on the grid of the integration.
+    The signal passes a Butterworth low-pass and is read late. Gain and cross-talk, hysteresis, and
+    what is added make a value that is clipped and rounded. Filter and delay act within the control
+    period, on the grid of the integration.
     """
 
-    encoder_resolution: float = Field(
-        default=0.0, ge=0.0, description="one count of the encoders (rad); 0 for no rounding"
+    resolution: float = Field(
+        default=0.0, ge=0.0, description="one count of the readings (rad, N·m); 0 for no rounding"
     )
-    torque_resolution: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="one count of the torque transducers (N·m); 0 for no rounding",
+    gain: Vector = Field(
+        default=(1.0,), description="factor on the readings (–); one value or one for each joint"
     )
-    sampling: Sampling = Field(
-        default=Sampling.BEFORE_UPDATE,
-        description="instant of the torque reading: before_update or interval_mean",
-    )
-    torque_offset: Vector = Field(
+    offset: Vector = Field(
         default=(0.0,),
-        description="offset added to torque readings (N·m); one value for all joints or one for "
-        "each",
+        description="offset of the readings (rad, N·m); one value or one for each joint",
     )
-    torque_drift: Vector = Field(
+    drift: Vector = Field(
         default=(0.0,),
-        description="speed with which the offset of torque readings grows from the start of the "
-        "simulation on (N·m/s); one value for all joints or one for each",
+        description="speed with which the offset of the readings grows from the start of the "
+        "simulation on (rad/s, N·m/s); one value or one for each joint",
     )
-    torque_gain: Vector = Field(
-        default=(1.0,),
-        description="factor on torque readings (–); one value for all joints or one for each",
-    )
-    torque_delay: float = Field(
+    delay: float = Field(
         default=0.0,
         ge=0.0,
         le=0.1,
-        description="delay of torque readings (s), rounded to steps of the integration",
+        description="delay of the readings (s), rounded to steps of the integration",
     )
-    torque_cutoff: float = Field(
+    cutoff: float = Field(
         default=0.0,
         ge=0.0,
-        description="cut-off frequency of the anti-alias low-pass of the torque (Hz); 0 for none",
+        description="cut-off frequency of the low-pass before the readings (Hz); 0 for none",
     )
-    torque_order: int = Field(
-        default=1,
-        ge=1,
-        le=ORDERS,
-        description="order of the Butterworth low-pass of the torque",
+    order: int = Field(
+        default=1, ge=1, le=ORDERS, description="order of the Butterworth low-pass before them"
+    )
+    cross_talk: float = Field(
+        default=0.0,
+        ge=-0.5,
+        le=0.5,
+        description="share of the signal of every other joint that a reading shows (–)",
+    )
+    hysteresis: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="width by which the signal must turn back before the reading follows (rad, "
+        "N·m)",
+    )
+    noise: float = Field(
+        default=0.0, ge=0.0, description="rms of white noise on each reading (rad, N·m)"
+    )
+    hum: float = Field(
+        default=0.0, ge=0.0, description="amplitude of the hum of the mains on readings (rad, N·m)"
+    )
+    hum_frequency: float = Field(
+        default=50.0, gt=0.0, le=500.0, description="frequency of the hum (Hz)"
+    )
+    limit: float = Field(
+        default=0.0,
+        ge=0.0,
+        description="largest size of a reading, beyond which it is clipped (rad, N·m); 0 for none",
     )
 
-    @field_validator("torque_gain")
+    @field_validator("gain")
     @classmethod
     def _not_zero(cls, gain: Vector) -> Vector:
         if 0.0 in gain:
@@ -86,27 +97,27 @@ class SensorParameters(Schema):
         return gain
 
     @property
+    def calibrated(self) -> bool:
+        """Whether gain and cross-talk are what everybody takes them for."""
+        return set(self.gain) == {1.0} and not self.cross_talk
+
+    @property
     def direct(self) -> bool:
-        """Whether readings are the torque on the arm, but for rounding."""
-        return (
-            not any(self.torque_offset)
-            and not any(self.torque_drift)
-            and set(self.torque_gain) == {1.0}
-            and not (self.torque_delay or self.torque_cutoff)
-        )
+        """Whether readings are the signal, but for rounding."""
+        added = (*self.offset, *self.drift, self.noise, self.hum)
+        changed = (self.delay, self.cutoff, self.hysteresis, self.limit)
+        return self.calibrated and not any((*added, *changed))
 
-    def check(self, joints: int) -> None:
-        """Check that the vectors fit so many joints.
 
-        Raises
-        ------
-        ConfigurationError
-            If one does not; the message carries the numbers.
-        """
-        for name in ("torque_offset", "torque_drift", "torque_gain"):
-            count = len(getattr(self, name))
-            if count not in (1, joints):
-                raise ConfigurationError(f"sensors: {name} has {count} values, needs 1 or {joints}")
+class SensorParameters(Schema):
+    """Sensors of the rig."""
+
+    sampling: Sampling = Field(
+        default=Sampling.BEFORE_UPDATE,
+        description="instant of the torque reading: before_update or interval_mean",
+    )
+    position: ReadingParameters = ReadingParameters()
+    torque: ReadingParameters = ReadingParameters()
 
 
 @compiled

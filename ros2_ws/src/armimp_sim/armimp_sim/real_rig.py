@@ -1,0 +1,508 @@
+"""What a real rig and a real arm add to the equations of motion: drives, muscles, sensors.
+
+Each seam is crossed once. Commands become torques of the drives at every step of the integration;
+what muscles add to the linear arm goes where voluntary torque goes, at every step; and the signals
+that are read go through one chain, the same for angles and torques. Low-pass, delay and memory are
+those of *channels*: angles, torques on the arm, and what excites reflexes, which are n each.
+Signals are known at both ends of each step, and taken as linear between them. A soft cuff needs
+nothing of this: with it a plant has twice the coordinates, :class:`armimp_sim.plant.PlantConfig`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_common.compiled import compiled, compiled_entry
+from armimp_sim import dynamics
+from armimp_sim.model.sensors import ORDERS, ReadingParameters, quantise
+from armimp_sim.simd.lanes import Tag
+
+if TYPE_CHECKING:
+    from armimp_sim.model.muscle import ReflexParameters
+    from armimp_sim.plant import PlantConfig
+
+Floats = NDArray[np.float64]
+
+ANGLE, TORQUE, REFLEX = 0, 1, 2
+"""Kinds of channels."""
+# A joint's row of numbers. Drive: steps by which commands are late, largest torque, what a current
+# loop leaves of the distance to the command after a step and on the mean over it, ripple and
+# cogging with their cycles per radian. Muscles: whether there is anything of them, gains of the
+# reflex, short-range stiffness and its reach, cubic stiffness. Memory: command and torque of the
+# drive, voluntary torque, where the short-range spring has yielded to.
+_LATE_COMMAND, _LARGEST, _KEEP, _SHARE = 0, 1, 2, 3
+_RIPPLE, _RIPPLE_CYCLES, _COGGING, _COGGING_CYCLES = 4, 5, 6, 7
+_MUSCULAR, _VELOCITY_GAIN, _STRETCH_GAIN, _SHORT_RANGE, _REACH, _CUBIC = 8, 9, 10, 11, 12, 13
+_TARGET, _APPLIED, _VOLUNTARY, _YIELDED = 14, 15, 16, 17
+# Then its channels, each with the order of the low-pass, steps by which it is late, signal and
+# output at the end of the last step, and a row for each state of the low-pass: transition over a
+# step, what the signal at its start and end adds, what is put out, where a constant signal of 1
+# takes the state, the state and the next one. Last, its row of the growth of K_h per second.
+_CHANNELS = 18
+_ORDER, _LATE, _LAST, _FILTERED, _LOW_PASS = 0, 1, 2, 3, 4
+_START, _END, _OUTPUT, _SETTLED, _STATE, _NEXT = (
+    ORDERS,
+    ORDERS + 1,
+    ORDERS + 2,
+    ORDERS + 3,
+    ORDERS + 4,
+    ORDERS + 5,
+)
+_WIDE = ORDERS + 6
+_CHANNEL = _LOW_PASS + ORDERS * _WIDE
+_GROWTH = _CHANNELS + 3 * _CHANNEL
+
+
+class RealRig(NamedTuple):
+    """L lanes with n joints as compiled code takes them: what they are, and what they remember."""
+
+    rows: Floats
+    """(L, n, …) what is needed at every step; columns are above."""
+    commands: Floats
+    """(L, n, periods) of the last periods, N·m."""
+    past: Floats
+    """(L, n, 3, steps) of each channel, in the units of the signal."""
+    clock: NDArray[np.int64]
+    """(1,) steps taken."""
+    mix: Floats
+    """(L, 2, n, n) gain with cross-talk of the readings of angles and torques."""
+    added: Floats
+    """(L, 2, n, 2) offset and drift, rad or N·m, and that per second."""
+    chain: Floats
+    """(L, 2, 5) amplitude and angular frequency of hum, half the hysteresis, limit, resolution."""
+    played: Floats
+    """(L, 2, n) readings as far as hysteresis lets them follow."""
+
+
+def real_rig(configs: Sequence[PlantConfig]) -> RealRig | None:
+    """Numbers of all lanes, without any torque; None if each of them is an ideal rig."""
+    if all(one.ideal for one in configs):
+        return None
+    lanes, n = len(configs), configs[0].joints
+    step, substeps = configs[0].step, configs[0].substeps
+    rows = np.zeros((lanes, n, _GROWTH + n))
+    for lane, one in enumerate(configs):
+        _fill(rows[lane], one, step)
+    sensors = [(one.sensors.position, one.sensors.torque) for one in configs]
+    late = max(int(rows[:, :, _CHANNELS + kind * _CHANNEL + _LATE].max()) for kind in range(3))
+    return RealRig(
+        rows=rows,
+        commands=np.zeros((lanes, n, int(rows[:, :, _LATE_COMMAND].max()) // substeps + 2)),
+        past=np.zeros((lanes, n, 3, late + substeps + 1)),
+        clock=np.zeros(1, dtype=np.int64),
+        mix=np.array([[_mix(reading, n) for reading in pair] for pair in sensors]),
+        added=np.array([[_added(reading, n) for reading in pair] for pair in sensors]),
+        chain=np.array([[_chain(reading) for reading in pair] for pair in sensors]),
+        played=np.zeros((lanes, 2, n)),
+    )
+
+
+def _mix(reading: ReadingParameters, n: int) -> Floats:
+    shares: Floats = np.where(np.eye(n) > 0.0, 1.0, reading.cross_talk)
+    return np.resize(reading.gain, n)[:, None] * shares
+
+
+def _added(reading: ReadingParameters, n: int) -> Floats:
+    return np.stack([np.resize(reading.offset, n), np.resize(reading.drift, n)], axis=1)
+
+
+def _chain(reading: ReadingParameters) -> tuple[float, ...]:
+    speed, band = 2.0 * np.pi * reading.hum_frequency, 0.5 * reading.hysteresis
+    return reading.hum, speed, band, reading.limit or np.inf, reading.resolution
+
+
+def _fill(rows: Floats, config: PlantConfig, step: float) -> None:
+    """Put what a rig is into the rows of its joints."""
+    drive, reflex, muscle = config.actuators, config.reflex, config.muscle
+    over = step / drive.lag if drive.lag else np.inf
+    for column, values in {
+        _LATE_COMMAND: round(drive.delay / step),
+        _LARGEST: drive.limit or np.inf,
+        _KEEP: np.exp(-over),
+        _SHARE: -np.expm1(-over) / over,
+        _RIPPLE: drive.ripple,
+        _RIPPLE_CYCLES: drive.ripple_cycles,
+        _COGGING: drive.cogging,
+        _COGGING_CYCLES: drive.cogging_cycles,
+        _MUSCULAR: not (reflex.none and muscle.none),
+        _VELOCITY_GAIN: reflex.velocity_gain,
+        _STRETCH_GAIN: reflex.stretch_gain,
+        _SHORT_RANGE: muscle.short_range_stiffness,
+        _REACH: muscle.short_range,
+        _CUBIC: muscle.cubic * np.diag(config.arm.stiffness),
+    }.items():
+        rows[:, column] = values
+    rows[:, _GROWTH:] = muscle.stiffening * config.arm.stiffness
+    position, torque = config.sensors.position, config.sensors.torque
+    for kind, (delay, low_pass) in {
+        ANGLE: (position.delay, _butterworth(position, step)),
+        TORQUE: (torque.delay, _butterworth(torque, step)),
+        REFLEX: (reflex.delay, _muscle(reflex, step)),
+    }.items():
+        at = _CHANNELS + kind * _CHANNEL
+        rows[:, at + _ORDER] = len(low_pass)
+        rows[:, at + _LATE] = round(delay / step)
+        rows[:, at + _LOW_PASS : at + _LOW_PASS + low_pass.size] = low_pass.ravel()
+
+
+def _butterworth(reading: ReadingParameters, step: float) -> Floats:
+    if not reading.cutoff:
+        return np.zeros((0, _WIDE))
+    # Where there is no low-pass, nobody has to wait for this import.
+    from scipy.signal import butter, zpk2ss
+
+    zpk = butter(reading.order, 2.0 * np.pi * reading.cutoff, analog=True, output="zpk")
+    a, b, c, _ = zpk2ss(*zpk)
+    return _stepwise(a, b, c, step)
+
+
+def _muscle(reflex: ReflexParameters, step: float) -> Floats:
+    """ω²/(s² + 2ζωs + ω²)."""
+    if reflex.none:
+        return np.zeros((0, _WIDE))
+    square = reflex.muscle**2
+    a = np.array([[0.0, 1.0], [-square, -2.0 * reflex.damping_ratio * reflex.muscle]])
+    return _stepwise(a, np.array([[0.0], [square]]), np.array([[1.0, 0.0]]), step)
+
+
+def _stepwise(a: Floats, b: Floats, c: Floats, step: float) -> Floats:
+    """Rows of the states of a linear system for a signal that is linear over a step, s."""
+    from scipy.linalg import expm
+
+    p = len(a)
+    # State, signal at the start of the step, and its change over the step as one system.
+    system = np.zeros((p + 2, p + 2))
+    system[:p, :p], system[:p, p : p + 1] = a * step, b * step
+    system[p, p + 1] = 1.0
+    over = expm(system)
+    numbers = np.zeros((p, _WIDE))
+    numbers[:, :p] = over[:p, :p]
+    numbers[:, _END] = over[:p, p + 1]
+    numbers[:, _START] = over[:p, p] - over[:p, p + 1]
+    numbers[:, _OUTPUT] = c[0]
+    numbers[:, _SETTLED] = np.linalg.solve(-a, b)[:, 0]
+    return numbers
+
+
+@compiled
+def _lanes(block: int, width: Tag, rows: Floats) -> tuple[int, int]:
+    """First lane of a block, and the one after its last."""
+    first = block * len(width)
+    return first, min(first + len(width), rows.shape[0])
+
+
+@compiled
+def _angle(w: Floats, lane: int, i: int, joints: Tag, width: Tag) -> float:
+    return float(w[dynamics.place(lane, dynamics.THETA * len(joints) + i, len(width))])
+
+
+@compiled
+def _stretch(w: Floats, lane: int, i: int, joints: Tag, width: Tag) -> float:
+    """Angle of coordinate i from the posture."""
+    posture = w[dynamics.place(lane, dynamics.POSTURE * len(joints) + i, len(width))]
+    return float(_angle(w, lane, i, joints, width) - posture)
+
+
+@compiled
+def _drive(
+    w: Floats, lane: int, i: int, joints: Tag, width: Tag, row: Floats, torque: float
+) -> None:
+    """Put the torque of a current loop on its joint, with ripple and cogging."""
+    if row[_RIPPLE] > 0.0 or row[_COGGING] > 0.0:
+        angle = _angle(w, lane, i, joints, width)
+        torque += torque * row[_RIPPLE] * np.sin(row[_RIPPLE_CYCLES] * angle)
+        torque += row[_COGGING] * np.sin(row[_COGGING_CYCLES] * angle)
+    w[dynamics.place(lane, dynamics.COMMAND * len(joints) + i, len(width))] = torque
+
+
+@compiled
+def _effort(
+    w: Floats,
+    lane: int,
+    joints: Tag,
+    width: Tag,
+    rows: Floats,
+    past: Floats,
+    now: int,
+    seconds: float,
+) -> None:
+    """Put voluntary torque on the arm, and what its muscles are beside K_h."""
+    n, m = rows.shape[1], len(width)
+    arm = len(joints) - n  # with a cuff, the arm comes after the robot
+    for i in range(n):
+        row = rows[lane, i]
+        total = row[_VOLUNTARY]
+        if row[_MUSCULAR] > 0.0:
+            q = _stretch(w, lane, arm + i, joints, width)
+            total += row[_CUBIC] * q * q * q + row[_SHORT_RANGE] * (q - row[_YIELDED])
+            late = int(row[_CHANNELS + REFLEX * _CHANNEL + _LATE])
+            total += past[lane, i, REFLEX, (now - late) % past.shape[3]]
+            for j in range(n):
+                total += row[_GROWTH + j] * seconds * _stretch(w, lane, arm + j, joints, width)
+        w[dynamics.place(lane, dynamics.VOLUNTARY * len(joints) + arm + i, m)] = total
+
+
+@compiled
+def _load(
+    w: Floats,
+    block: int,
+    joints: Tag,
+    width: Tag,
+    rows: Floats,
+    past: Floats,
+    now: int,
+    h: float,
+) -> None:
+    """TORQUE is what the transducers feel at this instant, `now` steps from the start."""
+    first, last = _lanes(block, width, rows)
+    for lane in range(first, last):
+        for i in range(rows.shape[1]):
+            row = rows[lane, i]
+            _drive(w, lane, i, joints, width, row, row[_APPLIED])
+        _effort(w, lane, joints, width, rows, past, now, now * h)
+    dynamics.sample_block(w, block, joints, width)
+
+
+@compiled
+def _signal(
+    w: Floats, lane: int, kind: int, i: int, joints: Tag, width: Tag, rows: Floats
+) -> float:
+    """What enters a channel at this instant."""
+    n, m = len(joints), len(width)
+    if kind == ANGLE:
+        return _angle(w, lane, i, joints, width)
+    if kind == TORQUE:
+        return float(w[dynamics.place(lane, dynamics.TORQUE * n + i, m)])
+    row, arm = rows[lane, i], n - rows.shape[1] + i
+    velocity = w[dynamics.place(lane, dynamics.VELOCITY * n + arm, m)]
+    stretch = _stretch(w, lane, arm, joints, width)
+    return float(row[_VELOCITY_GAIN] * velocity + row[_STRETCH_GAIN] * stretch)
+
+
+@compiled
+def _pass(row: Floats, past: Floats, kind: int, at: int, signal: float, mean: bool) -> None:
+    """Let a channel go on by a step, at the end of which is the signal; the past may be of means.
+
+    `past` is that of the joint, (3, steps).
+    """
+    of = _CHANNELS + kind * _CHANNEL
+    before, filtered = row[of + _LAST], row[of + _FILTERED]
+    row[of + _LAST] = signal
+    order = int(row[of + _ORDER])
+    if order == 0:
+        out, filtered = signal, before
+    else:
+        out = 0.0
+        for p in range(order):
+            state = of + _LOW_PASS + p * _WIDE
+            total = row[state + _START] * before + row[state + _END] * signal
+            for q in range(order):
+                total += row[state + q] * row[of + _LOW_PASS + q * _WIDE + _STATE]
+            row[state + _NEXT] = total
+            out += row[state + _OUTPUT] * total
+        for p in range(order):
+            state = of + _LOW_PASS + p * _WIDE
+            row[state + _STATE] = row[state + _NEXT]
+    row[of + _FILTERED] = out
+    past[kind, at] = 0.5 * (filtered + out) if mean else out
+
+
+@compiled_entry
+def settle(w: Floats, joints: Tag, width: Tag, rig: RealRig, h: float) -> None:
+    """Sample a rig that has stood still for long, with the torque of its drives as it is.
+
+    Parameters
+    ----------
+    w, joints, width : the batch, as in :mod:`armimp_sim.dynamics`
+    rig : RealRig, updated
+    h : step of the integration, s
+    """
+    rows, past = rig.rows, rig.past
+    # A reflex is part of the torque.
+    for kind in (REFLEX, ANGLE, TORQUE):
+        if kind == TORQUE:
+            for block in range(w.shape[0]):
+                _load(w, block, joints, width, rows, past, 0, h)
+        for lane in range(rows.shape[0]):
+            for i in range(rows.shape[1]):
+                row, of = rows[lane, i], _CHANNELS + kind * _CHANNEL
+                signal = _signal(w, lane, kind, i, joints, width, rows)
+                row[of + _LAST] = row[of + _FILTERED] = signal
+                for p in range(int(row[of + _ORDER])):
+                    state = of + _LOW_PASS + p * _WIDE
+                    row[state + _STATE] = signal * row[state + _SETTLED]
+                past[lane, i, kind, :] = signal
+    rig.played[:] = np.nan
+
+
+@compiled
+def _take_inputs(
+    w: Floats, block: int, joints: Tag, width: Tag, rows: Floats, commands: Floats, tick: int
+) -> None:
+    """Take commands and voluntary torques of the present period."""
+    n, m = rows.shape[1], len(width)
+    first, last = _lanes(block, width, rows)
+    for lane in range(first, last):
+        for i in range(n):
+            row = rows[lane, i]
+            command = w[dynamics.place(lane, dynamics.COMMAND * len(joints) + i, m)]
+            limited = min(max(command, -row[_LARGEST]), row[_LARGEST])
+            commands[lane, i, tick % commands.shape[2]] = limited
+            arm = len(joints) - n + i
+            row[_VOLUNTARY] = w[dynamics.place(lane, dynamics.VOLUNTARY * len(joints) + arm, m)]
+
+
+@compiled
+def _begin(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+    w: Floats,
+    block: int,
+    joints: Tag,
+    width: Tag,
+    rows: Floats,
+    commands: Floats,
+    past: Floats,
+    steps: int,
+    now: int,
+    h: float,
+) -> None:
+    """Have commands, and voluntary torque, take effect at the start of a step."""
+    first, last = _lanes(block, width, rows)
+    jumps = now % steps == 0
+    for lane in range(first, last):
+        jumps = jumps or (now - int(rows[lane, 0, _LATE_COMMAND])) % steps == 0
+    if not jumps:
+        return
+    for lane in range(first, last):
+        for i in range(rows.shape[1]):
+            row = rows[lane, i]
+            tick = (now - int(row[_LATE_COMMAND])) // steps
+            row[_TARGET] = commands[lane, i, tick % commands.shape[2]]
+            if row[_KEEP] == 0.0:
+                row[_APPLIED] = row[_TARGET]
+    # So the torque on the arm jumps.
+    _load(w, block, joints, width, rows, past, now, h)
+    for lane in range(first, last):
+        for i in range(rows.shape[1]):
+            signal = _signal(w, lane, TORQUE, i, joints, width, rows)
+            rows[lane, i, _CHANNELS + TORQUE * _CHANNEL + _LAST] = signal
+
+
+@compiled
+def _follow(w: Floats, block: int, joints: Tag, width: Tag, rows: Floats) -> None:
+    """Drives go on by a step; COMMAND is the mean of their torque over it."""
+    first, last = _lanes(block, width, rows)
+    for lane in range(first, last):
+        for i in range(rows.shape[1]):
+            row = rows[lane, i]
+            away = row[_APPLIED] - row[_TARGET]
+            _drive(w, lane, i, joints, width, row, row[_TARGET] + away * row[_SHARE])
+            row[_APPLIED] = row[_TARGET] + away * row[_KEEP]
+
+
+@compiled
+def _end(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
+    w: Floats,
+    block: int,
+    joints: Tag,
+    width: Tag,
+    rows: Floats,
+    past: Floats,
+    now: int,
+    h: float,
+    mean: bool,
+) -> None:
+    """Muscles and channels go on by the step that ends `now` steps from the start."""
+    first, last = _lanes(block, width, rows)
+    n, at = rows.shape[1], now % past.shape[3]
+    for lane in range(first, last):
+        for i in range(n):
+            row = rows[lane, i]
+            if row[_MUSCULAR] > 0.0:
+                signal = _signal(w, lane, REFLEX, i, joints, width, rows)
+                _pass(row, past[lane, i], REFLEX, at, signal, False)
+                q = _stretch(w, lane, len(joints) - n + i, joints, width)
+                row[_YIELDED] = min(max(row[_YIELDED], q - row[_REACH]), q + row[_REACH])
+    _load(w, block, joints, width, rows, past, now, h)
+    for lane in range(first, last):
+        for i in range(n):
+            row = rows[lane, i]
+            signal = _signal(w, lane, ANGLE, i, joints, width, rows)
+            _pass(row, past[lane, i], ANGLE, at, signal, False)
+            signal = _signal(w, lane, TORQUE, i, joints, width, rows)
+            _pass(row, past[lane, i], TORQUE, at, signal, mean)
+
+
+@compiled_entry
+def advance(
+    w: Floats, joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool, rig: RealRig
+) -> None:
+    """As :func:`armimp_sim.dynamics.advance`, for a real rig.
+
+    Parameters
+    ----------
+    w, joints, width, steps, h, interval_mean : as there; COMMAND is what is commanded
+    rig : RealRig, updated
+    """
+    # Each look into a tuple of arrays costs some nanoseconds.
+    rows, commands, past, start = rig.rows, rig.commands, rig.past, int(rig.clock[0])
+    for block in range(w.shape[0]):
+        _take_inputs(w, block, joints, width, rows, commands, start // steps)
+        for now in range(start, start + steps):
+            _begin(w, block, joints, width, rows, commands, past, steps, now, h)
+            _follow(w, block, joints, width, rows)
+            dynamics.rk4_step(w, block, joints, width, h)
+            _end(w, block, joints, width, rows, past, now + 1, h, interval_mean)
+    rig.clock[0] += steps
+
+
+@compiled_entry
+def read(
+    rig: RealRig, count: int, h: float, noise: Floats, position: Floats, torque: Floats
+) -> None:
+    """Readings of the present sample.
+
+    Parameters
+    ----------
+    rig : RealRig, updated
+    count : steps over which torques are averaged
+    h : step of the integration, s
+    noise : (lanes, 2, n) on angles and torques, rad and N·m
+    position, torque : (lanes, n), written, rad and N·m
+    """
+    rows, past, now, played = rig.rows, rig.past, int(rig.clock[0]), rig.played
+    signals = np.empty(rows.shape[1])
+    for lane in range(rows.shape[0]):
+        for kind in range(2):
+            hum, speed, band, limit, resolution = rig.chain[lane, kind]
+            hum *= np.sin(speed * (now * h))
+            for i in range(rows.shape[1]):
+                late = int(rows[lane, i, _CHANNELS + kind * _CHANNEL + _LATE])
+                signals[i] = _mean(past[lane, i, kind], now - late, count if kind == TORQUE else 1)
+            for i in range(rows.shape[1]):
+                value = 0.0
+                for j in range(rows.shape[1]):
+                    value += rig.mix[lane, kind, i, j] * signals[j]
+                if np.isnan(played[lane, kind, i]):
+                    played[lane, kind, i] = value
+                value = min(max(played[lane, kind, i], value - band), value + band)
+                played[lane, kind, i] = value
+                offset, drift = rig.added[lane, kind, i]
+                value += offset + drift * (now * h) + hum + noise[lane, kind, i]
+                reading = quantise(min(max(value, -limit), limit), resolution)
+                if kind == ANGLE:
+                    position[lane, i] = reading
+                else:
+                    torque[lane, i] = reading
+
+
+@compiled
+def _mean(past: Floats, newest: int, count: int) -> float:
+    """Mean of the last values of a channel up to one of them."""
+    total = 0.0
+    for back in range(count):
+        total += past[(newest - back) % past.shape[0]]
+    return total / count

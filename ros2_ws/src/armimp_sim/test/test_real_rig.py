@@ -1,0 +1,384 @@
+"""Transducers and drives of a real rig: each imperfection against its closed form."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from armimp_common.errors import ConfigurationError
+from armimp_sim import presets
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.drives import ActuatorParameters
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.muscle import CuffParameters, MuscleParameters, ReflexParameters
+from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
+from armimp_sim.parameters import SimulatorParameters
+from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.simulator import SimulatedRig
+
+Array = NDArray[np.float64]
+SUBSTEPS = 20
+LAGGING = ActuatorParameters(bandwidth=159.0)
+COMMANDS = np.random.default_rng(4).uniform(-5.0, 5.0, (60, 2))
+
+
+def config(
+    sampling: Sampling = Sampling.BEFORE_UPDATE,
+    *,
+    parts: Mapping[str, Any] = MappingProxyType({}),
+    **torque: Any,
+) -> PlantConfig:
+    """The rig of the study without resolution, with this transducer and other parts."""
+    return PlantConfig(
+        arm=presets.human_arm(2),
+        robot=presets.robot(2),
+        friction=presets.friction(1, 2),
+        sensors=SensorParameters(sampling=sampling, torque=ReadingParameters(**torque)),
+        substeps=SUBSTEPS,
+        **parts,
+    )
+
+
+def run(plants: PlantConfig | list[PlantConfig], commands: Array = COMMANDS) -> tuple[Array, Array]:
+    """States and torque readings of each tick: (ticks, [lanes,] ...)."""
+    configs = plants if isinstance(plants, list) else [plants]
+    plant = Plant(configs)
+    states, torques = [], []
+    for command in commands:
+        both = np.tile(command, (len(configs), 1))
+        plant.tick(both, np.zeros_like(both))
+        states.append(plant.state())
+        torques.append(plant.torque.copy())
+    if isinstance(plants, list):
+        return np.array(states), np.array(torques)
+    return np.array(states)[:, 0], np.array(torques)[:, 0]
+
+
+def within(commands: Array = COMMANDS) -> tuple[Array, Array]:
+    """Torque on the arm at the start and the end of every step of the integration, (steps, 2)."""
+    plain = config()
+    fine = Plant([replace(plain, period=plain.step, substeps=1)])
+    starts, ends = [], []
+    for command in commands:
+        for _ in range(SUBSTEPS):
+            # The reading without any time passing: under the new command, before the step.
+            starts.append(_torque_at(plain, fine.state(), command))
+            fine.tick(command[None], np.zeros((1, 2)))
+            ends.append(fine.torque[0].copy())
+    return np.array(starts), np.array(ends)
+
+
+def _torque_at(plain: PlantConfig, state: Array, command: Array) -> Array:
+    theta, velocity, bristle = state[0]
+    arm, robot = plain.arm, plain.robot
+    passive = arm.damping @ velocity + arm.stiffness @ (theta - arm.posture)
+    friction = np.empty(2)
+    for i, law in enumerate(plain.friction):
+        scale = law.coulomb + (law.static - law.coulomb) * np.exp(
+            -((velocity[i] / law.stribeck_velocity) ** 2)
+        )
+        slope = velocity[i] - law.sigma_0 * abs(velocity[i]) * bristle[i] / scale
+        friction[i] = law.sigma_0 * bristle[i] + law.sigma_1 * slope + law.sigma_2 * velocity[i]
+    acceleration = np.linalg.solve(
+        robot.mass_matrix(theta) + arm.inertia,
+        command - robot.coriolis_torque(theta, velocity) - friction - passive,
+    )
+    total: Array = arm.inertia @ acceleration + passive
+    return total
+
+
+def test_without_imperfections_nothing_stands_between_torque_and_reading() -> None:
+    assert Plant([config(gain=(1.0, 1.0), offset=(0.0, 0.0))]).real is None
+
+
+def test_offset_drift_and_gain_change_the_reading_and_nothing_else() -> None:
+    plain_states, plain = run(config())
+    states, torques = run(config(offset=(0.5, -1.0), drift=(2.0, 0.0), gain=(1.1, 0.9)))
+    seconds = 1e-3 * np.arange(1, len(COMMANDS) + 1)[:, None]
+
+    assert np.array_equal(states, plain_states)
+    expected = np.array([1.1, 0.9]) * plain + [0.5, -1.0] + seconds * [2.0, 0.0]
+    assert torques == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_first_reading_is_the_offset() -> None:
+    plant = Plant([config(offset=(0.5, -1.0), delay=0.003, cutoff=100.0)])
+    assert plant.torque[0] == pytest.approx([0.5, -1.0], abs=1e-12)
+
+
+@pytest.mark.parametrize("sampling", list(Sampling))
+def test_a_delay_of_whole_periods_shows_earlier_readings(sampling: Sampling) -> None:
+    _, prompt = run(config(sampling, cutoff=1e6))
+    _, late = run(config(sampling, cutoff=1e6, delay=0.003))
+    assert np.array_equal(late[3:], prompt[:-3])
+    assert np.array_equal(late[:3], np.zeros((3, 2)))
+
+
+def test_a_delay_within_the_period_shows_the_torque_of_that_step() -> None:
+    _, ends = within()
+    _, late = run(config(delay=0.00125))  # 25 of 20 steps in a period
+    place = SUBSTEPS * np.arange(2, len(COMMANDS) + 1) - 25 - 1
+    assert late[1:] == pytest.approx(ends[place], abs=1e-11)
+
+
+def test_the_mean_of_the_interval_is_that_of_all_its_steps() -> None:
+    starts, ends = within()
+    _, means = run(config(Sampling.INTERVAL_MEAN, offset=(1.0,)))
+    steps = 0.5 * (starts + ends).reshape(len(COMMANDS), SUBSTEPS, 2)
+    assert means - 1.0 == pytest.approx(steps.mean(axis=1), abs=1e-11)
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_the_low_pass_is_the_butterworth_filter_of_the_torque(order: int) -> None:
+    starts, ends = within()
+    _, filtered = run(config(cutoff=150.0, order=order))
+    # The torque is a line within each step and jumps between them: a line from jump to jump in
+    # steps a thousand times as fine.
+    h, fine = 1e-3 / SUBSTEPS, 1e-9
+    times = (h * np.arange(len(ends)))[:, None] + [fine, h - fine]
+    values = np.stack([starts, ends], axis=1).reshape(-1, 2)
+    system = signal.butter(order, 2.0 * np.pi * 150.0, analog=True, output="ba")
+    grid = np.arange(0.0, len(COMMANDS) * 1e-3 + 1e-12, h / 40)
+    for joint in range(2):
+        torque = np.interp(grid, times.ravel(), values[:, joint])
+        _, expected, _ = signal.lsim(system, torque, grid)
+        at_ticks = expected[SUBSTEPS * 40 :: SUBSTEPS * 40]
+        assert filtered[: len(at_ticks), joint] == pytest.approx(at_ticks, abs=2e-3)
+    assert np.max(np.abs(filtered - run(config())[1])) > 0.1
+
+
+def test_a_drive_that_lags_follows_the_command_exponentially() -> None:
+    """On a rig that is inertia only, velocity is the integral of the torque of the drives."""
+    drive, torque = ActuatorParameters(bandwidth=40.0), np.array([1.0, -0.5])
+    lag = drive.lag
+    nothing = np.zeros((2, 2))
+    arm = presets.human_arm(2)
+    free = replace(
+        config(parts={"actuators": drive}),
+        arm=HumanArm(posture=arm.posture, inertia=arm.inertia, damping=nothing, stiffness=nothing),
+        friction=(LuGre.none(), LuGre.none()),
+    )
+    states, torques = run(free, np.tile(torque, (20, 1)))
+    t = 1e-3 * np.arange(1, 21)[:, None]
+    mass = free.mass_matrix()
+    gained = torque * (t - lag * (1.0 - np.exp(-t / lag)))
+    # The arm turns so little that the inertia stays what it was.
+    assert states[:, 1] == pytest.approx(gained @ np.linalg.inv(mass).T, rel=1e-3)
+    load = torque * (1.0 - np.exp(-t / lag))
+    expected = load @ np.linalg.inv(mass).T @ arm.inertia.T
+    assert torques == pytest.approx(expected, rel=1e-2, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_lanes_with_different_imperfections_give_the_bits_that_they_give_alone() -> None:
+    soft = {"cuff": CuffParameters(stiffness=1e4, damping=20.0)}
+    lanes = [
+        config(parts=soft, delay=0.0021, offset=(0.3,)),
+        config(parts=soft, cutoff=200.0, order=2, hysteresis=0.1, cross_talk=0.1),
+        config(parts={**soft, "actuators": LAGGING}, drift=(0.0, 1.0)),
+        config(
+            parts={
+                **soft,
+                "actuators": ActuatorParameters(delay=0.00135, ripple=0.1, cogging=0.1),
+                "reflex": ReflexParameters(velocity_gain=(0.3,), delay=0.01),
+                "muscle": MuscleParameters(cubic=-3.0, short_range_stiffness=(2.0,)),
+            }
+        ),
+    ]
+    states, torques = run(lanes)
+    for lane, one in enumerate(lanes):
+        alone_states, alone = run([one])
+        assert np.array_equal(states[:, lane], alone_states[:, 0])
+        assert np.array_equal(torques[:, lane], alone[:, 0])
+
+
+def test_a_plant_that_is_put_back_has_forgotten_its_past() -> None:
+    imperfect = config(
+        parts={"actuators": LAGGING}, delay=0.0021, offset=(0.3,), cutoff=200.0, drift=(1.0,)
+    )
+    used, fresh = Plant([imperfect]), Plant([imperfect])
+    start = used.state()
+    for command in COMMANDS[:10]:
+        used.tick(command[None], np.zeros((1, 2)))
+    used.set_state(start)
+    assert np.array_equal(used.torque, fresh.torque)
+    for command in COMMANDS[:10]:
+        for plant in (used, fresh):
+            plant.tick(command[None], np.zeros((1, 2)))
+        assert np.array_equal(used.torque, fresh.torque)
+
+
+def test_the_rig_of_the_node_has_them_too() -> None:
+    parameters = SimulatorParameters.preset()
+    sensors = SensorParameters(torque=ReadingParameters(offset=(0.5, -0.2)))
+    rig = SimulatedRig(parameters.model_copy(update={"sensors": sensors}))
+    assert rig.torque == pytest.approx([0.5, -0.2])
+
+
+def test_a_vector_that_does_not_fit_the_joints_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match=r"torque\.drift has 3 values, needs 1 or 2"):
+        config(drift=(1.0, 2.0, 3.0))
+
+
+ONE = PlantConfig(
+    arm=presets.human_arm(1),
+    robot=presets.robot(1),
+    friction=(LuGre.none(),),
+    sensors=SensorParameters(),
+    substeps=SUBSTEPS,
+)
+"""One joint without friction, which is linear: all of it has closed forms."""
+PUSHES = np.repeat(np.random.default_rng(7).uniform(-4.0, 4.0, (30, 1)), 10, axis=0)
+
+
+def torques(plant: PlantConfig) -> tuple[Array, Array, Array, Array]:
+    """Angle from the posture, velocity, torque of the drive and what the arm has beside M, B, K.
+
+    Of one joint at each tick, from states and readings by the equations of motion.
+    """
+    states, load = run(plant, PUSHES)
+    q, v = states[:, 0, -1] - plant.arm.posture[0], states[:, 1, -1]
+    M, B, K = (
+        float(one[0, 0]) for one in (plant.arm.inertia, plant.arm.damping, plant.arm.stiffness)
+    )
+    passive = B * v + K * q
+    if plant.actuators.direct:
+        acceleration = (PUSHES[:, 0] - load[:, 0]) / plant.robot.moments[0]
+        return q, v, PUSHES[:, 0], load[:, 0] - M * acceleration - passive
+    acceleration = (load[:, 0] - passive) / M
+    drive = load[:, 0] + plant.robot.moments[0] * acceleration
+    return q, v, drive, np.zeros_like(q)
+
+
+def test_behind_a_cuff_the_transducers_feel_arm_and_cuff_in_series() -> None:
+    k, b = 1e4, 20.0
+    soft = replace(ONE, cuff=CuffParameters(stiffness=k, damping=b))
+    M, B, K = (float(one[0, 0]) for one in (ONE.arm.inertia, ONE.arm.damping, ONE.arm.stiffness))
+    robot = ONE.robot.moments[0]
+    system = [
+        [0.0, 1.0, 0.0, 0.0],
+        [-k / robot, -b / robot, k / robot, b / robot],
+        [0.0, 0.0, 0.0, 1.0],
+        [k / M, b / M, -(k + K) / M, -(b + B) / M],
+    ]
+    reads = [[1.0, 0.0, 0.0, 0.0], [k, b, -k, -b]]
+    given = (
+        np.array(system),
+        np.array([[0.0], [1.0 / robot], [0.0], [0.0]]),
+        reads,
+        np.zeros((2, 1)),
+    )
+    discrete = signal.dlti(*signal.cont2discrete(given, 1e-3)[:4], dt=1e-3)
+    _, expected, _ = signal.dlsim(discrete, np.append(PUSHES, [[0.0]], axis=0))
+
+    states, load = run(soft, PUSHES)
+    assert states[:, 0, 0] - ONE.arm.posture[0] == pytest.approx(expected[1:, 0], abs=1e-8)
+    assert load[:, 0] == pytest.approx(expected[1:, 1], abs=1e-5)
+    assert np.max(np.abs(states[:, 0, 0] - states[:, 0, 1])) > 1e-4
+
+
+def test_cuffs_of_several_joints_add_their_compliance_to_that_of_the_arm() -> None:
+    arm = presets.human_arm(2)
+    still = replace(
+        config(),
+        arm=replace(arm, damping=8.0 * arm.damping),
+        friction=(LuGre.none(),) * 2,
+        cuff=CuffParameters(stiffness=300.0, damping=1.0),
+    )
+    torque = np.array([0.2, -0.1])
+    states, load = run(still, np.tile(torque, (6000, 1)))
+    compliance = np.linalg.inv(arm.stiffness) + np.eye(2) / 300.0
+    assert states[-1, 0, :2] - arm.posture == pytest.approx(compliance @ torque, rel=1e-4)
+    assert load[-1] == pytest.approx(torque, rel=1e-4)
+
+
+def test_a_reflex_is_a_delayed_muscle_driven_by_velocity_and_stretch() -> None:
+    reflex = ReflexParameters(
+        velocity_gain=(0.4,), stretch_gain=(3.0,), delay=0.0303, muscle=40.0, damping_ratio=0.7
+    )
+    q, v, _, extra = torques(replace(ONE, reflex=reflex))
+    t = 1e-3 * np.arange(1, len(q) + 1)
+    excited = np.interp(t - reflex.delay, np.append(0.0, t), np.append(0.0, 0.4 * v + 3.0 * q))
+    muscle = ([40.0**2], [1.0, 2.0 * 0.7 * 40.0, 40.0**2])
+    _, expected, _ = signal.lsim(muscle, excited, t)
+    assert extra == pytest.approx(expected, abs=1e-3 * np.max(np.abs(expected)))
+    assert np.max(np.abs(expected)) > 0.1
+
+
+def played(q: Array, reach: float) -> Array:
+    at, found = 0.0, []
+    for one in q:
+        at = float(np.clip(at, one - reach, one + reach))
+        found.append(one - at)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("muscle", "expected"),
+    [
+        (
+            {"short_range_stiffness": (5.0,), "short_range": 0.01},
+            lambda q, _: 5.0 * played(q, 0.01),
+        ),
+        ({"cubic": -300.0}, lambda q, _: -300.0 * ONE.arm.stiffness[0, 0] * q**3),
+        ({"stiffening": 0.5}, lambda q, t: 0.5 * t * ONE.arm.stiffness[0, 0] * q),
+    ],
+)
+def test_muscles_depart_from_a_constant_stiffness(muscle: Any, expected: Any) -> None:
+    q, _, _, extra = torques(replace(ONE, muscle=MuscleParameters(**muscle)))
+    torque = expected(q, 1e-3 * np.arange(1, len(q) + 1))
+    assert extra == pytest.approx(torque, abs=2e-3 * np.max(np.abs(torque)) + 1e-9)
+    assert np.max(np.abs(torque)) > 0.02
+
+
+def test_torque_of_a_drive_has_ripple_and_cogging_by_the_angle() -> None:
+    drive = ActuatorParameters(ripple=0.05, ripple_cycles=10.0, cogging=0.2, cogging_cycles=50.0)
+    q, _, torque, _ = torques(replace(ONE, actuators=drive))
+    angle = q + ONE.arm.posture[0]
+    expected = PUSHES[:, 0] * (1.0 + 0.05 * np.sin(10.0 * angle)) + 0.2 * np.sin(50.0 * angle)
+    assert torque == pytest.approx(expected, abs=1e-9)
+
+
+def test_commands_act_late_by_whole_and_parts_of_periods_and_up_to_the_limit_of_the_drive() -> None:
+    drive = ActuatorParameters(delay=0.00135, limit=3.0)
+    states, _ = run(config(parts={"actuators": drive}))
+    plain = config()
+    fine = Plant([replace(plain, period=plain.step, substeps=1)])
+    late = np.repeat(np.clip(COMMANDS, -3.0, 3.0), SUBSTEPS, axis=0)
+    late = np.concatenate([np.zeros((27, 2)), late])[: len(late)]
+    expected = []
+    for command in late:
+        fine.tick(command[None], np.zeros((1, 2)))
+        expected.append(fine.state()[0])
+    assert np.array_equal(states, expected[SUBSTEPS - 1 :: SUBSTEPS])
+
+
+def test_readings_pass_cross_talk_hysteresis_hum_noise_and_limit_in_this_order() -> None:
+    chain: dict[str, Any] = {
+        "cross_talk": 0.1,
+        "hysteresis": 0.3,
+        "hum": 0.2,
+        "hum_frequency": 60.0,
+        "limit": 1.5,
+    }
+    _, plain = run(config())
+    real = Plant([config(**chain)])
+    noise = 0.1 * np.random.default_rng(2).standard_normal((len(COMMANDS), 1, 2, 2))
+    torque, position = [], []
+    for command, added in zip(COMMANDS, noise, strict=True):
+        real.tick(command[None], np.zeros((1, 2)), added)
+        torque.append(real.torque[0].copy())
+        position.append(real.position[0] - real.state()[0, 0])
+    mixed = plain + 0.1 * plain[:, ::-1]
+    followed = mixed - np.stack([played(one, 0.15) for one in mixed.T], axis=1)
+    hum = 0.2 * np.sin(2.0 * np.pi * 60.0 * 1e-3 * np.arange(1, len(COMMANDS) + 1))[:, None]
+    assert torque == pytest.approx(np.clip(followed + hum + noise[:, 0, 1], -1.5, 1.5), abs=1e-9)
+    assert np.max(torque) == 1.5
+    assert position == pytest.approx(noise[:, 0, 0], abs=1e-12)
