@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_sim import dynamics, real_rig
-from armimp_sim.model.arm import HumanArm
-from armimp_sim.model.drives import ActuatorParameters
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.muscle import CuffParameters, MuscleParameters, ReflexParameters
+from armimp_sim.model.muscle import CuffParameters
 from armimp_sim.model.robot import PlanarChain
-from armimp_sim.model.sensors import Sampling, SensorParameters, quantise
-from armimp_sim.real_rig import RealRig
+from armimp_sim.model.sensors import Sampling, quantise
+from armimp_sim.real_rig import RealRig, RigConfig
 from armimp_sim.simd.lanes import Tag
 
 RK4_LIMIT = 2.7
@@ -31,8 +29,8 @@ class IntegrationError(ArmimpError):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PlantConfig:
-    """One arm in one exoskeleton.
+class PlantConfig(RigConfig):
+    """One arm in one exoskeleton: what :class:`armimp_sim.real_rig.RigConfig` has, and these.
 
     A soft cuff makes a plant of 2n coordinates: first the n joints of the robot, then those of the
     arm. Its equations are those of a rigid arm on a chain whose outer n links are without mass;
@@ -41,13 +39,9 @@ class PlantConfig:
 
     Parameters
     ----------
-    arm, robot : with the same number of joints n
+    robot : with as many joints as the arm
     friction : one law per joint
-    sensors : SensorParameters
-    actuators : ActuatorParameters
-    reflex, muscle, cuff : what the arm has beside M, B and K, and how it is strapped in
-    period : s, between samples; commands are held over it
-    substeps : RK4 steps per period
+    cuff : between robot and arm
 
     Raises
     ------
@@ -56,16 +50,9 @@ class PlantConfig:
         friction at rest or the cuff is too stiff for the step.
     """
 
-    arm: HumanArm
     robot: PlanarChain
     friction: tuple[LuGre, ...]
-    sensors: SensorParameters
-    actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
-    reflex: ReflexParameters = field(default_factory=ReflexParameters)
-    muscle: MuscleParameters = field(default_factory=MuscleParameters)
     cuff: CuffParameters = field(default_factory=CuffParameters)
-    period: float = 1e-3
-    substeps: int = 100
 
     def __post_init__(self) -> None:
         n = self.arm.joints
@@ -99,26 +86,9 @@ class PlantConfig:
         self._check_step(mass)
 
     @property
-    def joints(self) -> int:
-        """Number of joints n."""
-        return self.arm.joints
-
-    @property
     def soft(self) -> bool:
         """Whether a cuff lets arm and robot move against each other."""
         return self.cuff.stiffness > 0.0
-
-    @property
-    def ideal(self) -> bool:
-        """Whether drives and readings are direct, and the arm is M, B and K alone."""
-        sensors = self.sensors
-        readings = sensors.position.direct and sensors.torque.direct
-        return readings and self.actuators.direct and self.reflex.none and self.muscle.none
-
-    @property
-    def step(self) -> float:
-        """RK4 step h, s."""
-        return self.period / self.substeps
 
     def coordinates(self) -> tuple[NDArray[np.float64], ...]:
         """Inertia beside the robot's, damping, stiffness, and coefficients of the chain.

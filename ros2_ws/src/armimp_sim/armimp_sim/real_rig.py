@@ -5,25 +5,25 @@ what muscles add to the linear arm goes where voluntary torque goes, at every st
 that are read go through one chain, the same for angles and torques. Low-pass, delay and memory are
 those of *channels*: angles, torques on the arm, and what excites reflexes, which are n each.
 Signals are known at both ends of each step, and taken as linear between them. A soft cuff needs
-nothing of this: with it a plant has twice the coordinates, :class:`armimp_sim.plant.PlantConfig`.
+nothing of this: with it a plant has twice the coordinates, :mod:`armimp_sim.plant`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim import dynamics
-from armimp_sim.model.sensors import ORDERS, ReadingParameters, quantise
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.drives import ActuatorParameters
+from armimp_sim.model.muscle import MuscleParameters, ReflexParameters
+from armimp_sim.model.sensors import ORDERS, ReadingParameters, SensorParameters, quantise
 from armimp_sim.simd.lanes import Tag
-
-if TYPE_CHECKING:
-    from armimp_sim.model.muscle import ReflexParameters
-    from armimp_sim.plant import PlantConfig
 
 Floats = NDArray[np.float64]
 
@@ -57,6 +57,45 @@ _CHANNEL = _LOW_PASS + ORDERS * _WIDE
 _GROWTH = _CHANNELS + 3 * _CHANNEL
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RigConfig:
+    """Parts of a rig that may be real.
+
+    Parameters
+    ----------
+    arm : HumanArm, with n joints
+    sensors : SensorParameters
+    actuators : ActuatorParameters
+    reflex, muscle : what the arm has beside M, B and K
+    period : s, between samples; commands are held over it
+    substeps : RK4 steps per period
+    """
+
+    arm: HumanArm
+    sensors: SensorParameters
+    actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
+    reflex: ReflexParameters = field(default_factory=ReflexParameters)
+    muscle: MuscleParameters = field(default_factory=MuscleParameters)
+    period: float = 1e-3
+    substeps: int = 100
+
+    @property
+    def joints(self) -> int:
+        """Number of joints n."""
+        return self.arm.joints
+
+    @property
+    def step(self) -> float:
+        """RK4 step h, s."""
+        return self.period / self.substeps
+
+    @property
+    def ideal(self) -> bool:
+        """Whether drives and readings are direct, and the arm is M, B and K alone."""
+        readings = self.sensors.position.direct and self.sensors.torque.direct
+        return readings and self.actuators.direct and self.reflex.none and self.muscle.none
+
+
 class RealRig(NamedTuple):
     """L lanes with n joints as compiled code takes them: what they are, and what they remember."""
 
@@ -78,7 +117,7 @@ class RealRig(NamedTuple):
     """(L, 2, n) readings as far as hysteresis lets them follow."""
 
 
-def real_rig(configs: Sequence[PlantConfig]) -> RealRig | None:
+def real_rig(configs: Sequence[RigConfig]) -> RealRig | None:
     """Numbers of all lanes, without any torque; None if each of them is an ideal rig."""
     if all(one.ideal for one in configs):
         return None
@@ -115,7 +154,7 @@ def _chain(reading: ReadingParameters) -> tuple[float, ...]:
     return reading.hum, speed, band, reading.limit or np.inf, reading.resolution
 
 
-def _fill(rows: Floats, config: PlantConfig, step: float) -> None:
+def _fill(rows: Floats, config: RigConfig, step: float) -> None:
     """Put what a rig is into the rows of its joints."""
     drive, reflex, muscle = config.actuators, config.reflex, config.muscle
     over = step / drive.lag if drive.lag else np.inf
