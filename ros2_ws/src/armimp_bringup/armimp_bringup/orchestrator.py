@@ -136,8 +136,7 @@ def run_experiment(
     problems += supervisor.faults
     timing = None
     if supervisor.timing is not None:
-        limits = parameters.estimator.realtime.limits()
-        timing = Timing.of(supervisor.timing, limits)
+        timing = Timing.of(supervisor.timing, parameters.estimator.realtime)
     return settle(directory, parameters.estimator, problems, timing)
 
 

@@ -30,9 +30,9 @@ from armimp_common.parameters import declare, guard
 from armimp_common.protection import CommandSequence, Protection
 from armimp_common.pubsub import (
     CommandSubscription,
-    HasPublisher,
-    HasSubscription,
     JointStatePublisher,
+    RawPublisher,
+    RawSubscription,
     publisher_count,
     wait_for_partners,
 )
@@ -423,8 +423,8 @@ class ProtectedDriver(DriverBase[Protection], ABC):
 
     def wait_for_controller(
         self,
-        publishers: Sequence[HasPublisher] = (),
-        subscriptions: Sequence[HasSubscription] = (),
+        publishers: Sequence[RawPublisher] = (),
+        subscriptions: Sequence[RawSubscription] = (),
     ) -> None:
         """Wait for whoever commands, and for the peers of further channels.
 

@@ -14,21 +14,9 @@ from rcl_interfaces.msg import (
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from armimp_common import schema
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import refuse_simulated_time
-from armimp_common.schema import Leaf, Schema, build, leaves, to_params_yaml
-from armimp_common.schema import flatten as to_ros_parameters
-
-__all__ = [
-    "Schema",
-    "as_parameters",
-    "declare",
-    "guard",
-    "load",
-    "to_params_yaml",
-    "to_ros_parameters",
-]
+from armimp_common.schema import Leaf, build, defaults, flatten, leaves
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -88,7 +76,7 @@ def declare(node: Node, model: type[ModelT], default: ModelT | None = None) -> M
         )
     }
     values: dict[str, object] = {
-        **(schema.defaults(model) if default is None else to_ros_parameters(default)),
+        **(defaults(model) if default is None else flatten(default)),
         **given,
     }
     instance = build(model, values)
@@ -111,7 +99,7 @@ def as_parameters(instance: BaseModel) -> list[Parameter]:
     known = leaves(type(instance))
     return [
         Parameter(name, _TYPES[known[name].item, known[name].array], value)
-        for name, value in to_ros_parameters(instance).items()
+        for name, value in flatten(instance).items()
     ]
 
 

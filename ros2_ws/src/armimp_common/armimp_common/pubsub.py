@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -308,18 +308,6 @@ def _nobody(message: bytes) -> None:
     raise AssertionError("nobody is to be told of this message")
 
 
-class HasPublisher(Protocol):
-    """A publishing channel of this module."""
-
-    publisher: Publisher
-
-
-class HasSubscription(Protocol):
-    """A subscribing channel of this module."""
-
-    subscription: Subscription
-
-
 def publisher_count(node: Node, subscription: Subscription) -> int:
     """Return how many publish to a subscription."""
     # Counting the matched ones came to rclpy late; the graph's count may run ahead of matching.
@@ -331,8 +319,8 @@ def publisher_count(node: Node, subscription: Subscription) -> int:
 def wait_until_matched(
     node: Node,
     *,
-    publishers: Iterable[Publisher | HasPublisher] = (),
-    subscriptions: Iterable[Subscription | HasSubscription] = (),
+    publishers: Iterable[Publisher | RawPublisher] = (),
+    subscriptions: Iterable[Subscription | RawSubscription] = (),
     timeout_s: float,
 ) -> tuple[str, ...]:
     """Wait until every publisher and subscription has at least one peer.
@@ -406,8 +394,8 @@ def wait_until_known_to(node: Node, names: Iterable[str], *, timeout_s: float) -
 def wait_for_partners(
     node: Node,
     *,
-    publishers: Iterable[Publisher | HasPublisher] = (),
-    subscriptions: Iterable[Subscription | HasSubscription] = (),
+    publishers: Iterable[Publisher | RawPublisher] = (),
+    subscriptions: Iterable[Subscription | RawSubscription] = (),
     monitors: Iterable[HeartbeatMonitor] = (),
 ) -> None:
     """Wait until a node that is activated and those which it needs know of one another.

@@ -13,7 +13,6 @@ import time
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -158,23 +157,20 @@ class TimingMeter:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class TimingLimits:
-    """Limits beyond which a run in real time is not valid.
+class TimingLimits(Schema):
+    """Limits beyond which a run in real time is not valid."""
 
-    Parameters
-    ----------
-    max_late_share : float
-        Largest share of late samples, from 0 to 1.
-    max_missed_share : float
-        Largest share of periods for which the command did not come in time.
-    max_latency : float
-        Largest 99 % quantile of the time from a sample to its command, s.
-    """
-
-    max_late_share: float = 0.01
-    max_missed_share: float = 0.01
-    max_latency: float = 0.001
+    max_late_share: float = Field(
+        default=0.01, ge=0.0, le=1.0, description="largest share of samples sent late"
+    )
+    max_missed_share: float = Field(
+        default=0.01, ge=0.0, le=1.0, description="largest share of commands that missed their tick"
+    )
+    max_latency: float = Field(
+        default=0.001,
+        gt=0.0,
+        description="largest 99 % quantile of the time from sample to command (s)",
+    )
 
 
 class SchedulingParameters(Schema):

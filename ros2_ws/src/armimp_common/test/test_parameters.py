@@ -15,7 +15,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from armimp_common import parameters
 from armimp_common.errors import ConfigurationError
-from armimp_common.parameters import Schema
+from armimp_common.schema import Schema
 
 
 class Law(Schema):

@@ -30,7 +30,6 @@ from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.pubsub import (
     CountPublisher,
-    HasSubscription,
     PolledSubscription,
     PollingNode,
     RawSubscription,
@@ -113,7 +112,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._leading = RawSubscription(
             self, topics.PERTURBATION, JointState, self._synchronizer.receive
         )
-        self._streams: list[HasSubscription] = [*fetched.values(), self._leading]
+        self._streams: list[RawSubscription] = [*fetched.values(), self._leading]
         self._beside = [
             RawSubscription(
                 self,
@@ -261,12 +260,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Keep the timing that the rig reports in real time."""
         if TimingFigures.STATUS_NAME.encode() not in message:
             return
-        limits = self._settings.realtime.limits()
         try:
             for status in deserialize_message(message, DiagnosticArray).status:
                 if status.name == TimingFigures.STATUS_NAME:
                     figures = TimingFigures.from_values(values_of(status))
-                    self._recording.timing = Timing.of(figures, limits)
+                    self._recording.timing = Timing.of(figures, self._settings.realtime)
         except (MalformedMessageError, RuntimeError, ValueError) as error:
             self._refuse(topics.DIAGNOSTICS, error)
 

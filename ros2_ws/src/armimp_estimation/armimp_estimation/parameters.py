@@ -16,26 +16,6 @@ from armimp_estimation.stopping import PrecisionGoal
 from armimp_estimation.torque_timing import HIGHEST_ORDER
 
 
-class RealtimeParameters(Schema):
-    """Limits beyond which a run in real time is not valid."""
-
-    max_late_share: float = Field(
-        default=0.01, ge=0.0, le=1.0, description="largest share of samples sent late"
-    )
-    max_missed_share: float = Field(
-        default=0.01, ge=0.0, le=1.0, description="largest share of commands that missed their tick"
-    )
-    max_latency: float = Field(
-        default=0.001,
-        gt=0.0,
-        description="largest 99 % quantile of the time from sample to command (s)",
-    )
-
-    def limits(self) -> TimingLimits:
-        """Return the limits as the verdict takes them."""
-        return TimingLimits(**self.model_dump())
-
-
 class TorqueParameters(Schema):
     """Known properties of the torque readings, which are corrected."""
 
@@ -104,7 +84,7 @@ class EstimatorParameters(Schema):
         default=0.2, ge=0.05, le=10.0, description="time between progress messages (s)"
     )
     torque: TorqueParameters = TorqueParameters()
-    realtime: RealtimeParameters = RealtimeParameters()
+    realtime: TimingLimits = TimingLimits()
     target_error: float = Field(
         default=0.0,
         ge=0.0,

@@ -24,7 +24,6 @@ from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.messages import result_message
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
-from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder
@@ -448,10 +447,6 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
     assert not longer.problems
     for order in ((bad, longer), (longer, bad)):
         assert latest_metadata(stored(*order)) == stored(bad)[0]
-
-
-def test_limits_come_from_the_parameters_of_the_estimator() -> None:
-    assert EstimatorParameters().realtime.limits() == TimingLimits()
 
 
 def test_the_report_has_a_timing_part_for_a_run_in_real_time_only(tmp_path: Path) -> None:
