@@ -177,13 +177,6 @@ def test_when_a_joint_has_no_trial_expect_the_result_to_be_invalid(
         (["estimate"], 2, "bags"),
         (["frobnicate"], 2, "frobnicate"),
         (["run", "--frobnicate"], 2, "--frobnicate"),
-        (["run", "--joints", "8"], 2, "'joints' = 8: input should be 1, 2, 3, 4, 5, 6 or 7"),
-        (["run", "--duration", "1"], 2, "'duration' = 1.0"),
-        (["run", "--processes", "many"], 2, "many"),
-        (["run", "--config", "nowhere.yaml"], 2, "nowhere.yaml"),
-        (["run", "--config", __file__], 2, "test_command_line.py"),
-        (["run", "--out", str(Path(__file__).parent)], 2, "is not empty"),
-        (["run", "--out", __file__], 2, "test_command_line.py"),
     ],
 )
 def test_an_error_of_the_user_ends_in_one_line_with_the_offending_value(
