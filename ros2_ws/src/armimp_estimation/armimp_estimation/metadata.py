@@ -72,7 +72,7 @@ class Timing(JsonModel):
     @classmethod
     def of(cls, figures: TimingFigures, limits: TimingLimits) -> Timing:
         """Put together figures from the first sample of the run on, and the limits of the run."""
-        return cls(**asdict(figures), **asdict(limits))
+        return cls(**asdict(figures), **limits.model_dump())
 
     @property
     def problems(self) -> list[Problem]:
