@@ -29,7 +29,12 @@ def fed_synchronizer(
     return synchronizer, {**receivers, PERTURBATION: synchronizer.receive}
 
 
-def record(recorder: TrialRecorder, messages: Iterable[Message], together: int = 1) -> None:
+def record(
+    recorder: TrialRecorder,
+    messages: Iterable[Message],
+    together: int = 1,
+    on_recorded: Callable[[], object] = lambda: None,
+) -> None:
     """Hand a recorder the messages as the node does, so many samples at a time."""
     synchronizer, receivers = fed_synchronizer()
     led = 0
@@ -42,4 +47,5 @@ def record(recorder: TrialRecorder, messages: Iterable[Message], together: int =
         led += topic == PERTURBATION
         if topic == PERTURBATION and led % together == 0:
             recorder.add(synchronizer.take())
+            on_recorded()
     recorder.add(synchronizer.take(incomplete=True))

@@ -1,6 +1,5 @@
 """Trials out of streams: windows, records, the account of every sample, and what is refused."""
 
-import random
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -23,7 +22,7 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_estimation.alignment.assemble import StreamCount, Trial, assemble_trials
-from armimp_estimation.alignment.streams import Streams, decode_streams
+from armimp_estimation.alignment.streams import decode_streams
 from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     TrialWindow,
@@ -416,15 +415,6 @@ def test_unknown_perturbed_joint_is_refused() -> None:
         trial.intact(allow_gaps=True)
 
 
-def test_source_is_named() -> None:
-    topics = RECORDING.by_topic()
-    del topics[JOINT_STATES][FIRST]
-    streams = decode_streams(NAMES, topics)
-    (trial,) = assemble_trials(streams, statuses_of(RECORDING), source="some.bag")
-    with pytest.raises(DataError, match=r"^some\.bag: trial 1: samples of joint_states"):
-        trial.intact()
-
-
 # --- commands ---------------------------------------------------------------------------------
 
 
@@ -635,25 +625,3 @@ def test_trial_without_any_sample_is_refused(statuses: int, code: ProblemCode) -
     assert code in codes(trial)
     with pytest.raises(DataError, match="trial 1"):
         trial.intact(allow_gaps=True)
-
-
-def test_arrival_in_any_chunks_gives_the_same_streams() -> None:
-    topics = RECORDING.by_topic()
-    expected = decode_streams(NAMES, topics)
-    rng = random.Random(1)
-    found = Streams(NAMES)
-    for topic in DATA_STREAMS:
-        raws = topics[topic]
-        while raws:
-            count = rng.randint(1, 9)
-            found.add(topic, raws[:count])
-            raws = raws[count:]
-            if rng.random() < 0.3:
-                found.decode()
-    found.decode()
-    for one, other in (
-        (found.commands, expected.commands),
-        *((found.stamped[topic], expected.stamped[topic]) for topic in STAMPED),
-    ):
-        assert one.stamps.tobytes() == other.stamps.tobytes()
-        assert one.values.tobytes() == other.values.tobytes()

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
 from armimp_estimation.arm_models import (
     AUTO,
     MODELS,
     ModelFit,
     fit_models,
-    require_model,
     supported,
 )
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -139,8 +137,3 @@ def test_uncertain_gains_and_cross_talk_widen_intervals_but_hide_no_lack_of_fit(
     K = sharp.values["K"]
     wider = np.sqrt(sharp.errors["K"] ** 2 + (0.02 * K) ** 2 + (0.01 * K[::-1]) ** 2)
     assert blunt.errors["K"] == pytest.approx(wider, rel=0.05)
-
-
-def test_a_model_that_does_not_exist_is_refused_by_name() -> None:
-    with pytest.raises(ConfigurationError, match=r"'spring'.*reflex"):
-        require_model("spring")

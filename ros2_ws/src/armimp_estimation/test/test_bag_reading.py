@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
@@ -18,7 +17,7 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from armimp_common import topics
 from armimp_common.errors import BagError, DataError
 from armimp_common.topics import JOINT_STATES, MESSAGE_TYPES, PERIOD_NS, TRIAL
-from armimp_estimation.bags import BagWriter, read_bag
+from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.metadata import absolute, message_definition
 from support.bag_files import STORE, iterate_messages, typed, write_bag, write_foreign
 from support.synthetic_bags import (
@@ -191,26 +190,7 @@ class TestStorages:
         self, tmp_path: Path, compression: CompressionType
     ) -> None:
         assert_reads(write_mcap(tmp_path / "bag.mcap", compression=compression))
-
-    def test_mcap_without_chunks_is_read(self, tmp_path: Path) -> None:
-        assert_reads(write_mcap(tmp_path / "bag.mcap", chunking=False))
-
-    def test_own_file_without_summary_is_read_with_a_note(self, tmp_path: Path) -> None:
-        file = write_ours(tmp_path / "bag") / "bag_0.mcap"
-        with file.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
-        assert summary is not None
-        end = max(
-            chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
-            for chunk in summary.chunk_indexes
-        )
-        file.write_bytes(file.read_bytes()[:end])
-        content = read_bag(tmp_path / "bag")
-        assert list(content.messages()) == list(RECORDING.messages)
-        assert [trial.shortfall for trial in content.trials] == [0, 0]
-        assert content.notes == (
-            f"{tmp_path / 'bag'}: ends at byte {end} without the end of the data",
-        )
+        assert_reads(write_mcap(tmp_path / "plain.mcap", chunking=False))
 
     def test_split_bag_is_read_in_the_order_of_its_times(self, tmp_path: Path) -> None:
         path = tmp_path / "bag"
@@ -257,16 +237,6 @@ class TestStorages:
         before = {entry.name: entry.stat().st_mtime_ns for entry in copy.iterdir()}
         assert_reads(copy)
         assert {entry.name: entry.stat().st_mtime_ns for entry in copy.iterdir()} == before
-
-    def test_provisional_metadata_does_not_hide_the_messages(self, tmp_path: Path) -> None:
-        writer = BagWriter(tmp_path / "bag", metadata=METADATA)
-        for topic, log_time_ns, raw in RECORDING.messages:
-            writer.write(topic, raw, log_time_ns)
-        writer.flush()
-        content = read_bag(tmp_path / "bag")
-        assert list(content.messages()) == list(RECORDING.messages)
-        assert content.metadata == METADATA
-        writer.close()
 
     def test_relative_paths_of_old_versions_are_found(self, tmp_path: Path) -> None:
         path = write_rosbags(tmp_path / "bag")
@@ -392,27 +362,6 @@ class TestForeignMessages:
         content = read_bag(path)
         assert_same(content.records()[1], RECORDING.records[1])
         assert content.trials[0].statistics.streams[topics.COMMANDS].lost == 120
-
-    def test_trials_are_inferred_without_statuses(self, tmp_path: Path) -> None:
-        recording = synthetic_recording(perturbed=(1, 0, 0), ticks=80, settle=200, rest=100)
-        messages = [message for message in recording.messages if message[0] != topics.TRIAL]
-        path = write_ours(tmp_path / "bag", messages)
-        records = read_bag(path).records()
-        assert len(records) == 3
-        for record, expected in zip(records, recording.records, strict=True):
-            assert_same(record, expected)
-            assert record.seed is None
-
-
-class TestReplay:
-    def test_messages_of_any_content_can_be_iterated(self, tmp_path: Path) -> None:
-        messages = [(topics.CLOCK, 3, b"\0\1\0\0a"), (topics.DIAGNOSTICS, 4, b"\0\1\0\0b")]
-        path = write_ours(tmp_path / "bag", messages)
-        assert list(iterate_messages(path)) == messages
-
-    def test_bag_is_checked_before_the_first_message_is_asked_for(self, tmp_path: Path) -> None:
-        with pytest.raises(BagError):
-            iterate_messages(tmp_path / "nowhere")
 
 
 class TestRefusals:

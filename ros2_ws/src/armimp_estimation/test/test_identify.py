@@ -150,10 +150,3 @@ def test_each_trial_has_the_scores_of_its_own_record() -> None:
     for k, trial in enumerate(result.trials):
         np.testing.assert_array_equal(trial.lock_ratio, locks[:, k])
         np.testing.assert_array_equal(trial.bias_bound, bounds[:, k])
-
-
-@pytest.mark.parametrize("name", [item.name for item in dataclasses.fields(Limits)])
-@pytest.mark.parametrize("value", [0.0, 1.0, float("nan")])
-def test_when_a_limit_is_nonsense_expect_its_name_in_the_error(name: str, value: float) -> None:
-    with pytest.raises(ConfigurationError, match=f"limit {name} must be in"):
-        Limits(**{name: value})

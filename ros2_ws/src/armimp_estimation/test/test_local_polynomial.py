@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_estimation.estimators.local_polynomial import (
     LocalPolynomialConfig,
     LocalResponse,
@@ -188,18 +188,3 @@ def test_when_the_input_has_a_few_lines_only_expect_data_error() -> None:
 def test_when_the_record_is_too_short_expect_the_number_of_samples(samples: int) -> None:
     with pytest.raises(DataError, match=rf"{samples} samples are too few .* over 25 bins"):
         local_response(white(1, samples), white(2, samples)[None], RATE, (0.1, 60.0), CONFIG)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"order": -1}, "order must not be negative, got -1"),
-        ({"half_width": 2}, "5 bins are too few .* at least 3, got 2"),
-        ({"order": 5, "half_width": 5}, "at least 6, got 5"),
-    ],
-)
-def test_when_polynomials_have_no_freedom_left_expect_configuration_error(
-    options: dict[str, int], message: str
-) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        LocalPolynomialConfig(**options)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk
 from armimp_estimation.record import TrialRecord
@@ -154,19 +153,3 @@ def test_fit_takes_the_floor_of_weights_that_the_estimate_carries() -> None:
     same = dataclasses.replace(estimate, weight_floor=None)
     np.testing.assert_array_equal(own, stacked(fit_mbk(same, FitConfig(weight_floor=0.005))))
     assert (own != stacked(fit_mbk(same))).all()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"span": 0.0}, "span must be positive"),
-        ({"span": float("inf")}, "span must be positive"),
-        ({"weight_floor": -0.1}, "weight_floor must not be negative"),
-        ({"weight_floor": float("nan")}, "weight_floor must not be negative"),
-    ],
-)
-def test_when_an_option_is_nonsense_expect_configuration_error(
-    options: dict[str, float], message: str
-) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        LpmConfig(**options)  # type: ignore[arg-type]

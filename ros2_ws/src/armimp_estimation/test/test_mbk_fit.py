@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk, r_squared
 from armimp_estimation.mbk import MBK
@@ -151,21 +151,3 @@ def test_when_values_are_not_finite_expect_data_error() -> None:
 def test_when_there_are_two_frequencies_expect_data_error() -> None:
     with pytest.raises(DataError, match="2 frequencies are too few"):
         fit_mbk(estimate_of(TWO_JOINT_ARM.impedance(F[:2])))
-
-
-@pytest.mark.parametrize("option", ["smoothing", "weight_floor"])
-@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
-def test_when_an_option_is_nonsense_expect_configuration_error(option: str, value: float) -> None:
-    with pytest.raises(ConfigurationError, match=option):
-        FitConfig(**{option: value})
-
-
-@pytest.mark.parametrize(
-    ("matrix", "message"),
-    [(np.eye(3), r"B has shape \(3, 3\), expected \(2, 2\)"), (np.full((2, 2), np.nan), "finite")],
-)
-def test_when_matrices_of_the_model_do_not_fit_expect_configuration_error(
-    matrix: FloatArray, message: str
-) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        MBK(M=np.eye(2), B=matrix, K=np.eye(2))

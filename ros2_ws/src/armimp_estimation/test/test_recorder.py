@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from armimp_common.cdr import CommandEncoder, JointStateDecoder, JointStateEncoder
 from armimp_common.errors import BagError
-from armimp_common.status import NOTICE_TICKS, Phase
+from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision
 from armimp_common.topics import (
     COMMANDS,
     DATA_STREAMS,
@@ -367,11 +367,9 @@ def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() 
     considered = 6000 - NOTICE_TICKS
     desk = Desk(None, ARM_NAMES, goal=PrecisionGoal(bound=0.5, least=6.0))
 
-    decisions = []
-    for message in ARM_RECORDING.messages:
-        desk.feed([message])
-        if (decision := desk.recorder.decide()) is not None:
-            decisions.append(decision)
+    made: list[StoppingDecision | None] = []
+    record(desk.recorder, ARM_RECORDING.messages, 10, lambda: made.append(desk.recorder.decide()))
+    decisions = [decision for decision in made if decision is not None]
 
     told = [(one.trial, one.samples, one.enough) for one in decisions]
     assert told == [(k, samples, samples > 0) for k in (1, 2) for samples in (0, considered)]

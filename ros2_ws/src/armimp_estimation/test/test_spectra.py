@@ -135,25 +135,6 @@ def test_when_the_number_of_channels_is_wrong_expect_data_error() -> None:
         accumulator.push(np.zeros((3, 10)))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"segment": 4}, "segment"),
-        ({"segment": 64, "overlap": 64}, "overlap"),
-        ({"overlap": -1}, "overlap"),
-        ({"f_low": 15.0}, "band"),
-        ({"f_low": -1.0}, "band"),
-        ({"f_high": float("inf")}, "band"),
-        ({"f_high": float("nan")}, "band"),
-    ],
-)
-def test_when_the_configuration_is_nonsense_expect_configuration_error(
-    changes: dict[str, float], message: str
-) -> None:
-    with pytest.raises(ConfigurationError, match=message):
-        WelchConfig(**changes)  # type: ignore[arg-type]
-
-
 def test_when_no_bin_is_in_the_band_expect_configuration_error() -> None:
     config = WelchConfig(segment=64, overlap=0, f_low=3.2, f_high=3.8)
     with pytest.raises(ConfigurationError, match=r"no frequency between 3.2 and 3.8 Hz"):

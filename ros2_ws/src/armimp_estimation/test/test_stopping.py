@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from armimp_common.errors import ConfigurationError
 from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
@@ -114,11 +113,3 @@ def test_when_nothing_is_known_expect_not_enough() -> None:
 def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: int) -> None:
     (only,) = decisions(rule(planned), planned, 0.0)
     assert (only.samples, only.due) == (0, None)
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"bound": -0.1}, {"bound": 1.0}, {"bound": float("nan")}, {"least": 0.0}]
-)
-def test_when_a_goal_makes_no_sense_expect_error(wrong: dict[str, float]) -> None:
-    with pytest.raises(ConfigurationError):
-        PrecisionGoal(**wrong)
