@@ -83,7 +83,6 @@ def radius(level: float) -> np.ndarray:
             )
         ),
     ],
-    ids=str,
 )
 def test_when_an_option_makes_no_sense_expect_it_in_the_error(
     make: Callable[..., object], message: str, wrong: dict[str, object]
