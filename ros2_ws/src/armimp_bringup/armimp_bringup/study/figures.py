@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,8 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
+from armimp_bringup.bench import available_cores
 from armimp_bringup.study.conditions import LEVELS, Condition
 from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
+from armimp_common.errors import DataError
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.figures import DASHES as MPL_DASHES
 from armimp_estimation.figures import (
@@ -32,10 +37,13 @@ from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.report.look import ELEMENT_COLOURS, LEVEL_COLOURS, LEVEL_DASHES
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
+_Drawing = Callable[[Any, Any], Figure]
 
 _MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _LEAST_PANEL: Final = 2.3  # inches; with many joints Figure 2 is a poster
 _LEGEND_COLUMNS: Final = 8
+_WORTH_A_PROCESS: Final = 3
+"""Figures that take longer to draw than another process takes to start."""
 _TRUE: Final[Any] = {"color": "black", "linestyle": (0, (4, 3)), "linewidth": 1.1}
 _TARGET: Final[Any] = {"color": "0.45", "linewidth": 0.8, "linestyle": (0, (5, 3))}
 
@@ -68,28 +76,46 @@ def write_figures(
     DataError
         If curves can't be read, or a figure not be written.
     """
-    written: dict[str, str] = {}
-
-    def save(figure: Figure, name: str, shown: str) -> None:
-        written.update((path.name, shown) for path in save_figure(figure, directory / name))
-
+    drawings: list[tuple[str, _Drawing, Any, Any]] = []
+    shown: list[str] = []
     for of_estimator in np.moveaxis(table, 1, 0):
         name = of_estimator["estimator"].flat[0]
         for level in LEVELS["perturbation"]:
-            shown = {
+            of_level = {
                 one: curves(one)[name]
                 for one in conditions
                 if (one.perturbation, one.seed) == (level, conditions[0].seed)
             }
-            if shown:
-                what = f"impedance in all conditions over the truth, {name}, perturbation {level}"
-                figure = impedance_figure(shown, truth)
-                save(figure, f"fig2-{name}-perturbation{level}", what)
-        figure = levels_figure(of_estimator, FIT_SCORES)
-        save(figure, f"fig3-{name}", f"VAF and R² by level, {name}")
-        figure = levels_figure(of_estimator, COHERENCE_SCORES)
-        save(figure, f"fig4-{name}", f"coherences by level, {name}")
-    return written
+            if of_level:
+                where = f"fig2-{name}-perturbation{level}"
+                drawings.append((where, impedance_figure, of_level, truth))
+                shown.append(
+                    f"impedance in all conditions over the truth, {name}, perturbation {level}"
+                )
+        drawings.append((f"fig3-{name}", levels_figure, of_estimator, FIT_SCORES))
+        drawings.append((f"fig4-{name}", levels_figure, of_estimator, COHERENCE_SCORES))
+        shown += [f"VAF and R² by level, {name}", f"coherences by level, {name}"]
+    files = _drawn(directory, drawings)
+    return {path.name: one for one, paths in zip(shown, files, strict=True) for path in paths}
+
+
+def _drawn(
+    directory: Path, drawings: Sequence[tuple[str, _Drawing, Any, Any]]
+) -> Iterator[list[Path]]:
+    """Files of the figures, in their order; many are drawn side by side."""
+    workers = min(available_cores(), len(drawings) // _WORTH_A_PROCESS)
+    if workers < 2:
+        yield from (_draw(directory, *one) for one in drawings)
+        return
+    try:
+        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+            yield from pool.map(_draw, itertools.repeat(directory), *zip(*drawings, strict=True))
+    except BrokenProcessPool:
+        raise DataError("figures: a process that draws them ended early") from None
+
+
+def _draw(directory: Path, name: str, draw: _Drawing, *arguments: Any) -> list[Path]:
+    return save_figure(draw(*arguments), directory / name)
 
 
 @rc_context(STYLE)
