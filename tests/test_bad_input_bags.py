@@ -39,14 +39,16 @@ def changed(change: Change) -> list[Message]:
 def restamped(stamp: Callable[[int], int], names: Sequence[str] = NAMES) -> list[Message]:
     """All samples with other stamps, and the joints in another order."""
 
+    fields = topics.VALUE_FIELD.items()
+    decode = {topic: JointStateDecoder(names, field).decode for topic, field in fields}
+    encode = {topic: JointStateEncoder(names, field).encode for topic, field in fields}
+
     def change(message: Message) -> Message:
         topic, log_time_ns, raw = message
-        if topic not in topics.VALUE_FIELD:
+        if topic not in decode:
             return message
-        field = topics.VALUE_FIELD[topic]
-        (stamp_ns,), values = JointStateDecoder(names, field).decode_many([raw])
-        encoder = JointStateEncoder(names, field)
-        return topic, log_time_ns, encoder.encode(stamp(int(stamp_ns)), values[:, 0])
+        stamp_ns, values = decode[topic](raw)
+        return topic, log_time_ns, encode[topic](stamp(stamp_ns), values)
 
     return changed(change)
 

@@ -3,7 +3,6 @@
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from armimp_bringup.driver_check.command import about
 from armimp_bringup.driver_check.findings import Rule, Verdict, judged, report
 from armimp_bringup.driver_check.record import Ending, Moves, Record
 from armimp_bringup.driver_check.rules import judge
-from armimp_common.schema import build, flatten, leaves
+from armimp_common.schema import build, dotted, flatten, leaves
 from armimp_driver_template.parameters import DriverParameters
 from armimp_ros2_control.parameters import BridgeParameters
 
@@ -68,16 +67,6 @@ def test_every_check_is_in_the_table_of_the_page() -> None:
 @pytest.mark.parametrize("name", leaves(BridgeParameters))
 def test_every_parameter_of_the_bridge_is_on_its_page(name: str) -> None:
     assert first_cells("drivers.md", "parameter").count(name) == 1
-
-
-def dotted(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, dict):
-            found |= dotted(value, f"{prefix}{name}.")
-        else:
-            found[f"{prefix}{name}"] = value
-    return found
 
 
 def rows(group: str) -> dict[str, str]:

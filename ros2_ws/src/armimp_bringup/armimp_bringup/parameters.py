@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from pydantic import BaseModel, ValidationError
 
 from armimp_bringup.config import ExperimentConfig, ModelT, Overrides
 from armimp_common.errors import ConfigurationError
-from armimp_common.schema import build, flatten
+from armimp_common.schema import build, dotted, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, NS_PER_S, PERIOD_NS, SIM_NODE
 from armimp_common.versions import git_revision, versions
 from armimp_control.laws.law import LawConfig
@@ -200,7 +199,7 @@ def _estimator(
         metadata=json.dumps(bag_metadata(config, simulator, controller)),
     )
     delay = {} if config.torque_delay is None else {"torque.delay": config.torque_delay}
-    overrides = {**_dotted(config.impedance_estimator), **delay}
+    overrides = {**config.impedance_estimator, **delay}
     estimator = _overridden(preset, ESTIMATOR_NODE, overrides)
     estimator.bag_metadata()
     return estimator
@@ -266,23 +265,14 @@ def _overridden(base: ModelT, node: str, overrides: Overrides) -> ModelT:
     if not overrides:
         return base
     try:
-        found = build(type(base), {**flatten(base), **_dotted(overrides)})
+        given = {name: _row_by_row(name, value) for name, value in dotted(overrides).items()}
+        found = build(type(base), {**flatten(base), **given})
     except ConfigurationError as error:
         raise ConfigurationError(f"{node}: {error}") from None
     for name, value in flatten(found).items():
         for number in value if isinstance(value, list) else (value,):
             if isinstance(number, float) and abs(number) > _LARGEST:
                 raise ConfigurationError(f"{node}: parameter '{name}' = {number}: is too large")
-    return found
-
-
-def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping):
-            found |= _dotted(value, f"{prefix}{name}.")
-        else:
-            found[f"{prefix}{name}"] = _row_by_row(f"{prefix}{name}", value)
     return found
 
 

@@ -103,7 +103,7 @@ def leaves(model: type[BaseModel]) -> dict[str, Leaf]:
 
 def defaults(model: type[BaseModel]) -> dict[str, Value]:
     """Return the default values of a schema by dotted name, of those fields that have one."""
-    found = _dotted(model.model_construct().model_dump(mode="json"))
+    found = dotted(model.model_construct().model_dump(mode="json"))
     for key, field in model.model_fields.items():
         sub_model = _sub_model(field)
         if sub_model is not None and field.is_required():
@@ -113,7 +113,18 @@ def defaults(model: type[BaseModel]) -> dict[str, Value]:
 
 def flatten(instance: BaseModel) -> dict[str, Value]:
     """Return the values of a schema instance by dotted name; tuples become lists."""
-    return _dotted(instance.model_dump(mode="json"))
+    return dotted(instance.model_dump(mode="json"))
+
+
+def dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return the values of nested mappings by dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            found |= dotted(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found
 
 
 def build(model: type[ModelT], values: Mapping[str, object]) -> ModelT:
@@ -337,17 +348,6 @@ def _sub_model(field: FieldInfo) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return None
-
-
-def _dotted(values: Mapping[str, Any], prefix: str = "") -> dict[str, Value]:
-    """Values of nested mappings by dotted name."""
-    found: dict[str, Value] = {}
-    for key, value in values.items():
-        if isinstance(value, dict):
-            found |= _dotted(value, f"{prefix}{key}.")
-        else:
-            found[f"{prefix}{key}"] = value
-    return found
 
 
 def _shown(value: object) -> str:
