@@ -446,9 +446,9 @@ def _new_directory(what: str) -> Path:
 
 
 def program() -> NoReturn:
-    """Run the command line as the whole of a process, which ends at once.
+    """Run the command line as a process of its own, and end it at once.
 
-    To take everything apart that was imported would take the interpreter half a second.
+    The interpreter would need half a second to take apart what was imported.
     """
     repair_streams()
     # Without a home directory matplotlib keeps its cache elsewhere, and warns of that at length.

@@ -1,4 +1,4 @@
-"""What a user decides of an experiment, in a file or by options, and where its results go."""
+"""What a user decides about an experiment, by file or options, and where its results go."""
 
 from __future__ import annotations
 

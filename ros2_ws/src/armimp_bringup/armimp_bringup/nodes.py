@@ -1,4 +1,4 @@
-"""The nodes of an experiment, in this process, in others or of others, and their parameters."""
+"""The nodes of an experiment, wherever they run, and their parameters."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class RemoteParameters:
 
 
 class AskedParameters:
-    """What the parameters of nodes should be; asked for again when they are to be confirmed.
+    """The parameters that nodes were given, to be compared with those that they have.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ class AskedParameters:
 
 
 class NodeGroup:
-    """Some nodes of the graph, wherever they live; here, what is done if nothing else is said."""
+    """Nodes of the graph, wherever they run; by default little has to be done for them."""
 
     names: Sequence[str] = NODES
     """In the order of activation."""

@@ -152,7 +152,7 @@ def _prepare(directory: Path, parameters: NodeParameters) -> Path:
 
 
 class Supervisor(Node):
-    """Listens to everything that tells how the experiment goes."""
+    """Listens to what the nodes report of the experiment."""
 
     def __init__(
         self,
@@ -165,7 +165,7 @@ class Supervisor(Node):
         self._on_progress = on_progress
         self._on_phase = on_phase
         self.faults: list[Problem] = []
-        """What nodes told of on ``/diagnostics``."""
+        """Faults that nodes reported on ``/diagnostics``."""
         self.concluded = self.finished = False
         self.realtime = False
         """Whether a fault ends the experiment at once, and does not matter after its last trial."""
@@ -256,8 +256,8 @@ class Course:
     supervisor, spinner : who watches, and what runs the callbacks
     nodes : the nodes
     interrupted : asked often; once true, the nodes are taken down
-    confirm : called before they are activated and when all is over, while none has torque and no
-        time is lost by it; tells what is not as it was asked for
+    confirm : gives a sentence for each parameter that is not as it was asked for; called before the
+        nodes are activated and after the last trial, while none has torque
     """
 
     def __init__(

@@ -57,7 +57,7 @@ class BagPlayer(Node):
             topic: self.create_publisher(kind, topic, qos.PROFILES[topic])
             for topic, kind in _CLASSES.items()
         }
-        # What the player hears of its own tells that the batch has gone through the graph.
+        # Hearing its own messages tells the player that the batch has gone through the graph.
         self._heard = 0
         self._expected = 0
         self._through: Future = Future()

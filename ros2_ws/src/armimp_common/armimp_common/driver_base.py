@@ -62,14 +62,14 @@ the transport, and a writer that waits repairs that only with its next heartbeat
 class FlowControl:
     """Flow control in lockstep: a rig waits for a recorder that falls behind.
 
-    A recorder tells how many samples it has received since it began; 0 announces it, and
-    :data:`armimp_common.topics.RECORDER_GONE` takes leave. Without a recorder nothing waits.
+    A recorder tells how many samples it has received since it began: 0 announces it, and
+    :data:`armimp_common.topics.RECORDER_GONE` says that it has ended. Without one nothing waits.
     Nothing else in lockstep has a pace of its own, so without this a recorder on a loaded machine
     would lose samples once the queues are full.
 
     Attributes
     ----------
-    silent : whether the recorder gives no sign of life, so that the next sample waits in any case
+    silent : whether the heartbeat of the recorder is missing, so that the next sample has to wait
     """
 
     def __init__(self) -> None:

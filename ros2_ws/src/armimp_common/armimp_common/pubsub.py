@@ -248,7 +248,7 @@ class CountSubscription(RawSubscription):
 
 
 class _Unattended(Subscription):
-    """A subscription that executors are not told of."""
+    """A subscription that is hidden from executors."""
 
 
 class PollingNode(Node):

@@ -39,7 +39,7 @@ DIAGNOSTICS: Final = _profile(10)
 """Diagnostics: what diagnostic aggregators expect."""
 
 OFFERED_LEASE_MS: Final = 3000
-"""Lease that a sign of life offers: the middleware renews it after two thirds of that time (ms).
+"""Lease of a heartbeat (ms): the middleware renews it after two thirds of that time.
 
 Not shorter. The thread that renews it takes a lock which another thread holds while it forgets a
 publisher that has left, and which then waits for the first: if both coincide, the middleware is
@@ -59,10 +59,10 @@ def _alive(lease_ms: int) -> QoSProfile:
 
 
 ALIVE: Final = _alive(OFFERED_LEASE_MS)
-"""Sign of life of a process, for the publisher that offers it."""
+"""Profile of whoever publishes a heartbeat."""
 
 ALIVE_WATCHED: Final = _alive(WATCHED_LEASE_MS)
-"""The same for the subscription that watches it."""
+"""Profile of whoever monitors a heartbeat."""
 
 PROFILES: Final[dict[str, QoSProfile]] = {
     **dict.fromkeys(topics.DATA_STREAMS, SAMPLE),

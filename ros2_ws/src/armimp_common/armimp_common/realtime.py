@@ -1,4 +1,4 @@
-"""Real time on a host that knows little of it: deadlines, precedence, and how well it went."""
+"""Real time on an ordinary host: deadlines, precedence, and how well both were kept."""
 
 from __future__ import annotations
 

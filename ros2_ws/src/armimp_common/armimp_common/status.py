@@ -1,4 +1,4 @@
-"""What nodes tell of themselves: records as key-values of ``diagnostic_msgs/DiagnosticStatus``.
+"""What nodes report of themselves: records as key-values of ``diagnostic_msgs/DiagnosticStatus``.
 
 One codec for all of them: each record is a frozen dataclass, each field one key, written so that it
 reads back without loss. The message of the status has the same in words, for people alone.

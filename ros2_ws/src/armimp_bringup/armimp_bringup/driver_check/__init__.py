@@ -1,1 +1,1 @@
-"""Judging of a running driver: recording it, the judgement without ROS, and the command."""
+"""The check of a running driver: its recording, its rules without ROS, and the command."""

@@ -67,7 +67,7 @@ class Mover:
         self.readings: dict[str, NDArray[np.float64]] = {}  # filled in when all is over
 
     def move(self) -> Moves:
-        """Push each joint, then the first one until it is to let go by itself, and by a stop."""
+        """Push each joint; then see how silence, a stop and a second publisher end a push."""
         moves, guard = self._moves, self._guard
         self._node.guard = guard
         try:
@@ -249,7 +249,7 @@ class Mover:
         return len(recent) >= 20 and float(np.max(np.ptp(np.array(recent), axis=0))) < _STILL
 
     def _told(self, since: float) -> float | None:
-        """Return how long after a moment the driver told of a fault, s."""
+        """Return how long after a moment the driver reported a fault, s."""
         node = self._node
 
         def after() -> list[float]:

@@ -1,4 +1,4 @@
-"""Judgement of a driver against section 10 of docs/interfaces.md: topics, numbers, time, torque.
+"""Rules of section 10 of docs/interfaces.md that a driver is judged by.
 
 Under torque nothing is assumed of arm and friction but that they do the same again when they are
 pushed again.

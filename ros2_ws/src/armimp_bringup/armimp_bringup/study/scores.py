@@ -355,7 +355,7 @@ class WorstValue(BaseModel):
 
 
 class StudyVerdict(BaseModel):
-    """Content of ``verdict.json``: judgement of what a study contains.
+    """Content of ``verdict.json``: what a study reached, and whether that meets its targets.
 
     ``unresolved`` is the share of elements, over all conditions, that make too little torque to be
     judged.

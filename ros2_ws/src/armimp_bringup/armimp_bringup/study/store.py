@@ -181,7 +181,7 @@ class StudyStore:
 def open_study(
     directory: Path, base: ExperimentConfig, software: Mapping[str, Any]
 ) -> Iterator[StudyStore]:
-    """Have the directory of a study for one process, as long as the context lasts.
+    """Reserve the directory of a study for this process while the context lasts.
 
     Parameters
     ----------
