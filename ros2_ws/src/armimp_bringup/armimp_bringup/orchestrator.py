@@ -36,7 +36,7 @@ from armimp_common.status import (
     TimingFigures,
     values_of,
 )
-from armimp_estimation.bags import expected_bytes, require_free_space
+from armimp_estimation.bags import require_free_space
 from armimp_estimation.bags.finishing import finish_bags
 from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.metadata import RECORD_KEY, Timing
@@ -145,7 +145,7 @@ def _prepare(directory: Path, parameters: NodeParameters) -> Path:
     prepare_directory(directory)
     ticks = round(parameters.controller.sequence.duration * topics.NS_PER_S / topics.PERIOD_NS)
     n = len(parameters.simulator.joints)
-    require_free_space(directory, n * expected_bytes(ticks, n))
+    require_free_space(directory, n * ticks, n)
     file = directory / PARAMETERS_FILE
     file.write_text(to_params_yaml(parameters.by_node()), encoding="utf-8")
     return file

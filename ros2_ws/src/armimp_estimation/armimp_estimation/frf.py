@@ -77,30 +77,6 @@ def noise_gain(trial: TrialSpectra) -> FloatArray:
     return 1.0 / ((averages - 1.0) * power)
 
 
-def residual_power(trial: TrialSpectra, coefficients: ComplexArray) -> FloatArray:
-    """Power density of ``e = Σ_c a_c x_c`` over the channels c of a trial.
-
-    ``G_ee = Σ_cd conj(a_c) a_d G_cd``, never below what rounding alone would leave.
-
-    Parameters
-    ----------
-    trial : TrialSpectra
-        Spectra of the channels.
-    coefficients : ndarray, shape (2n + 1, n_freq)
-        Coefficient of each channel at each frequency.
-
-    Returns
-    -------
-    ndarray, shape (n_freq,)
-        Power density of e.
-    """
-    matrix = trial.spectra.matrix
-    power = np.einsum("cf,cdf,df->f", np.conj(coefficients), matrix, coefficients).real
-    terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, matrix).real
-    floored: FloatArray = np.maximum(power, np.finfo(np.float64).eps * terms)
-    return floored
-
-
 def unexplained_power(trial: TrialSpectra, impedance: ComplexArray) -> FloatArray:
     """Power density of ``τ_i - Σ_j Z_ij θ_j`` for an impedance of shape (n, n, n_freq), N·m/rad.
 
@@ -113,7 +89,16 @@ def unexplained_power(trial: TrialSpectra, impedance: ComplexArray) -> FloatArra
     coefficients = np.zeros((n, 2 * n + 1, trial.f.size), dtype=np.complex128)
     coefficients[:, 1 : 1 + n] = -impedance
     coefficients[np.arange(n), 1 + n + np.arange(n)] = 1.0
-    return np.stack([residual_power(trial, of_torque) for of_torque in coefficients])
+    return np.stack([_power(trial.spectra.matrix, of_torque) for of_torque in coefficients])
+
+
+def _power(matrix: ComplexArray, coefficients: ComplexArray) -> FloatArray:
+    """Power density of ``e = Σ_c a_c x_c``: ``G_ee = Σ_cd conj(a_c) a_d G_cd``."""
+    power = np.einsum("cf,cdf,df->f", np.conj(coefficients), matrix, coefficients).real
+    terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, matrix).real
+    # Never below what rounding alone would leave.
+    floored: FloatArray = np.maximum(power, np.finfo(np.float64).eps * terms)
+    return floored
 
 
 def frf_matrix(trials: Sequence[TrialSpectra]) -> FrfMatrix:

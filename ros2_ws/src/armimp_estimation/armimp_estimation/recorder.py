@@ -25,7 +25,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import Streams, stamps_in_step
-from armimp_estimation.bags import BagWriter, expected_bytes, require_free_space
+from armimp_estimation.bags import BagWriter, require_free_space
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
@@ -311,7 +311,7 @@ class TrialRecorder:
         if self._directory is not None:
             self._bag = f"{BAGS}/trial_{status.trial}_joint_{status.joint + 1}"
             path = self._directory / self._bag
-            require_free_space(path, expected_bytes(status.ticks, len(self._joint_names)))
+            require_free_space(path, status.ticks, len(self._joint_names))
             self._writer = BagWriter(path, metadata=self._metadata)
 
     def _keep(self, messages: Mapping[str, Sequence[bytes]]) -> None:

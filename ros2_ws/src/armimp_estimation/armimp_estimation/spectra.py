@@ -5,7 +5,6 @@ The convention is that of :func:`scipy.signal.csd`: ``G_xy = E[conj(X) Y]``, one
 
 import functools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,20 +55,13 @@ class WelchConfig:
             )
 
     @classmethod
-    def for_samples(cls, samples: int, rate: float = 1000.0) -> "WelchConfig":
-        """Segments that suit a record of so many samples at a rate in Hz.
+    def for_samples(cls, *lengths: int, rate: float = 1000.0) -> "WelchConfig":
+        """Segments that suit a record of so many samples, in one stretch or in several.
 
         The default from four segments' length on; a shorter record takes the largest power of two
-        that fits four times, so that there is something to average, down to 1024 samples.
-        """
-        return cls.for_stretches([samples], rate)
-
-    @classmethod
-    def for_stretches(cls, lengths: Sequence[int], rate: float = 1000.0) -> "WelchConfig":
-        """Segments that suit a record in several stretches of these lengths.
-
-        As `for_samples`, but counting only stretches that hold a whole segment. At other rates than
-        1 kHz segments are of about the same time.
+        that fits four times, so that there is something to average, down to 1024 samples. Only
+        stretches that hold a whole segment count. At other rates than 1 kHz (in Hz) segments are of
+        about the same time.
         """
         scale = 2.0 ** round(np.log2(rate / 1000.0))
         segment = int(cls.segment * scale)

@@ -11,9 +11,11 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
 
+_EVERY = 2.0
+"""Time from one decision to the next (s)."""
 _GROWTH = 10
-"""A trial is considered again after this part of its length at the earliest, as an estimate from
-a long record takes long."""
+"""Decisions on long trials are further apart, by this part of the length so far, as an estimate
+from a long record takes long."""
 
 
 def largest_error(column: FittedColumn) -> tuple[float, str]:
@@ -39,21 +41,16 @@ class PrecisionGoal:
         trial gives; 0 lets all trials last as long as planned.
     least : float
         Length that every trial has at least, s.
-    every : float
-        Time from one decision to the next, s; longer where a tenth of the trial is.
     """
 
     bound: float = 0.0
     least: float = 20.0
-    every: float = 2.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.bound < 1.0:
             raise ConfigurationError(f"bound of errors must lie in [0, 1), got {self.bound!r}")
-        if not (0.0 < self.least < np.inf and 0.0 < self.every < np.inf):
-            raise ConfigurationError(
-                f"times between decisions must be positive: {self.least!r} s, {self.every!r} s"
-            )
+        if not 0.0 < self.least < np.inf:
+            raise ConfigurationError(f"least length must be positive, got {self.least!r} s")
 
 
 class StoppingRule:
@@ -75,7 +72,7 @@ class StoppingRule:
         self._goal = goal
         self._trial = trial
         self._planned = planned
-        self._every = round(goal.every * rate)
+        self._every = round(_EVERY * rate)
         self._announced = False
         self._due: int | None = self._within(max(round(goal.least * rate) - NOTICE_TICKS, 1))
 

@@ -75,7 +75,7 @@ def channels(
 def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
     """Choose Welch segments that suit all trials, by that with the shortest intact parts."""
     configs = [
-        WelchConfig.for_stretches([part.samples for part in parts], parts[0].rate)
+        WelchConfig.for_samples(*(part.samples for part in parts), rate=parts[0].rate)
         for parts in trials
     ]
     return min(configs, key=lambda config: config.segment, default=WelchConfig.for_samples(0))

@@ -59,7 +59,7 @@ def radius(level: float) -> np.ndarray:
             for value in (0.0, 1.0, NAN)
         ),
         *((PrecisionGoal, "bound", {"bound": bound}) for bound in (-0.1, 1.0, NAN)),
-        (PrecisionGoal, "times", {"least": 0.0}),
+        (PrecisionGoal, "least", {"least": 0.0}),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
         *((radius, "confidence level", {"level": level}) for level in (0.0, 1.0, -0.5, NAN)),

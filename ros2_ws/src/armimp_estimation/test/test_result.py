@@ -359,7 +359,7 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
 def test_segment_length_is_that_of_which_four_fit_into_long_enough_parts(
     lengths: list[int], segment: int
 ) -> None:
-    assert WelchConfig.for_stretches(lengths).segment == segment
+    assert WelchConfig.for_samples(*lengths).segment == segment
 
 
 def test_all_trials_get_the_segments_of_the_one_that_can_have_least() -> None:

@@ -7,7 +7,7 @@ from armimp_common.status import NOTICE_TICKS, StoppingDecision
 from armimp_estimation.estimators.lpm import FittedColumn
 from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
 
-GOAL = PrecisionGoal(bound=0.02, least=20.0, every=2.0)
+GOAL = PrecisionGoal(bound=0.02, least=20.0)
 LEAST = 20_000 - NOTICE_TICKS
 
 

@@ -1,12 +1,6 @@
 """Bags: rosbag2 recordings of experiments, written here and read from anywhere."""
 
 from armimp_estimation.bags.reader import BagContent, read_bag
-from armimp_estimation.bags.writer import BagWriter, expected_bytes, require_free_space
+from armimp_estimation.bags.writer import BagWriter, require_free_space
 
-__all__ = [
-    "BagContent",
-    "BagWriter",
-    "expected_bytes",
-    "read_bag",
-    "require_free_space",
-]
+__all__ = ["BagContent", "BagWriter", "read_bag", "require_free_space"]

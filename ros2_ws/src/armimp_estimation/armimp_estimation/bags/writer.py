@@ -241,33 +241,30 @@ def storage_name(path: Path) -> str:
     return f"{path.name}_0.mcap"
 
 
-def expected_bytes(ticks: int, joints: int) -> int:
-    """Upper bound of the size of a bag, for `require_free_space`.
-
-    Parameters
-    ----------
-    ticks : int
-        Control periods to record.
-    joints : int
-        Number of joints.
-    """
-    return _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
-
-
 def _reason(error: OSError) -> str:
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         return "disk full"
     return error.strerror or "unknown reason"
 
 
-def require_free_space(path: Path, bytes_needed: int) -> None:
-    """Check that the file system on which a path is, or will be made, has room.
+def require_free_space(path: Path, ticks: int, joints: int) -> None:
+    """Check that there is room where a bag will be made for the largest one that it can become.
+
+    Parameters
+    ----------
+    path : Path
+        Directory of the bag.
+    ticks : int
+        Control periods to record.
+    joints : int
+        Number of joints.
 
     Raises
     ------
     BagError
-        If fewer than `bytes_needed` bytes are free, or that cannot be found out.
+        If there is too little room, or that cannot be found out.
     """
+    needed = _HEAD_BYTES + ticks * len(DATA_STREAMS) * (_MESSAGE_BYTES + _JOINT_BYTES * joints)
     place = path.absolute()
     while not place.exists() and place != place.parent:
         place = place.parent
@@ -275,9 +272,9 @@ def require_free_space(path: Path, bytes_needed: int) -> None:
         free = shutil.disk_usage(place).free
     except OSError as error:
         raise BagError(f"{path}: free space cannot be found out: {error.strerror}") from None
-    if free < bytes_needed:
+    if free < needed:
         raise BagError(
-            f"{path}: {bytes_needed / 1e6:.1f} MB of disk space needed, {free / 1e6:.1f} MB free"
+            f"{path}: {needed / 1e6:.1f} MB of disk space needed, {free / 1e6:.1f} MB free"
         )
 
 
