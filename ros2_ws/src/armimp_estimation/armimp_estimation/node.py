@@ -201,14 +201,18 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         )
 
     def _stop(self, reason: str) -> None:
-        self._active = False
-        self._synchronizer.close()
-        self._received.publish(topics.RECORDER_GONE)
-        self._timer.cancel()
+        self._end_recording()
         if not self._concluded:
             # Before the trial is finished, which may be the last one that was awaited.
             self._note(problem(ProblemCode.RECORDING_STOPPED, reason=reason))
         self._finish()
+
+    def _end_recording(self) -> None:
+        """Take nothing more, and tell those who wait for the recorder."""
+        self._active = False
+        self._synchronizer.close()
+        self._received.publish(topics.RECORDER_GONE)
+        self._timer.cancel()
 
     def _finish(self) -> None:
         """Record all that has come, and conclude."""
@@ -362,10 +366,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def _give_up(self, error: ArmimpError) -> None:
         """Recording failed: keep what there is, and say so."""
         self._note(Problem.of(error, ProblemCode.RECORDING_FAILED))
-        self._active = False
-        self._synchronizer.close()
-        self._received.publish(topics.RECORDER_GONE)
-        self._timer.cancel()
+        self._end_recording()
         with suppress(ArmimpError):
             self._recording.add(self._synchronizer.take())  # goes into the bag as that is closed
         try:
@@ -381,17 +382,14 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _on_timer(self) -> None:
         if self._active and self._acknowledged == self._seen:
-            self._record()  # nothing has come that would see to it, or not from all
+            # Nothing has come that would see to it, or not from all.
+            self._record()
+            self._flush()
         self._seen = self._acknowledged
         if not self._active or self._recording.status is None:
             return
         if time.monotonic() - self._done_at > _STRAGGLERS:
             self._finish()
-            return
-        try:
-            self._recording.flush(if_idle=True)
-        except ArmimpError as error:
-            self._give_up(error)
             return
         if (progress := self._recording.progress()) is not None:
             self._progress.publish(status_message(progress))

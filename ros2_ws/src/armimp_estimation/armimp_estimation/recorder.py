@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,8 @@ _KEPT_BETWEEN = 3000
 may be late."""
 _DRIFT, _MOST_DRIFT_NS = 2e-4, 250_000_000
 """By how much the clock of a driver may go slow relative to the nominal period, in all at most."""
+_STEP_BACK_NS = 1_000_000_000
+"""Stamps that step back so far (ns) are of another run."""
 _OVERDUE_NS = 2_000_000_000
 """So long after the planned end (ns), whatever is missing is lost: queues hold no more."""
 
@@ -93,9 +96,9 @@ class TrialRecorder:
         self._writer: BagWriter | None = None
         self._bag = ""
         self._past: list[TrialRecord] = []
-        self._seen = 0
         self._between = {topic: deque[bytes](maxlen=_KEPT_BETWEEN) for topic in DATA_STREAMS}
-        """Messages since the last trial was over."""
+        """Messages since the perturbation of the last trial was over."""
+        self._between_ns = -1
         self._later: deque[TrialStatus] = deque()
         """Statuses of trials after the present one."""
         self.timing: Timing | None = None
@@ -153,14 +156,7 @@ class TrialRecorder:
             self._open(status)
         self._statuses.append(status)
         if status.start_ns is not None and self._start_ns is None:
-            self._start_ns, self._began = status.start_ns, time.monotonic()
-            for topic, stream in self._streams.decode().stamped.items():
-                self._before[topic] = int((stream.stamps < status.start_ns).sum())
-        if present is None:
-            waiting = {topic: list(raws) for topic, raws in self._between.items()}
-            for raws in self._between.values():
-                raws.clear()
-            self._keep(waiting)
+            self._begin(status.start_ns, status.ticks)
         self._write_statuses()
         if status.phase is Phase.ABORTED:
             self.finish()
@@ -175,10 +171,9 @@ class TrialRecorder:
         BagError
             If they can't be written.
         """
-        if not self._statuses or self._is_past(0):
-            for topic, raws in messages.items():
-                self._between[topic].extend(raws)
-        if self._statuses:
+        if self._start_ns is None or self._is_past(0):
+            self._wait(messages)
+        if self._start_ns is not None:
             self._keep(messages)
             self._finish_if_complete()
 
@@ -289,22 +284,16 @@ class TrialRecorder:
             writer, self._writer = self._writer, None
             writer.close()
 
-    def flush(self, *, if_idle: bool = False) -> None:
+    def flush(self) -> None:
         """Hand what was recorded to the operating system, where a kill cannot reach it.
-
-        Parameters
-        ----------
-        if_idle : bool
-            Only if nothing has come since the last such call.
 
         Raises
         ------
         BagError
             If that fails.
         """
-        if self._writer is not None and not (if_idle and self.samples != self._seen):
+        if self._writer is not None:
             self._writer.flush()
-        self._seen = self.samples
 
     def _open(self, status: TrialStatus) -> None:
         self.close()
@@ -313,6 +302,30 @@ class TrialRecorder:
             path = self._directory / self._bag
             require_free_space(path, status.ticks, len(self._joint_names))
             self._writer = BagWriter(path, metadata=self._metadata)
+
+    def _wait(self, messages: Mapping[str, Sequence[bytes]]) -> None:
+        """Let messages wait for the next trial; those from before a step back in time are over."""
+        first = 0
+        for number, message in enumerate(messages.get(PERTURBATION, ())):
+            with suppress(MalformedMessageError):
+                stamp_ns = stamp_of(message)
+                if stamp_ns < self._between_ns - _STEP_BACK_NS:
+                    first = number
+                    for waiting in self._between.values():
+                        waiting.clear()
+                self._between_ns = stamp_ns
+        for topic, raws in messages.items():
+            self._between[topic].extend(raws[first:])
+
+    def _begin(self, start_ns: int, ticks: int) -> None:
+        """Begin with the samples of a trial, and keep what came before."""
+        self._start_ns, self._began = start_ns, time.monotonic()
+        waiting = {topic: list(raws) for topic, raws in self._between.items()}
+        for raws in self._between.values():
+            raws.clear()
+        # Of a trial at a later time, as when bags are replayed in any order, nothing is kept.
+        if self._between_ns <= start_ns + ticks * PERIOD_NS + _STEP_BACK_NS:
+            self._keep(waiting)
 
     def _keep(self, messages: Mapping[str, Sequence[bytes]]) -> None:
         """Decode and write messages of the present bag: all at once where they are in step."""

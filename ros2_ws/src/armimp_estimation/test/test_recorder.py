@@ -198,6 +198,26 @@ def test_when_a_stream_falls_silent_expect_the_next_trial_whole_but_for_that(
     assert states >= set(recording.by_topic()[JOINT_STATES][first : first + 50])
 
 
+@pytest.mark.parametrize("together", [1, 7, 50])
+@pytest.mark.parametrize("settle", [0, 10])
+def test_trials_may_come_in_any_order_of_their_times(
+    tmp_path: Path, settle: int, together: int
+) -> None:
+    recording = synthetic_recording(perturbed=(0, 1), ticks=3000, settle=settle, rest=70)
+    second = next(
+        place
+        for place, (topic, _, raw) in enumerate(recording.messages)
+        if topic == TRIAL and decode_trial_status(raw).trial == 2
+    )
+    desk = Desk(tmp_path, together=together)
+    desk.feed([*recording.messages[second:], *recording.messages[:second]])
+    desk.recorder.stop()
+    assert [trial.trial for trial in desk.finished] == [2, 1]
+    for trial, expected in zip(desk.finished, recording.records[::-1], strict=True):
+        assert_equal(trial.intact()[0], expected)
+    desk.assert_bags_read_as_handed_over()
+
+
 @pytest.mark.parametrize("announced", [False, True])
 @pytest.mark.parametrize("together", [1, 7, 20])
 def test_a_trial_that_ends_early_has_no_sample_of_the_rest(announced: bool, together: int) -> None:
@@ -350,14 +370,13 @@ def test_coherence_begins_anew_with_each_trial() -> None:
         assert min(coherence) > 0.9
 
 
-def test_when_nothing_comes_any_more_expect_all_of_it_in_the_file(tmp_path: Path) -> None:
+def test_once_flushed_all_that_came_is_in_the_file(tmp_path: Path) -> None:
     desk = Desk(tmp_path)
     desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 7)])
     with pytest.raises(BagError, match="no messages"):
         read_bag(desk.bags[0])
 
-    desk.recorder.flush(if_idle=True)  # Something has come since it was made.
-    desk.recorder.flush(if_idle=True)
+    desk.recorder.flush()
 
     assert_equal(read_bag(desk.bags[0]).records()[0], MADE_UP.records[0], 7)
     desk.recorder.stop()
