@@ -171,11 +171,11 @@ class TrialRecorder:
         BagError
             If they can't be written.
         """
-        if self._start_ns is None or self._is_past(0):
-            self._wait(messages)
         if self._start_ns is not None:
             self._keep(messages)
-            self._finish_if_complete()
+        if self._start_ns is None or self._is_past(0):
+            self._wait(messages)
+        self._finish_if_complete()
 
     def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
@@ -345,7 +345,8 @@ class TrialRecorder:
 
     def _keep_one(self, topic: str, message: bytes) -> None:
         if topic == COMMANDS:
-            stamp_ns = max(self._newest_ns[PERTURBATION], 0)
+            led_ns = self._newest_ns[PERTURBATION]
+            stamp_ns = led_ns if led_ns >= 0 else max(*self._newest_ns.values(), 0)
         else:
             try:
                 stamp_ns = stamp_of(message)

@@ -141,14 +141,16 @@ def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
 @given(
     late=st.fixed_dictionaries(dict.fromkeys((*DATA_STREAMS, TRIAL), st.integers(0, 15))),
     together=st.sampled_from([1, 7, 20]),
+    rest=st.sampled_from([2, REST]),
 )
 def test_however_late_a_stream_is_each_trial_has_exactly_its_samples(
-    late: Mapping[str, int], together: int
+    late: Mapping[str, int], together: int, rest: int
 ) -> None:
+    recording = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=rest, rest=rest)
     desk = Desk(None, together=together)
-    desk.feed(sorted(MADE_UP.messages, key=lambda m: m[1] + late[m[0]] * PERIOD_NS))
+    desk.feed(sorted(recording.messages, key=lambda m: m[1] + late[m[0]] * PERIOD_NS))
     desk.recorder.stop()
-    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
+    for trial, expected in zip(desk.finished, recording.records, strict=True):
         assert_equal(trial.intact()[0], expected)
         assert trial.segments[0].command is not None
 
