@@ -115,17 +115,18 @@ def witness(tmp_path: Path) -> Iterator[StallWitness]:
 
 
 @pytest.fixture
-def start(driver_domain: int) -> Iterator[Callable[..., None]]:
+def start(driver_domain: int) -> Iterator[Callable[..., "subprocess.Popen[bytes]"]]:
     """Starts nodes as somebody else would: in processes of their own."""
     variables = {**os.environ}
     variables.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
     processes: list[subprocess.Popen[bytes]] = []
 
-    def run(arguments: list[str], *ros: str) -> None:
+    def run(arguments: list[str], *ros: str) -> "subprocess.Popen[bytes]":
         # Nodes of others have no watchdog over whoever started them: the kernel ends them with it.
         mortal = ["setpriv", "--pdeathsig", "KILL"]
         command = [*mortal, sys.executable, *arguments, *(["--ros-args", *ros] if ros else [])]
         processes.append(subprocess.Popen(command, env=variables, start_new_session=True))
+        return processes[-1]
 
     yield run
     for process in processes:

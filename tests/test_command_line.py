@@ -1,7 +1,6 @@
 """The command ``armimp`` as a user meets it: results, one clear line for errors, exit status."""
 
 import json
-import os
 import re
 import signal
 import subprocess
@@ -19,6 +18,7 @@ from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import TRIAL
 from armimp_estimation.bags import BagWriter, read_bag
 from support.bag_files import iterate_messages
+from support.processes import processes_of
 
 SHORT = ["run", "--duration", "2", "--seed", "5"]
 
@@ -218,14 +218,7 @@ def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     summary = json.loads((out / "summary.json").read_text())
     assert summary["valid"] is False
     assert read_bag(bag).trials[0].record is not None
-    mine = str(out).encode()
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
-            try:
-                arguments = (entry / "cmdline").read_bytes()
-            except OSError:
-                continue
-            assert mine not in arguments
+    assert not processes_of(out)
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import subprocess
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +12,6 @@ import pytest
 from armimp_bringup.config import Declared, ExperimentConfig
 from armimp_bringup.offline_estimate import estimate_bags
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common.domain import DomainClaim
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE
 from armimp_estimation.bags import read_bag
 from armimp_estimation.problems import ProblemCode
@@ -46,32 +41,13 @@ CALIBRATION: dict[str, Any] = {
 
 
 @pytest.fixture
-def nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def nodes(start: Callable[..., object]) -> None:
     """The template and the two other nodes, started as somebody else would."""
-    with DomainClaim() as claim:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
-    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
     options = [part for name, value in MOCK.items() for part in ("-p", f"{name}:={value}")]
-    started = [["armimp_driver_template.node", "--ros-args", *options]]
+    start(["-m", "armimp_driver_template.node"], *options)
     for node, package in ((CONTROLLER_NODE, "control"), (ESTIMATOR_NODE, "estimation")):
         path = SOURCES / f"armimp_{package}/config/{node}.yaml"
-        started.append([f"armimp_{package}.node", "--ros-args", "--params-file", str(path)])
-    processes = [
-        subprocess.Popen(
-            [sys.executable, "-m", *arguments], env=environment, start_new_session=True
-        )
-        for arguments in started
-    ]
-    yield
-    for process in processes:
-        process.send_signal(signal.SIGINT)
-    for process in processes:
-        try:
-            process.wait(30.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+        start(["-m", f"armimp_{package}.node"], "--params-file", str(path))
 
 
 def figures(told: Result) -> dict[str, float]:

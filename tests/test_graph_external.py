@@ -1,10 +1,8 @@
 """Experiments with nodes that others have started, as in containers or by ``ros2 run``."""
 
 import os
-import signal
 import subprocess
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,6 @@ from armimp_bringup.health import state_of
 from armimp_bringup.nodes import ExternalNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.status import Progress
@@ -38,34 +35,15 @@ Processes = dict[str, subprocess.Popen[bytes]]
 
 
 @pytest.fixture
-def domain(monkeypatch: pytest.MonkeyPatch) -> int:
-    """A domain that is free: the orchestrator will claim it, not this test."""
-    with DomainClaim() as claim:
-        monkeypatch.setenv("ROS_DOMAIN_ID", str(claim.domain_id))
-        return claim.domain_id
-
-
-@pytest.fixture
-def started(domain: int) -> Iterator[Processes]:
+def started(start: Callable[..., subprocess.Popen[bytes]]) -> Processes:
     """The three nodes, each as somebody else would start it: with its own default parameters."""
-    # All that `ros2 run` would have on one machine: no profile of the middleware.
-    environment = {**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    environment.pop("FASTRTPS_DEFAULT_PROFILES_FILE", None)
-    processes: Processes = {}
-    for name, package in PACKAGES.items():
-        defaults = SOURCES / package / "config" / f"{name}.yaml"
-        command = [sys.executable, "-m", f"{package}.node", "--ros-args"]
-        command += ["--params-file", str(defaults)]
-        processes[name] = subprocess.Popen(command, env=environment, start_new_session=True)
-    yield processes
-    for process in processes.values():
-        process.send_signal(signal.SIGINT)
-    for process in processes.values():
-        try:
-            process.wait(30.0)
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
+    files = {
+        name: SOURCES / package / "config" / f"{name}.yaml" for name, package in PACKAGES.items()
+    }
+    return {
+        name: start(["-m", f"{package}.node"], "--params-file", str(files[name]))
+        for name, package in PACKAGES.items()
+    }
 
 
 def config(**options: Any) -> ExperimentConfig:

@@ -25,6 +25,7 @@ from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_estimation.bags import read_bag
 from support.fault_figures import Figures
+from support.processes import processes_of
 from support.stalls import StallWitness
 
 pytestmark = pytest.mark.alone
@@ -138,18 +139,6 @@ def event(file: Path, name: str) -> str | None:
     """What the program tells under this name, if it does already."""
     lines = file.read_text().splitlines() if file.exists() else []
     return next((line.split()[1] for line in lines if line.split()[0] == name), None)
-
-
-def processes_of(directory: Path) -> list[int]:
-    """Processes that have something to do with these results."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        try:
-            if entry.name.isdigit() and str(directory).encode() in (entry / "cmdline").read_bytes():
-                found.append(int(entry.name))
-        except OSError:
-            continue
-    return found
 
 
 def end(process: "subprocess.Popen[str]") -> None:

@@ -14,7 +14,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -43,6 +42,7 @@ from armimp_estimation.summary import Summary, read_summary
 from armimp_sim.realtime_simulator import RealtimeSimulator
 from armimp_sim.simulator import SimulatedRig
 from support.priority import permitted_priority
+from support.processes import processes_of
 from support.runs import FinishedRun, Run
 
 SECONDS = 2.0
@@ -244,16 +244,6 @@ def test_every_run_reports_its_timing_and_a_verdict_that_fits(tmp_path: Path) ->
         assert (np.diff(recorded.stamps(topic, finished.joint_names)) == PERIOD_NS).all()
 
 
-def process_of(directory: Path, node: str) -> int:
-    """Process that runs a node of the experiment in this directory."""
-    for entry in Path("/proc").iterdir():
-        with suppress(OSError):
-            command = (entry / "cmdline").read_bytes().decode(errors="replace")
-            if entry.name.isdigit() and MODULES[node] in command and str(directory) in command:
-                return int(entry.name)
-    raise AssertionError(f"no process of {node}")
-
-
 @pytest.mark.alone
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -271,7 +261,7 @@ def test_when_one_side_is_held_up_for_long_expect_the_other_to_end_the_run(
     def on_progress(progress: Progress) -> None:
         nonlocal held
         if not held:
-            process = process_of(directory, node)
+            (process,) = processes_of(MODULES[node], directory)
             os.kill(process, signal.SIGSTOP)
             time.sleep(HELD)
             os.kill(process, signal.SIGCONT)

@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.problems import ProblemCode
 from support.bag_files import iterate_messages
 from support.fault_figures import Figures
+from support.processes import processes_of
 from support.recordings import recorded_arm
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
@@ -171,20 +171,6 @@ def test_when_killed_at_twenty_random_moments_expect_little_lost_each_time(
         figures.add("recorder killed", loss=(one.received - left, "ms"))
 
 
-def estimator_of(directory: Path) -> int:
-    """Process id of the estimator node with the parameter file in a directory of results."""
-    for entry in Path("/proc").iterdir():
-        with suppress(OSError):
-            arguments = (
-                (entry / "cmdline").read_bytes().split(b"\0") if entry.name.isdigit() else []
-            )
-            if b"armimp_estimation.node" in arguments and any(
-                argument.startswith(os.fsencode(directory)) for argument in arguments
-            ):
-                return int(entry.name)
-    raise AssertionError(f"no estimator runs with parameters in {directory}")
-
-
 def test_when_the_estimator_node_is_killed_expect_its_bag_finished_by_the_run(
     tmp_path: Path, environment: None
 ) -> None:
@@ -193,7 +179,8 @@ def test_when_the_estimator_node_is_killed_expect_its_bag_finished_by_the_run(
     def on_progress(progress: Progress) -> None:
         if not seen and progress.samples > 2000:
             seen.append(progress)
-            os.kill(estimator_of(tmp_path), signal.SIGKILL)
+            (estimator,) = processes_of("armimp_estimation.node", tmp_path)
+            os.kill(estimator, signal.SIGKILL)
 
     config = ExperimentConfig.model_validate({"duration": 10.0, "processes": "separate"})
     summary = run_experiment(config, tmp_path / "out", on_progress=on_progress)

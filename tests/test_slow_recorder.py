@@ -11,24 +11,12 @@ import pytest
 from armimp_bringup.config import load_config
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.status import Progress
+from support.processes import processes_of
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
 HELD_UP = 1.5
 """Seconds, in which the simulator could send several thousand samples."""
-
-
-def child(module: str, marker: str) -> int:
-    """Process id of the node that runs `module` with a parameter file under `marker`."""
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                arguments = (entry / "cmdline").read_bytes().split(b"\0")
-            except OSError:
-                continue
-            if module.encode() in arguments and any(marker.encode() in a for a in arguments):
-                return int(entry.name)
-    raise AssertionError(f"no process runs {module}")
 
 
 def hold_up(process: int) -> None:
@@ -42,7 +30,7 @@ def test_when_the_estimator_process_is_held_up_expect_no_sample_lost(tmp_path: P
 
     def on_progress(progress: Progress) -> None:
         if not threads and progress.samples > 500:
-            process = child("armimp_estimation.node", str(tmp_path))
+            (process,) = processes_of("armimp_estimation.node", tmp_path)
             threads.append(threading.Thread(target=hold_up, args=(process,)))
             threads[0].start()
 
