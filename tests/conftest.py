@@ -13,11 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import rclpy
-from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.config import CheckOptions, ExperimentConfig
 from armimp_bringup.driver_check.findings import Finding
@@ -28,6 +25,7 @@ from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.browser import Browser
+from support.graph import joined
 from support.runs import FinishedRun, Run
 from support.stalls import StallWitness
 
@@ -154,13 +152,7 @@ def host(driver_domain: int) -> Iterator[Callable[..., None]]:
 def _hosted(
     make: Callable[..., Node], domain_id: int, parameters: dict[str, Any]
 ) -> Iterator[None]:
-    hosting = Context()
-    rclpy.init(
-        args=[],
-        context=hosting,
-        domain_id=domain_id,
-        signal_handler_options=SignalHandlerOptions.NO,
-    )
+    hosting = joined(domain_id)
     overrides = [Parameter(name.replace("__", "."), value=v) for name, v in parameters.items()]
     node = make(context=hosting, parameter_overrides=overrides)
     ended = threading.Event()

@@ -6,11 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.context import Context
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
@@ -20,7 +17,7 @@ from armimp_common.executor import Spinner
 from armimp_common.status import Level, Phase, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.messages import RESULT_NAME
-from support.graph import PATIENCE
+from support.graph import PATIENCE, joined
 from support.runs import FinishedRun
 
 SHORT = ExperimentConfig(duration=2.0)
@@ -40,13 +37,7 @@ class Bystander:
     done: threading.Event = field(default_factory=threading.Event)
 
     def __post_init__(self) -> None:
-        self.context = Context()
-        rclpy.init(
-            args=[],
-            context=self.context,
-            domain_id=self.domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
+        self.context = joined(self.domain_id)
         self.node = Node("bystander", context=self.context)
 
     def listen(self) -> None:

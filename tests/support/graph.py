@@ -54,9 +54,8 @@ def domain_id(monkeypatch: pytest.MonkeyPatch) -> Iterator[int]:
         yield claim.domain_id
 
 
-@pytest.fixture
-def context(domain_id: int) -> Iterator[Context]:
-    """An initialised context."""
+def joined(domain_id: int) -> Context:
+    """A new context in a domain, to be shut down by the caller."""
     context = Context()
     rclpy.init(
         args=[],
@@ -64,6 +63,13 @@ def context(domain_id: int) -> Iterator[Context]:
         domain_id=domain_id,
         signal_handler_options=SignalHandlerOptions.NO,
     )
+    return context
+
+
+@pytest.fixture
+def context(domain_id: int) -> Iterator[Context]:
+    """An initialised context."""
+    context = joined(domain_id)
     yield context
     context.try_shutdown()
 
@@ -74,6 +80,13 @@ def node(context: Context) -> Iterator[Node]:
     node = Node("tester", context=context)
     yield node
     node.destroy_node()
+
+
+@pytest.fixture
+def spinner(node: Node) -> Iterator[Spinner]:
+    """What spins the plain node, and further ones that are added."""
+    with Spinner([node]) as spinner:
+        yield spinner
 
 
 def eventually(

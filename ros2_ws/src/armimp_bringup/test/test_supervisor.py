@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.node import Node
@@ -24,7 +21,7 @@ from armimp_common.status import (
     make_status,
     status_message,
 )
-from support.graph import PATIENCE
+from support.graph import eventually
 
 STATUS = TrialStatus(
     phase=Phase.ABORTED,
@@ -56,25 +53,16 @@ def test_timing_counts_up_to_an_abort_and_faults_are_heard_after_it(told_before:
             diagnostics.publish(make_array(0, [timing, fault]))
 
         with Spinner([supervisor, rig]) as spinner:
-
-            def until(condition: Callable[[], bool]) -> None:
-                end = time.monotonic() + PATIENCE
-                spinner.spin(lambda: condition() or time.monotonic() > end, period=0.02)
-                assert condition()
-
-            until(lambda: diagnostics.get_subscription_count() == 1)
+            eventually(spinner, lambda: diagnostics.get_subscription_count() == 1, "a listener")
             if told_before:
                 report(1000)
-                until(lambda: len(supervisor.faults) == 1)
+                eventually(spinner, lambda: len(supervisor.faults) == 1, "the first fault")
             trial.publish(status_message(STATUS))
-            until(lambda: supervisor.finished)
+            eventually(spinner, lambda: supervisor.finished, "the end")
             for ticks in (1600, 1700):
                 report(ticks)
-            until(
-                lambda: (
-                    [str(one) for one in supervisor.faults[-1:]] == ["arm_sim: rig: fault at 1700"]
-                )
-            )
+            last = ["arm_sim: rig: fault at 1700"]
+            eventually(spinner, lambda: [str(one) for one in supervisor.faults[-1:]] == last, "it")
         for node in (rig, supervisor):
             node.destroy_node()
 
@@ -124,12 +112,11 @@ def test_a_malformed_progress_message_does_not_end_the_orchestrator() -> None:
         other = Node("other", context=graph.context, use_global_arguments=False)
         channel = other.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
         with Spinner([supervisor, other]) as spinner:
-            end = time.monotonic() + PATIENCE
-            spinner.spin(lambda: channel.get_subscription_count() == 1 or time.monotonic() > end)
+            eventually(spinner, lambda: channel.get_subscription_count() == 1, "a listener")
             channel.publish(b"\0\1\0\0rubbish")
             channel.publish(make_status("a stranger", Level.OK, "", {"trial": "x"}))
             channel.publish(make_status("a friend", Level.OK, "", PROGRESS))
-            spinner.spin(lambda: bool(told) or time.monotonic() > end)
+            eventually(spinner, lambda: bool(told), "what can be read")
         for node in (other, supervisor):
             node.destroy_node()
     assert [progress.samples for progress in told] == [100]

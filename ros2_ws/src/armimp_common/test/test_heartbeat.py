@@ -70,12 +70,6 @@ def watch(node: Node, changes: list[Presence], monkeypatch: pytest.MonkeyPatch) 
     return HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
 
 
-@pytest.fixture
-def spinner(node: Node) -> Iterator[Spinner]:
-    with Spinner([node]) as spinner:
-        yield spinner
-
-
 @pytest.mark.parametrize(
     ("before", "alive", "silent", "after"),
     [

@@ -33,24 +33,6 @@ PATIENCE = 10.0
 PROFILE = QoSProfile(depth=10)
 
 
-class Spin:
-    """Spins until a condition holds, or fails."""
-
-    def __init__(self, spinner: Spinner) -> None:
-        self.spinner = spinner
-
-    def until(self, condition: Callable[[], bool]) -> None:
-        end = time.monotonic() + PATIENCE
-        self.spinner.spin(lambda: condition() or time.monotonic() > end, period=0.002)
-        assert condition(), "nothing came"
-
-
-@pytest.fixture
-def spin(node: Node) -> Iterator[Spin]:
-    with Spinner([node]) as spinner:
-        yield Spin(spinner)
-
-
 @pytest.fixture
 def lifecycle_node(context: Context) -> Iterator[LifecycleNode]:
     node = LifecycleNode("managed", context=context)
@@ -58,7 +40,7 @@ def lifecycle_node(context: Context) -> Iterator[LifecycleNode]:
     node.destroy_node()
 
 
-def test_joint_states_arrive_in_the_order_asked_for(node: Node, spin: Spin) -> None:
+def test_joint_states_arrive_in_the_order_asked_for(node: Node, spinner: Spinner) -> None:
     received: list[tuple[int, tuple[float, ...]]] = []
     publisher = JointStatePublisher(node, "topic", NAMES, "effort")
     subscription = JointStateSubscription(
@@ -70,12 +52,14 @@ def test_joint_states_arrive_in_the_order_asked_for(node: Node, spin: Spin) -> N
 
     for k in range(100):
         publisher.publish(k, (1.0 + k, 2.0))
-    spin.until(lambda: len(received) == 100)
+    eventually(spinner, lambda: len(received) == 100, "what was sent")
 
     assert received == [(k, (2.0, 1.0 + k)) for k in range(100)]
 
 
-def test_counts_arrive_raw_and_typed_also_where_somebody_joins_late(node: Node, spin: Spin) -> None:
+def test_counts_arrive_raw_and_typed_also_where_somebody_joins_late(
+    node: Node, spinner: Spinner
+) -> None:
     publisher = CountPublisher(node, "topic")
     for count in (0, 10, 2**64 - 1):
         publisher.publish(count)
@@ -84,7 +68,7 @@ def test_counts_arrive_raw_and_typed_also_where_somebody_joins_late(node: Node, 
     CountSubscription(node, "topic", received.append)
     node.create_subscription(UInt64, "topic", typed.append, qos.LATCHED)
 
-    spin.until(lambda: len(received) == len(typed) == 3)
+    eventually(spinner, lambda: len(received) == len(typed) == 3, "what was sent")
 
     assert received == [message.data for message in typed] == [0, 10, 2**64 - 1]
 
@@ -97,7 +81,7 @@ def test_when_the_publisher_was_destroyed_expect_an_error_and_no_crash(node: Nod
         publisher.publish([1.0, 2.0])
 
 
-def test_a_count_that_cannot_be_read_is_dropped(node: Node, spin: Spin) -> None:
+def test_a_count_that_cannot_be_read_is_dropped(node: Node, spinner: Spinner) -> None:
     good: list[int] = []
     publisher = CountPublisher(node, "topic")
     subscription = CountSubscription(node, "topic", good.append)
@@ -107,13 +91,13 @@ def test_a_count_that_cannot_be_read_is_dropped(node: Node, spin: Spin) -> None:
     for size in (0, 3, 4, 11):
         publisher.send(encode_count(7)[:size])
     publisher.publish(8)
-    spin.until(lambda: bool(good))
+    eventually(spinner, lambda: bool(good), "what was sent")
     assert good == [8]
 
 
 @pytest.mark.parametrize("kind", ["joint state", "command"])
 def test_when_bytes_are_malformed_expect_the_handler_called_instead(
-    node: Node, spin: Spin, kind: str
+    node: Node, spinner: Spinner, kind: str
 ) -> None:
     good: list[object] = []
     errors: list[MalformedMessageError] = []
@@ -143,14 +127,14 @@ def test_when_bytes_are_malformed_expect_the_handler_called_instead(
     for size in (0, 3, 4, len(data) // 2, len(data) - 1):
         publisher.send(data[:size])
     publisher.send(data)
-    spin.until(lambda: len(good) + len(errors) == 6)
+    eventually(spinner, lambda: len(good) + len(errors) == 6, "what was sent")
 
     assert len(good) == 1
     assert len(errors) == 5
 
 
 def test_when_bytes_are_malformed_without_handler_expect_the_error_raised(
-    node: Node, spin: Spin
+    node: Node, spinner: Spinner
 ) -> None:
     publisher = JointStatePublisher(node, "topic", ["other"], "position")
     subscription = JointStateSubscription(node, "topic", NAMES, "position", lambda *sample: None)
@@ -161,11 +145,11 @@ def test_when_bytes_are_malformed_without_handler_expect_the_error_raised(
     publisher.publish(0, [1.0])
 
     with pytest.raises(MalformedMessageError, match="lacks joint 'shoulder'"):
-        spin.until(lambda: False)
+        eventually(spinner, lambda: False, "what was sent")
 
 
 def test_plain_channels_of_a_lifecycle_node_work_in_every_state(
-    node: Node, lifecycle_node: LifecycleNode, spin: Spin
+    node: Node, lifecycle_node: LifecycleNode, spinner: Spinner
 ) -> None:
     # The watchdog and the fault reports of a node must not depend on its lifecycle state.
     received: list[tuple[float, ...]] = []
@@ -182,7 +166,7 @@ def test_plain_channels_of_a_lifecycle_node_work_in_every_state(
     assert not wait_until_matched(
         node, publishers=[answer, question], subscriptions=[ask, hear], timeout_s=PATIENCE
     )
-    spin.spinner.add_node(lifecycle_node)
+    spinner.add_node(lifecycle_node)
 
     changes: list[Callable[[], object]] = [
         lambda: None,
@@ -194,10 +178,10 @@ def test_plain_channels_of_a_lifecycle_node_work_in_every_state(
     for k, change in enumerate(changes):
         change()
         question.publish([float(k)])
-        spin.until(lambda: len(echoed) == k + 1)  # noqa: B023 (called at once)
+        eventually(spinner, lambda: len(echoed) == k + 1, "what was sent")  # noqa: B023
 
     assert echoed == received == [(float(k),) for k in range(5)]
-    spin.spinner.remove_node(lifecycle_node)
+    spinner.remove_node(lifecycle_node)
 
 
 def test_when_peers_are_missing_expect_their_topics_named(node: Node) -> None:

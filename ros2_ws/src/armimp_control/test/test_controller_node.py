@@ -88,12 +88,6 @@ MakeController = Callable[..., ImbicControllerNode]
 
 
 @pytest.fixture
-def spinner(node: Node) -> Iterator[Spinner]:
-    with Spinner([node]) as spinner:
-        yield spinner
-
-
-@pytest.fixture
 def make(context: Context, spinner: Spinner) -> Iterator[MakeController]:
     made: list[ImbicControllerNode] = []
 

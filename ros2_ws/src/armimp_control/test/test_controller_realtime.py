@@ -59,12 +59,6 @@ def test_answers_are_those_of_lockstep_bit_for_bit() -> None:
 
 
 @pytest.fixture
-def spinner(node: Node) -> Iterator[Spinner]:
-    with Spinner([node]) as spinner:
-        yield spinner
-
-
-@pytest.fixture
 def driver(node: Node) -> ScriptedDriver:
     return ScriptedDriver(node, NAMES)
 

@@ -52,12 +52,6 @@ Start = Callable[..., ImbicControllerNode]
 
 
 @pytest.fixture
-def spinner(node: Node) -> Iterator[Spinner]:
-    with Spinner([node]) as spinner:
-        yield spinner
-
-
-@pytest.fixture
 def driver(node: Node) -> ScriptedDriver:
     return ScriptedDriver(node, NAMES)
 

@@ -114,12 +114,6 @@ MakeRig = Callable[..., ArmSimNode]
 
 
 @pytest.fixture
-def spinner(node: Node) -> Iterator[Spinner]:
-    with Spinner([node]) as spinner:
-        yield spinner
-
-
-@pytest.fixture
 def make(context: Context, spinner: Spinner) -> Iterator[MakeRig]:
     made: list[ArmSimNode] = []
 

@@ -95,12 +95,6 @@ MakeRig = Callable[..., ArmSimNode]
 
 
 @pytest.fixture
-def spinner(node: Node) -> Iterator[Spinner]:
-    with Spinner([node]) as spinner:
-        yield spinner
-
-
-@pytest.fixture
 def around(node: Node, spinner: Spinner) -> Surroundings:
     return Surroundings(node, spinner)
 

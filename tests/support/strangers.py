@@ -13,17 +13,14 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
-from rclpy.context import Context
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_client import AsyncParameterClient
 from rclpy.serialization import serialize_message
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -50,6 +47,7 @@ from armimp_common.status import (
 )
 from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.summary import Summary
+from support.graph import joined
 
 Rng = random.Random
 PATIENCE = 20.0
@@ -63,14 +61,7 @@ class Stranger(Node):
     """Somebody in the domain of an experiment, who hears the commands."""
 
     def __init__(self, domain_id: int) -> None:
-        context = Context()
-        rclpy.init(
-            args=[],
-            context=context,
-            domain_id=domain_id,
-            signal_handler_options=SignalHandlerOptions.NO,
-        )
-        super().__init__("stranger", context=context, use_global_arguments=False)
+        super().__init__("stranger", context=joined(domain_id), use_global_arguments=False)
         self._last = 0
         RawSubscription(self, topics.COMMANDS, Float64MultiArray, self._on_command)
 
@@ -124,7 +115,7 @@ class Outcome:
 
 def heard(publisher: Any, listeners: int = 1) -> bool:
     """Wait until a publisher is matched; discovery needs nobody who spins."""
-    end = time.monotonic() + 3.0
+    end = time.monotonic() + PATIENCE
     while publisher.get_subscription_count() < listeners:
         if time.monotonic() > end:
             return False
@@ -354,7 +345,7 @@ def judged(case: Case, reference: Summary, directory: Path) -> Outcome:
     """Run an experiment with its disturbance, and compare it with the one without."""
     begin = time.monotonic()
     try:
-        summary, delivered = _run(case, directory)
+        summary, delivered = disturbed(case, directory)
     except Exception as error:  # noqa: BLE001 (of whatever kind: it is the finding)
         seconds = time.monotonic() - begin
         return Outcome(case, "traceback", seconds, (f"{type(error).__name__}: {error}",))
@@ -368,7 +359,8 @@ def judged(case: Case, reference: Summary, directory: Path) -> Outcome:
     return Outcome(case, verdict, seconds, tuple(map(str, summary.faults)))
 
 
-def _run(case: Case, directory: Path) -> tuple[Summary, bool]:
+def disturbed(case: Case, directory: Path) -> tuple[Summary, bool]:
+    """Run an experiment with its disturbance; tell also whether that was delivered."""
     rng = Rng(case.seed)
     with DomainClaim() as claim:
         domain_id = claim.domain_id
