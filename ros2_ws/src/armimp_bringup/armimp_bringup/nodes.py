@@ -386,6 +386,6 @@ def _leave_to_driver(given: dict[str, list[Parameter]], known: set[str]) -> None
     for number, item in enumerate(given.get(ESTIMATOR_NODE, [])):
         if item.name == "metadata":
             metadata = json.loads(item.value)
-            for key in ("truth", *CALIBRATION_KEYS):
+            for key in ("truth", "torque_uncertainty", *CALIBRATION_KEYS):
                 metadata.pop(key, None)
             given[ESTIMATOR_NODE][number] = Parameter("metadata", value=json.dumps(metadata))

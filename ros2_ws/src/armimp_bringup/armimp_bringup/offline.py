@@ -24,7 +24,6 @@ from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import FAULT, JOURNAL, LIMITER_ROWS, fault_of
 from armimp_control.sequence import Segment, TareParameters, timetable
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
@@ -348,10 +347,10 @@ class SimulatedExperiment:
     @property
     def options(self) -> IdentifyConfig:
         """Options of an estimate that suit the shortest record and the sensors."""
-        reading = Metadata.of(self.parameters.estimator.bag_metadata()).reading
+        known = Metadata.of(self.parameters.estimator.bag_metadata())
         shortest = min(record.samples for record in self.records)
         welch = WelchConfig.for_samples(shortest)
-        return IdentifyConfig(welch=welch, lpm=LpmConfig(reading=reading))
+        return IdentifyConfig(welch=welch, lpm=known.lpm)
 
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
         """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.

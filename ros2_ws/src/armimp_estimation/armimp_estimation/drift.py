@@ -30,6 +30,8 @@ HIGHEST = 2.0
 What the polynomials do not follow of that would be taken for drift in a short record. Within one a
 drift does little, too.
 """
+LOCAL = LocalPolynomialConfig(order=2)
+"""Bins and degree: polynomials of a higher one would follow the ramp itself."""
 SIGNIFICANT = 6.0
 """Standard errors beyond which a slope is taken for drift: in no record does chance get there."""
 
@@ -80,7 +82,7 @@ def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) ->
     record : TrialRecord
         A trial without gaps.
     local : LocalPolynomialConfig, optional
-        Bins and degree.
+        Bins and degree, by default :data:`LOCAL`.
 
     Returns
     -------
@@ -88,7 +90,7 @@ def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) ->
         None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to
         tell.
     """
-    config = local or LocalPolynomialConfig()
+    config = local or LOCAL
     places = np.arange(1, config.window + 1)
     samples, n = record.samples, record.joints
     if (samples - 1) // 2 < config.window or places[-1] * record.rate / samples > HIGHEST:

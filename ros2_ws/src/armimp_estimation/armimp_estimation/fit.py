@@ -174,6 +174,7 @@ LACK_LIMIT = 2.0
 """Lack of fit beyond which an impedance isn't of the form of the fit; ideal runs stay below 1.5."""
 _LACK_CHANCE = 5.0
 _REFUTED = 4.0
+_SUREST = 20e-6
 _NOTICED = 2.0
 _ITERATIONS = 3
 _ROUNDING = 1e-9
@@ -538,14 +539,15 @@ def _with_delay(
     fitted, plain = trial.fit()[0], problem.fit()[0]
     limit = lack_limit(problem.f.size, problem.correlation)
     fits = bool((trial.lack(fitted) <= limit).all())
-    refuted = fits and abs(total) > _REFUTED * math.hypot(uncertainty, told_error)
+    sure = max(uncertainty, _SUREST)
+    refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
     assumed = max(uncertainty, unknown) if refuted else uncertainty
     if not fits:
         # Another arm than M, B and K: what looks like a delay may be its own.
         delay, error = 0.0, assumed
     else:
-        share = assumed**2 / (assumed**2 + told_error**2)
-        delay, error = share * total, math.sqrt(share) * told_error
+        share = assumed**2 / (assumed**2 + told_error**2) if assumed > 0.0 else 0.0
+        delay, error = share * total, math.sqrt(share) * told_error if share > 0.0 else 0.0
     known = CommonDelay(
         delay=delay, error=error, told=total, told_error=told_error, refuted=refuted
     )

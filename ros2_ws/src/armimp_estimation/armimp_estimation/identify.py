@@ -19,7 +19,7 @@ from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, spoiled
 from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_order, judge_balance
-from armimp_estimation.signal_quality import judge_signals, lost_motion
+from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, unseen_share
 from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
@@ -229,9 +229,9 @@ def identify(
     known = results.get("lpm_full")
     hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
     if best is not None:
-        lost = lost_motion(records)
+        unseen = unseen_share(records)
         for k, record in enumerate(records):
-            resolved = not lost[:, k].any()
+            resolved = bool((unseen[:, k] < RESOLVED_SHARE).all())
             of_motion, shift = judge_linearity(
                 record, best.fit.mbk, hold, reading, resolved=resolved
             )

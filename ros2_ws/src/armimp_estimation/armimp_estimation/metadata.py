@@ -23,6 +23,7 @@ from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.realtime import LATE_NS, TimingLimits
 from armimp_common.status import TimingFigures
 from armimp_estimation.arm_models import AUTO, require_model
+from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import JsonModel, Number, first_complaint
 from armimp_estimation.mbk import MBK
@@ -205,6 +206,14 @@ class Metadata(BaseModel):
         known = {name: getattr(self, key) for key, name in READING_KEYS.items()}
         given = {name: value for name, value in known.items() if value is not None}
         return TorqueReading(timing=self.torque_timing, **given)
+
+    @property
+    def lpm(self) -> LpmConfig:
+        """Options of ``lpm_full`` that follow from it."""
+        lpm = LpmConfig(reading=self.reading)
+        if self.torque_uncertainty is None:
+            return lpm
+        return replace(lpm, timing_uncertainty=self.torque_uncertainty)
 
     @property
     def calibration(self) -> Calibration:

@@ -40,7 +40,6 @@ from armimp_common.status import Phase, TimingFigures, TrialStatus, status_messa
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
 from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
-from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.messages import (
     column_message,
@@ -196,7 +195,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._metadata,
             self._on_finished,
             self._refuse,
-            lpm=LpmConfig(reading=self._known.reading),
+            lpm=self._known.lpm,
             goal=self._settings.goal(),
         )
 

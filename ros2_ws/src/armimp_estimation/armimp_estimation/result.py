@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import JsonValue
@@ -15,7 +15,6 @@ from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.curves import FRF_FILE, ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.estimate import Estimator
-from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
@@ -150,12 +149,9 @@ def conclude(
         try:
             parts = [trial.segments for trial in trials]
             if config is None:
-                lpm = LpmConfig(reading=known.reading)
-                if known.torque_uncertainty is not None:
-                    lpm = replace(lpm, timing_uncertainty=known.torque_uncertainty)
                 config = IdentifyConfig(
                     welch=segments_for(parts),
-                    lpm=lpm,
+                    lpm=known.lpm,
                     model=known.arm_model,
                     calibration=known.calibration,
                 )

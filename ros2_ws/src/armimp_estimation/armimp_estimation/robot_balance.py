@@ -36,7 +36,7 @@ from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion
+from armimp_estimation.signal_quality import unseen_share
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
@@ -77,8 +77,8 @@ class RobotBalance:
         Of the terms of each element, with their lack of fit.
     friction : ndarray, shape (n, n)
         Share of what moves the robot that the friction of locked joints takes.
-    unseen : ndarray of bool, shape (n, n)
-        Where the encoder of a locked joint may miss its motion, so that friction may hold it.
+    unseen : ndarray, shape (n, n)
+        Share of the motion of locked joints that encoders may miss, so that friction may hold them.
     order : tuple of int
         Row of the commands that belongs to each joint.
     """
@@ -86,7 +86,7 @@ class RobotBalance:
     terms: FloatArray
     covariance: FloatArray
     friction: FloatArray
-    unseen: NDArray[np.bool_]
+    unseen: FloatArray
     order: tuple[int, ...]
 
     @property
@@ -221,14 +221,14 @@ class RobotResponses:
             R=stacked[:n],
         )
         locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
-        return _fit_robot(estimate, locked, order, lost_motion(self.records) > 0.0)
+        return _fit_robot(estimate, locked, order, unseen_share(self.records))
 
 
 def _fit_robot(
     estimate: ImpedanceEstimate,
     locked: ComplexArray,
     order: tuple[int, ...],
-    unseen: NDArray[np.bool_],
+    unseen: FloatArray,
 ) -> RobotBalance:
     """Fit what the commands move by that of the robot and of the friction of locked joints."""
     n, s = estimate.joints, 2j * np.pi * estimate.f

@@ -32,8 +32,12 @@ _STUCK_TIMES = 6.0
 _RESTING = 0.3
 _TELLING_COUNTS = 50.0
 _TELLING_SAMPLES = 4096
-_DITHERED = 0.8
 _LOST = 0.16
+_WINDOW = 0.5
+_VALUES = 3
+_CHANGES = 5
+RESOLVED_SHARE = 0.25
+"""Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 RESOLVED = 8.0
 """Peak to peak motion, in counts of the resolution, below which nothing is resolved."""
 
@@ -122,13 +126,45 @@ def resolution_of(signal: FloatArray) -> float:
     return float(np.min(gaps[gaps > 1e-9 * float(np.max(gaps))]))
 
 
+def unseen_share(records: Sequence[TrialRecord]) -> FloatArray:
+    """Share of the motion of locked joints that their encoders may not show.
+
+    Rounding to steps q takes ``2 exp(-2π²σ²/q²)`` off the response of a motion of the standard
+    deviation σ, which follows from that of the readings in each half second, less that of rounding,
+    ``q²/12``. A joint that shows fewer than three values there, or hardly changes between them, may
+    be held by friction, and move as it likes within a step.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Of each joint in each trial, 0 to 1; 0 where all is seen.
+    """
+    shares = np.zeros((len(records), len(records)))
+    for joint, k in np.ndindex(shares.shape):
+        step = _step_of(records[joint], joint)
+        size = round(_WINDOW * records[k].rate)
+        if k == joint or step == 0.0 or records[k].samples < size:
+            continue
+        signal = records[k].position[joint]
+        counts = np.rint((signal - signal[0]) / step)
+        counts = counts[: counts.size // size * size].reshape(-1, size)
+        changes = np.count_nonzero(np.diff(counts, axis=1), axis=1)
+        rests = (np.ptp(counts, axis=1) < _VALUES - 1) | (changes < _CHANGES)
+        spread = np.maximum(np.var(counts, axis=1) - 1.0 / 12.0, 0.0)
+        lacks = np.minimum(2.0 * np.exp(-2.0 * np.pi**2 * spread), 1.0)
+        shares[joint, k] = np.mean(np.where(rests, 1.0, lacks))
+    return shares
+
+
 def lost_motion(records: Sequence[TrialRecord]) -> FloatArray:
     """Motion that follows the perturbation and that the encoders of locked joints may not show.
 
-    Rounding to steps q takes ``2 exp(-2π²σ²/q²)`` off the response of a Gaussian motion of the
-    standard deviation σ, so up to 0.16 q off the motion itself (at σ = 0.2 q), and nothing that
-    matters beyond half a count. Joints that friction holds move otherwise, hence the limit of 0.8
-    counts.
+    Of a motion of 0.2 q, at which most of it is lost, that is 0.16 q.
 
     Parameters
     ----------
@@ -140,13 +176,13 @@ def lost_motion(records: Sequence[TrialRecord]) -> FloatArray:
     ndarray, shape (n, n)
         Of each joint in each trial, rad; 0 where all is seen.
     """
-    lost = np.zeros((len(records), len(records)))
-    for joint, moving in enumerate(records):
-        step = resolution_of(moving.position[joint, :_TELLING_SAMPLES])
-        for k, record in enumerate(records):
-            if k != joint and float(np.std(record.position[joint])) < _DITHERED * step:
-                lost[joint, k] = _LOST * step
-    return lost
+    steps = np.array([_step_of(record, joint) for joint, record in enumerate(records)])
+    return _LOST * steps[:, None] * unseen_share(records)
+
+
+def _step_of(record: TrialRecord, joint: int) -> float:
+    """Resolution of an encoder, from a trial in which its joint moves."""
+    return resolution_of(record.position[joint, :_TELLING_SAMPLES])
 
 
 def counts_of(signal: FloatArray) -> float:

@@ -39,7 +39,7 @@ class LocalPolynomialConfig:
         If the window has not more bins than there are coefficients.
     """
 
-    order: int = 2
+    order: int = 4
     half_width: int = 12
 
     def __post_init__(self) -> None:

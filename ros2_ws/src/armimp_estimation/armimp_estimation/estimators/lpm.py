@@ -43,8 +43,9 @@ class LpmConfig:
         Local polynomials.
     span : float
         Hz on either side of a bin that they may span: in shorter records, where bins are wider,
-        fewer take part. The responses of an arm have a resonance around 1 Hz, and over 0.25 Hz
-        polynomials of degree 2 miss up to 0.5 % of them; the error grows with its fourth power.
+        fewer take part. The responses of an arm have a resonance around 1 Hz. Over 0.25 Hz
+        polynomials of degree 2 miss up to 0.5 % of them, which makes B 0.1 to 0.2 % too large, and
+        those of degree 4 a tenth of that.
     reading : TorqueReading
         How the readings of torque come about, and so what is corrected: see
         :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
@@ -52,12 +53,10 @@ class LpmConfig:
         everything.
     skew_uncertainty : float
         Relative standard error of the correction of what jumps, which no residual shows, as far as
-        it is of the inertial torque.
+        it is of the inertial torque. In simulation D is within 0.7 %, mostly within 0.3 %.
     friction_uncertainty : float
-        And as far as it is of torque that overcomes friction: with encoders of finite resolution
-        the command chatters, and friction answers within the control period in a way that depends
-        on the direction of motion. In simulation up to a tenth of the correction is left then
-        (friction 3, resolution 3, perturbation 1), whether D is estimated or known.
+        And as far as it is of torque that overcomes friction, at the times when commands that
+        chatter reverse the motion within a control period, so that friction answers within it.
     timing_uncertainty : float
         Standard error with which the instant of torque readings is known where it was told, s.
         Where it was not, or the records refute that torques jump as it says, it is half a period.
@@ -69,8 +68,8 @@ class LpmConfig:
     local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
     span: float = 0.25
     reading: TorqueReading = field(default_factory=TorqueReading)
-    skew_uncertainty: float = 0.02
-    friction_uncertainty: float = 0.1
+    skew_uncertainty: float = 0.005
+    friction_uncertainty: float = 0.3
     timing_uncertainty: float = 20e-6
     weight_floor: float = 0.005
 
@@ -166,7 +165,8 @@ class LpmFull:
         torque = multiply(skew, stacked[n:])
         impedance = multiply(torque, inverse)
         uncorrected = self._without_skew(stacked[n : 2 * n], f, records[0].rate)
-        skewed = self._doubts(multiply(torque - uncorrected, inverse))
+        reversing = _reversals(records, jump, impedance, f)
+        skewed = self._doubts(multiply(torque - uncorrected, inverse), reversing[:, None])
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
         systematics = (*skewed, *unresolved(records, impedance, inverse))
@@ -247,7 +247,8 @@ class LpmFull:
         torque = multiply(skew, stacked[n:, None])[:, 0]
         impedance = torque / stacked[k]
         uncorrected = self._without_skew(stacked[n : 2 * n], f, record.rate)
-        systematics = self._doubts((torque - uncorrected) / stacked[k])
+        (reversing,) = _reversals([record], jump, impedance[:, None], f)
+        systematics = self._doubts((torque - uncorrected) / stacked[k], reversing)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for i in range(n):
             coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
@@ -267,14 +268,17 @@ class LpmFull:
         )
         return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
 
-    def _doubts(self, correction: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    def _doubts(
+        self, correction: ComplexArray, reversing: FloatArray | float
+    ) -> tuple[ComplexArray, ComplexArray]:
         """Standard errors of what was added to an impedance for the skew.
 
         It is ``jωL/2`` times what jumps: imaginary for the inertial torque, which goes with s²,
-        and real for that of friction, which goes with s.
+        and real for that of friction, which goes with s, and is in doubt where motion reverses.
         """
         inertial = np.asarray(1j * self.config.skew_uncertainty * correction.imag)
-        return inertial, self.config.friction_uncertainty * correction.real.astype(np.complex128)
+        share = self.config.friction_uncertainty * reversing
+        return inertial, np.asarray(share * correction.real, dtype=np.complex128)
 
     def _skew(
         self, jump: HoldCorrection | None, f: FloatArray, rate: float, joints: int
@@ -379,19 +383,54 @@ def untold_friction(
     F_c up to `_FRICTION` and ``D_ik = M_ik/(2 M_kk)`` are assumptions.
     """
     squared = -((2.0 * np.pi * f) ** 2)
-    high = f >= 0.8 * f[-1]
-    inertia = np.mean(impedance.real[..., high] / squared[high], axis=2)
     effects = []
     for k, record in enumerate(records):
-        spectrum = np.fft.rfft(record.position[k] - np.mean(record.position[k]))
-        turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
-        below = turning <= 2.0 * np.pi * f[-1]
-        speed = 2.0 * np.sqrt(np.sum(np.abs(turning * spectrum)[below] ** 2)) / record.samples
-        largest = 0.25 / record.rate * 4.0 * _FRICTION / (np.pi * speed) / abs(inertia[k, k])
+        inertia = _inertia(impedance[:, k], f)
+        amplitude = np.sqrt(2.0) * _speed(record, f)
+        largest = 0.25 / record.rate * 4.0 * _FRICTION / (np.pi * amplitude)
         effect = np.zeros_like(impedance)
-        effect[:, k] = largest / np.sqrt(3.0) * inertia[:, k, None] * squared
+        effect[:, k] = largest / np.sqrt(3.0) * (inertia / abs(inertia[k]))[:, None] * squared
         effects.append(effect)
     return tuple(effects)
+
+
+def _reversals(
+    records: Sequence[TrialRecord],
+    jump: HoldCorrection | None,
+    impedance: ComplexArray,
+    f: FloatArray,
+) -> FloatArray:
+    """Share of the time in which commands reverse the motion of the perturbed joint, (trials,).
+
+    A step Δu of the commands accelerates joint k by ``(D Δu)_k / M_kk``, so within a period it
+    reverses any speed below L times that; speeds are taken as normally distributed.
+    """
+    shares = np.zeros(len(records))
+    if jump is None:
+        return shares
+    for number, record in enumerate(records):
+        k = record.perturbed_joint
+        jumps = jump.torque[k] @ command_steps(record, record.samples)
+        gained = float(np.std(jumps)) / abs(_inertia(impedance[k, number], f)) / record.rate
+        shares[number] = min(np.sqrt(2.0 / np.pi) * gained / _speed(record, f), 1.0)
+    return shares
+
+
+def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:
+    """Inertia from the upper end of the band."""
+    high = f >= 0.8 * f[-1]
+    squared = (2.0 * np.pi * f[high]) ** 2
+    return np.asarray(-np.mean(impedance.real[..., high] / squared, axis=-1))
+
+
+def _speed(record: TrialRecord, f: FloatArray) -> float:
+    """Rms speed of the perturbed joint, up to the end of the band, rad/s."""
+    angle = record.position[record.perturbed_joint]
+    turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
+    below = turning <= 2.0 * np.pi * f[-1]
+    spectrum = (turning * np.fft.rfft(angle - np.mean(angle)))[below]
+    speed = float(np.sqrt(2.0 * np.sum(np.abs(spectrum) ** 2))) / record.samples
+    return max(speed, np.finfo(np.float64).tiny)
 
 
 def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
