@@ -206,10 +206,14 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for row in (0, 1):
             one = changed(**{name: _row(row, -1.0)})
             add(MUST, f"{name} sign of joint", (f"{row + 1}", {"readings": one}))
-    for factor in (0.5, 0.8, 0.9, 1.1, 1.25, 2.0):
-        add(MUST, "torque gain", (f"{factor:g}", {"readings": changed(torque=_times(factor))}))
-        one = changed(torque=_row(1, factor))
-        add(MUST, "torque gain of joint 2", (f"{factor:g}", {"readings": one}))
+    undeclared: dict[str, Any] = {"calibrated": False}
+    for factor in (0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0):
+        every: dict[str, Any] = {"readings": changed(torque=_times(factor))}
+        add(MUST, "torque gain", (f"{factor:g}", every | undeclared))
+        for row in (0, 1):
+            wrong = changed(torque=_row(row, factor))
+            of_one = (f"{factor:g}", {"readings": wrong} | undeclared)
+            add(MUST, f"torque gain of joint {row + 1}", of_one)
     for label, gone in (("", False), (", no commands", True)):
         for name in ("torque", "position"):
             swap = changed(**{name: lambda values: values[::-1].copy()})
@@ -284,8 +288,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     )
     for inertia in (0.3, 3.0):
         add(NOISE, "robot x", (f"{inertia:g}", {"robot": inertia}))
-        light = {"robot": inertia, "readings": changed(torque=_row(1, 0.9))}
-        add(MUST, "robot and torque gain of joint 2", (f"{inertia:g}, 0.9", light))
+        for factor in (0.9, 0.95, 1.1):
+            light = {"robot": inertia, "readings": changed(torque=_row(1, factor))} | undeclared
+            add(MUST, "robot and torque gain of joint 2", (f"{inertia:g}, {factor:g}", light))
     add(NOISE, "multisine", ("", {"multisine": True}))
     for size, stiff in ((0.2, 500.0), (0.5, 2000.0), (1.0, 1e4)):
         add(
@@ -318,9 +323,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     }
     add(NOISE, "mixed", ("hum, voluntary, cogging", hummed))
     add(MUST, "mixed", ("reflex, cuff", {"reflex": 0.2, "cuff": 2e4}))
-    add(
-        MUST, "cross-talk", ("3 %", {"readings": changed(torque=_cross(0.03)), "calibrated": False})
-    )
+    for share in (0.01, 0.02, 0.03, 0.1):
+        crossed = {"readings": changed(torque=_cross(share))} | undeclared
+        add(MUST, "cross-talk", (f"{100 * share:g} %", crossed))
     return found
 
 

@@ -1,7 +1,10 @@
 """The whole identification: trials in; matrices, scores and a verdict out."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +17,20 @@ from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
+from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, spoiled
-from armimp_estimation.robot_balance import RobotBalance, RobotResponses, in_order, judge_balance
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.robot_balance import (
+    RobotBalance,
+    RobotResponses,
+    in_order,
+    judge_balance,
+)
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, unseen_share
+from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
@@ -48,6 +59,17 @@ class EstimatorResult:
     vaf: FloatArray | None
     coherence: scores.Coherences
     models: tuple[ModelFit, ...] = ()
+
+    def with_doubts(self, shifts: Sequence[FloatArray]) -> EstimatorResult:
+        """Return the same with changes of M, B and K, (3, n, n), as more standard errors."""
+        return replace(self, fit=reduce(MBKFit.with_doubt, shifts, self.fit))
+
+    def with_gains_in_doubt(self, doubts: FloatArray) -> EstimatorResult:
+        """Return the same with relative standard errors of the gains, (n,), in all errors."""
+        mbk, rows = self.fit.mbk, np.diag(doubts)
+        shifts = [row[:, None] * np.stack([mbk.M, mbk.B, mbk.K]) for row in rows]
+        variance = self.estimate.variance + np.abs(doubts[:, None, None] * self.estimate.Z) ** 2
+        return replace(self.with_doubts(shifts), estimate=replace(self.estimate, variance=variance))
 
     @property
     def coherence_derived(self) -> FloatArray:
@@ -229,22 +251,17 @@ def identify(
     known = results.get("lpm_full")
     hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
     if best is not None:
-        unseen = unseen_share(records)
-        for k, record in enumerate(records):
-            resolved = bool((unseen[:, k] < RESOLVED_SHARE).all())
-            of_motion, shift = judge_linearity(
-                record, best.fit.mbk, hold, reading, resolved=resolved
-            )
-            problems += of_motion
-            if shift.any():
-                doubt = np.zeros((3, len(names), len(names)))
-                doubt[:, k, k] = shift
-                results = {n: replace(r, fit=r.fit.with_doubt(doubt)) for n, r in results.items()}
+        of_motion, doubts = _judge_motion(records, best.fit.mbk, hold, reading)
+        problems += of_motion
+        results = {name: one.with_doubts(doubts) for name, one in results.items()}
     balance = None
     if responses is not None:
         fit = (best if best is not None else first).fit
         balance = responses.balance(order, hold, reading, fit.delay)
-        problems += judge_balance(names, balance, fit)
+        unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
+        problems += unbalanced
+        if gains.any():
+            results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
     return Identification(
         joint_names=names,
         trials=tuple(
@@ -263,3 +280,24 @@ def identify(
         truth=truth,
         balance=balance,
     )
+
+
+def _judge_motion(
+    records: Sequence[TrialRecord],
+    arm: MBK,
+    hold: HoldCorrection | None,
+    reading: TorqueReading,
+) -> tuple[list[Problem], list[FloatArray]]:
+    """What isn't linear in any trial, and what it adds to M, B and K, (3, n, n) for each trial."""
+    problems: list[Problem] = []
+    doubts: list[FloatArray] = []
+    unseen = unseen_share(records)
+    for k, record in enumerate(records):
+        resolved = bool((unseen[:, k] < RESOLVED_SHARE).all())
+        found, shift = judge_linearity(record, arm, hold, reading, resolved=resolved)
+        problems += found
+        if shift.any():
+            doubt = np.zeros((3, len(records), len(records)))
+            doubt[:, k, k] = shift
+            doubts.append(doubt)
+    return problems, doubts

@@ -89,6 +89,7 @@ class ProblemCode(str, Enum):
     IMPLAUSIBLE_VALUE = "implausible_value"
     IMPLAUSIBLE_ANGLE = "implausible_angle"
     TORQUE_UNBALANCED = "torque_unbalanced"
+    GAIN_DOUBTED = "gain_doubted"
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"
     CLIPPED = "clipped"
     STUCK = "stuck"

@@ -31,7 +31,7 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import LocalResponse, local_response
 from armimp_estimation.estimators.lpm import LpmConfig, unresolved
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import CommonDelay, FitConfig, MBKFit, fit_weights
+from armimp_estimation.fit import Calibration, CommonDelay, FitConfig, MBKFit, fit_weights
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
@@ -58,10 +58,14 @@ _MOST_ORDERS = 4
 _CLEARLY = 0.3
 _NOT_ALL = 0.03
 _TAKEN = 0.15
-"""Standard error of the torque that friction takes from a locked joint, of that torque itself.
+_HELD = 0.8
+"""Standard errors of the torque that friction takes from a locked joint, of that torque itself.
 
-It is not as linear as the terms that stand for it.
+It is not as linear as the terms that stand for it. The second is where friction that holds the
+joint would explain what is left.
 """
+_REFUTED = 3.0
+"""Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,9 +105,14 @@ class RobotBalance:
 
     @property
     def M_se(self) -> FloatArray:
-        """Its standard errors."""
-        taken = _TAKEN * np.maximum(self.friction, self.unseen)
-        return np.asarray(np.hypot(self._errors[0], taken * np.abs(self.M)))
+        """Its standard errors.
+
+        What friction of the perturbed joint isn't like a damper may be all of it at the upper end
+        of the band.
+        """
+        taken = _TAKEN * np.maximum(self.friction, self.unseen) * np.abs(self.M)
+        own = np.diag(np.abs(np.diag(self.terms[1]))) / (2.0 * np.pi * BAND[1])
+        return np.asarray(np.hypot(self._errors[0], taken + own))
 
     @property
     def K(self) -> FloatArray:
@@ -301,9 +310,27 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
         shares[i] = mixed / square
         own_error = shares[i] * np.sqrt(own / square)
         # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
-        doubt = _TAKEN * (max(doubt, held) if mixed < 0.0 else doubt) / square
+        doubt = (_HELD * max(doubt, held) if mixed < 0.0 else _TAKEN * doubt) / square
         errors[i] = np.linalg.norm((1.0 / np.sqrt(square), doubt, own_error))
     return shares, errors
+
+
+def gains_in_doubt(shares: FloatArray, errors: FloatArray, calibration: Calibration) -> FloatArray:
+    """Relative standard errors of gains, (n,), that the balance leaves possible.
+
+    A share ρ with the standard error s gives ``max(ρ² - s², 0)`` in the square beside what is
+    assumed. A calibration that was declared holds until ρ refutes it.
+
+    Parameters
+    ----------
+    shares, errors : ndarray, shape (n,)
+        Of :func:`imbalance`.
+    calibration : Calibration
+        What is known of the transducers.
+    """
+    least = 0.0 if calibration.assumed else _REFUTED
+    told = np.abs(shares) > least * errors
+    return np.asarray(np.sqrt(np.where(told, np.maximum(shares**2 - errors**2, 0.0), 0.0)))
 
 
 def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
@@ -318,7 +345,9 @@ def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
     return np.where(beyond, 1.0 / (1.0 + share), 1.0)
 
 
-def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> list[Problem]:
+def judge_balance(
+    names: Sequence[str], balance: RobotBalance, arm: MBKFit, calibration: Calibration
+) -> tuple[list[Problem], FloatArray]:
     """Find what doesn't balance.
 
     Parameters
@@ -329,6 +358,14 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
         What the commands move.
     arm : MBKFit
         What was estimated of the arm from the same trials.
+    calibration : Calibration
+        What is known of the transducers.
+
+    Returns
+    -------
+    problems : list of Problem
+    doubts : ndarray, shape (n,)
+        Relative standard errors of the gains of transducers that are not refused.
     """
     problems = []
     shares, errors = imbalance(balance, arm)
@@ -342,16 +379,13 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
             )
         )
     wrong = []
-    # Where locked joints are held by something else than commands, nothing has to balance.
     if (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors).any():
-        return problems
+        return problems, np.zeros(len(names))
     for name, share, error in zip(names, shares, errors, strict=True):
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
         if not abs(share) <= GAIN_TOLERANCE + _ERRORS * error:
             wrong.append(name)
-            gain = 1.0 / (1.0 + share)
-            unbalanced: dict[str, float | int | str] = {"name": name, "share": float(gain)}
-            unbalanced["error"] = float(error * gain**2)
+            unbalanced = _gain_of(name, share, error)
             problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=unbalanced))
     for name, least in zip(names, negative_gains(balance, arm), strict=True):
         if least > 1.0 and name not in wrong:
@@ -374,7 +408,21 @@ def judge_balance(names: Sequence[str], balance: RobotBalance, arm: MBKFit) -> l
                 values={"inertia": inertia, "name": ", ".join(wrong or names)},
             )
         )
-    return problems
+    if wrong:
+        return problems, np.zeros(len(names))
+    doubts = gains_in_doubt(shares, errors, calibration)
+    for name, share, error, doubt in zip(names, shares, errors, doubts, strict=True):
+        if doubt > 0.0 and abs(share) > _REFUTED * error:
+            about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}
+            problems.append(
+                Problem(code=ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, values=about)
+            )
+    return problems, doubts
+
+
+def _gain_of(name: str, share: float, error: float) -> dict[str, float | int | str]:
+    gain = 1.0 / (1.0 + share)
+    return {"name": name, "share": float(gain), "error": float(error * gain**2)}
 
 
 def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:

@@ -68,7 +68,7 @@ class LpmConfig:
     local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
     span: float = 0.25
     reading: TorqueReading = field(default_factory=TorqueReading)
-    skew_uncertainty: float = 0.005
+    skew_uncertainty: float = 0.003
     friction_uncertainty: float = 0.3
     timing_uncertainty: float = 20e-6
     weight_floor: float = 0.005
@@ -430,7 +430,7 @@ def _speed(record: TrialRecord, f: FloatArray) -> float:
     below = turning <= 2.0 * np.pi * f[-1]
     spectrum = (turning * np.fft.rfft(angle - np.mean(angle)))[below]
     speed = float(np.sqrt(2.0 * np.sum(np.abs(spectrum) ** 2))) / record.samples
-    return max(speed, np.finfo(np.float64).tiny)
+    return max(speed, float(np.finfo(np.float64).tiny))
 
 
 def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
