@@ -84,7 +84,7 @@ def test_in_short_records_fewer_bins_take_part() -> None:
         12,
         12,
         7,
-        5,
+        7,
     ]
     loop = dataclasses.replace(LOOP, samples=1250)
     data = [
@@ -96,7 +96,7 @@ def test_in_short_records_fewer_bins_take_part() -> None:
     estimate = LPM.estimate(data)
     assert estimate.averages == 6.0
     wide = LpmFull(config=LpmConfig(reading=SIMULTANEOUS, span=10.0)).estimate(data)
-    assert wide.averages == 20.0
+    assert wide.averages == 16.0
     assert relative_error(estimate, TWO_JOINT_ARM) < 0.5 * relative_error(wide, TWO_JOINT_ARM)
 
 
@@ -115,7 +115,7 @@ def test_of_trials_of_different_length_each_is_used_whole_at_frequencies_of_the_
     both_short = LPM.estimate(shorter)
 
     assert mixed.f.tobytes() == both_short.f.tobytes()
-    assert relative_error(mixed, TWO_JOINT_ARM) < 0.1
+    assert relative_error(mixed, TWO_JOINT_ARM) < 0.125
     # The longer trial has the smaller errors; the other column stays as it was.
     errors, before = (fit_mbk(one) for one in (mixed, both_short))
     for name in ("M_se", "B_se", "K_se"):
