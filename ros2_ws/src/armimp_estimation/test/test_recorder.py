@@ -562,5 +562,5 @@ def test_the_last_trial_accounts_for_motion_of_locked_joints_and_the_first_says_
     alone, last = lpm.column(records[1]), lpm.column(records[1], records[:1])
     assert alone.preliminary
     assert not last.preliminary
-    assert (np.abs(alone.values - true) / np.abs(true)).max() > 0.5
+    assert (np.abs(alone.values - true) / np.abs(true)).max() > 0.3
     assert (np.abs(last.values - true) / last.errors).max() < 4.0
