@@ -32,13 +32,12 @@ POSTURE = 5
 COULOMB, STRIBECK, INVERSE_STRIBECK_VELOCITY = 6, 7, 8  # Fc, Fs − Fc, 1/vs
 SIGMA_0, SIGMA_1, SIGMA_2 = 9, 10, 11
 TORQUE = 12  # torque on the arm at the last sample
-_LAST_THETA, _LAST_VELOCITY, _MEAN_THETA = 13, 14, 15  # for the mean torque of an interval
-_START = 16  # state at the start of the RK4 step: 3 vectors
-_SUM = 19  # weighted sum of the slopes: 3 vectors
-_SLOPE_V, _SLOPE_Z = 22, 23
-_COSINE, _SINE, _OMEGA_SQUARED = 24, 25, 26
-_CENTRIPETAL, _RHS = 27, 28
-VECTORS = 29
+_START = 13  # state at the start of the RK4 step: 3 vectors
+_SUM = 16  # weighted sum of the slopes: 3 vectors
+_SLOPE_V, _SLOPE_Z = 19, 20
+_COSINE, _SINE, _OMEGA_SQUARED = 21, 22, 23
+_CENTRIPETAL, _RHS = 24, 25
+VECTORS = 26
 # n×n matrices follow the vectors.
 INERTIA, DAMPING, STIFFNESS, CHAIN, _MASS = 0, 1, 2, 3, 4
 MATRICES = 5
@@ -255,66 +254,22 @@ def rk4_step(w: NDArray[np.float64], block: int, joints: Tag, width: Tag, h: flo
 
 
 @compiled
-def _remember(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+def sample_block(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
+    """TORQUE = M_h θ̈ + B_h θ̇ + K_h (θ − θ_0) + d in one block, as :func:`sample_now`."""
     n = len(joints)
-    for i in range(n):
-        _put(w, block, _LAST_THETA * n + i, width, _get(w, block, THETA * n + i, width))
-        _put(w, block, _LAST_VELOCITY * n + i, width, _get(w, block, VELOCITY * n + i, width))
-        _put(w, block, _MEAN_THETA * n + i, width, fill(0.0, width))
-
-
-@compiled
-def _add_to_mean(
-    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, weight: float
-) -> None:
-    n = len(joints)
-    for i in range(n):
-        both = _get(w, block, _START * n + i, width) + _get(w, block, THETA * n + i, width)
-        mean = _get(w, block, _MEAN_THETA * n + i, width) + weight * both
-        _put(w, block, _MEAN_THETA * n + i, width, mean)
-
-
-@compiled
-def _mean_slopes(
-    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, period: float
-) -> None:
-    """Mean acceleration and velocity since :func:`_remember`; it takes the place of the last."""
-    n = len(joints)
-    for i in range(n):
-        gained = _get(w, block, VELOCITY * n + i, width) - _get(
-            w, block, _LAST_VELOCITY * n + i, width
-        )
-        way = _get(w, block, THETA * n + i, width) - _get(w, block, _LAST_THETA * n + i, width)
-        _put(w, block, _SLOPE_V * n + i, width, gained / period)
-        _put(w, block, _LAST_VELOCITY * n + i, width, way / period)
-
-
-@compiled
-def _torque(
-    w: NDArray[np.float64], block: int, joints: Tag, width: Tag, rows_of: tuple[int, int, int]
-) -> None:
-    """TORQUE = M_h a + B_h v + K_h (θ − θ_0) + d with the vectors θ, v, a of the given rows."""
-    n = len(joints)
-    theta, velocity, slope = rows_of
+    _slopes(w, block, joints, width)
     for i in range(n):
         total = _get(w, block, VOLUNTARY * n + i, width)
         for j in range(n):
-            angle = _get(w, block, theta * n + j, width) - _get(w, block, POSTURE * n + j, width)
+            angle = _get(w, block, THETA * n + j, width) - _get(w, block, POSTURE * n + j, width)
             total += (
                 _get(w, block, _matrix_row(INERTIA, i, j, n), width)
-                * _get(w, block, slope * n + j, width)
+                * _get(w, block, _SLOPE_V * n + j, width)
                 + _get(w, block, _matrix_row(DAMPING, i, j, n), width)
-                * _get(w, block, velocity * n + j, width)
+                * _get(w, block, VELOCITY * n + j, width)
                 + _get(w, block, _matrix_row(STIFFNESS, i, j, n), width) * angle
             )
         _put(w, block, TORQUE * n + i, width, total)
-
-
-@compiled
-def sample_block(w: NDArray[np.float64], block: int, joints: Tag, width: Tag) -> None:
-    """Torque on the arm at this instant in one block, as :func:`sample_now`."""
-    _slopes(w, block, joints, width)
-    _torque(w, block, joints, width, (THETA, VELOCITY, _SLOPE_V))
 
 
 @compiled_entry
@@ -325,9 +280,7 @@ def sample_now(w: NDArray[np.float64], joints: Tag, width: Tag) -> None:
 
 
 @compiled_entry
-def advance(
-    w: NDArray[np.float64], joints: Tag, width: Tag, steps: int, h: float, interval_mean: bool
-) -> None:
+def advance(w: NDArray[np.float64], joints: Tag, width: Tag, steps: int, h: float) -> None:
     """Advance all lanes by ``steps`` RK4 steps of ``h`` seconds, then sample the torque.
 
     Parameters
@@ -340,19 +293,11 @@ def advance(
         Number of steps.
     h : s
         Length of one.
-    interval_mean : bool
-        Whether TORQUE is the mean over the interval rather than its value at the end.
     """
     for block in range(w.shape[0]):
-        _remember(w, block, joints, width)
         for _ in range(steps):
             rk4_step(w, block, joints, width, h)
-            _add_to_mean(w, block, joints, width, 0.5 / steps)
-        if interval_mean:
-            _mean_slopes(w, block, joints, width, steps * h)
-            _torque(w, block, joints, width, (_MEAN_THETA, _LAST_VELOCITY, _SLOPE_V))
-        else:
-            sample_block(w, block, joints, width)
+        sample_block(w, block, joints, width)
 
 
 @compiled

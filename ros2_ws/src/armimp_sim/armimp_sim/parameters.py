@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from armimp_common.realtime import SchedulingParameters
@@ -123,7 +121,6 @@ class SimulatorParameters(Schema):
         With ``rig="realistic"`` it has what a good real one has beside
         (:data:`armimp_sim.presets.REALISTIC`).
         """
-        arm, robot = presets.human_arm(joints), presets.robot(joints)
         laws = presets.friction(friction, joints)
         sensors = presets.sensors(resolution)
         real = presets.REALISTIC if rig == "realistic" else {}
@@ -133,18 +130,8 @@ class SimulatorParameters(Schema):
         return cls(
             joints=presets.JOINT_NAMES[joints],
             seed=seed,
-            arm=ArmParameters(
-                posture=_flat(arm.posture),
-                inertia=_flat(arm.inertia),
-                damping=_flat(arm.damping),
-                stiffness=_flat(arm.stiffness),
-            ),
-            robot=RobotParameters(
-                lengths=_flat(robot.lengths),
-                moments=_flat(robot.moments),
-                masses=_flat(robot.masses),
-                centres=_flat(robot.centres),
-            ),
+            arm=ArmParameters(**_flat(presets.human_arm(joints))),
+            robot=RobotParameters(**_flat(presets.robot(joints))),
             friction=FrictionParameters(
                 **{
                     name: tuple(getattr(law, name) for law in laws)
@@ -157,20 +144,12 @@ class SimulatorParameters(Schema):
 
     def human_arm(self) -> HumanArm:
         """The arm with its matrices in shape."""
+        n = len(self.joints)
+        shapes = {
+            name: vector if name == "posture" else matrix for name in ArmParameters.model_fields
+        }
         return HumanArm(
-            posture=self._vector("arm.posture", self.arm.posture),
-            inertia=self._matrix("arm.inertia", self.arm.inertia),
-            damping=self._matrix("arm.damping", self.arm.damping),
-            stiffness=self._matrix("arm.stiffness", self.arm.stiffness),
-        )
-
-    def planar_chain(self) -> PlanarChain:
-        """The exoskeleton."""
-        return PlanarChain(
-            **{
-                name: self._vector(f"robot.{name}", getattr(self.robot, name))
-                for name in RobotParameters.model_fields
-            }
+            **{name: of(f"arm.{name}", getattr(self.arm, name), n) for name, of in shapes.items()}
         )
 
     def plant_config(self) -> PlantConfig:
@@ -181,13 +160,16 @@ class SimulatorParameters(Schema):
         ConfigurationError
             If a shape or a value is wrong; the message names the parameter.
         """
-        values = {
-            name: self._vector(f"friction.{name}", getattr(self.friction, name))
-            for name in FrictionParameters.model_fields
-        }
+        robot, values = (
+            {
+                name: vector(f"{group}.{name}", numbers, len(self.joints))
+                for name, numbers in getattr(self, group)
+            }
+            for group in ("robot", "friction")
+        )
         return PlantConfig(
             arm=self.human_arm(),
-            robot=self.planar_chain(),
+            robot=PlanarChain(**robot),
             friction=tuple(
                 LuGre(**{name: float(value[i]) for name, value in values.items()})
                 for i in range(len(self.joints))
@@ -201,12 +183,7 @@ class SimulatorParameters(Schema):
             substeps=self.substeps,
         )
 
-    def _vector(self, name: str, values: Vector) -> NDArray[np.float64]:
-        return vector(name, values, len(self.joints))
 
-    def _matrix(self, name: str, values: Vector) -> NDArray[np.float64]:
-        return matrix(name, values, len(self.joints))
-
-
-def _flat(values: NDArray[np.float64]) -> Vector:
-    return tuple(float(value) for value in values.ravel())
+def _flat(model: HumanArm | PlanarChain) -> dict[str, Vector]:
+    """Arrays of a model by name, row by row."""
+    return {name: tuple(values.ravel().tolist()) for name, values in vars(model).items()}

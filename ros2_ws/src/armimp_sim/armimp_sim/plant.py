@@ -389,7 +389,7 @@ def tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
             w[dynamics.place(lane, dynamics.VOLUNTARY * n + n - used + i, m)] = voluntary[lane, i]
     # Of the two only the one that is needed gets compiled, as None is a type.
     if real is None:
-        dynamics.advance(w, joints, width, substeps, step, interval_mean)
+        dynamics.advance(w, joints, width, substeps, step)
         read(w, joints, width, resolutions, position, torque)
     else:
         real_rig.advance(w, joints, width, substeps, step, interval_mean, real)

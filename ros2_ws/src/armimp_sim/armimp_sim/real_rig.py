@@ -92,8 +92,8 @@ class RigConfig:
     @property
     def ideal(self) -> bool:
         """Whether drives and readings are direct, and the arm is M, B and K alone."""
-        readings = self.sensors.position.direct and self.sensors.torque.direct
-        return readings and self.actuators.direct and self.reflex.none and self.muscle.none
+        person = self.reflex.none and self.muscle.none
+        return person and self.actuators.direct and self.sensors.direct
 
 
 class RealRig(NamedTuple):
@@ -483,7 +483,8 @@ def advance(
 
     Parameters
     ----------
-    w, joints, width, steps, h, interval_mean : as there; COMMAND is what is commanded
+    w, joints, width, steps, h : as there; COMMAND is what is commanded
+    interval_mean : whether torques are read as means over the period
     rig : RealRig, updated
     """
     # Each look into a tuple of arrays costs some nanoseconds.

@@ -119,6 +119,12 @@ class SensorParameters(Schema):
     position: ReadingParameters = ReadingParameters()
     torque: ReadingParameters = ReadingParameters()
 
+    @property
+    def direct(self) -> bool:
+        """Whether readings are the signals at the tick, but for rounding."""
+        at_once = self.sampling is Sampling.BEFORE_UPDATE
+        return at_once and self.position.direct and self.torque.direct
+
 
 @compiled
 def quantise(value: float, resolution: float) -> float:
