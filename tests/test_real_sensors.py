@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import json
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -235,3 +236,27 @@ def test_a_delay_that_no_rig_has_ends_in_one_line(
     said = capfd.readouterr().err
     assert words in said
     assert said.count("\n") == 1
+
+
+def test_of_the_realistic_rig_the_nodes_are_told_what_its_builder_knows() -> None:
+    config = ExperimentConfig(rig="realistic", internal_model="observer")
+    case = node_parameters(config, None)
+    metadata = case.estimator.bag_metadata()
+    assert case.controller.known.command_delay == 1
+    assert case.controller.known.actuator_lag == pytest.approx(0.0008, rel=0.01)
+    assert json.loads(metadata["arm_model"]) == "cuff"
+    assert json.loads(metadata["truth"])["M"] == case.simulator.human_arm().inertia.tolist()
+    assert case.controller.check().warnings  # of commands that would be later still
+    paper = node_parameters(config.model_copy(update={"rig": "paper"}), None)
+    assert paper.simulator.plant_config().ideal
+    assert "arm_model" not in paper.estimator.bag_metadata()
+
+
+@pytest.mark.parametrize("planted", [{"gain": [1.1, 1.0]}, {"cross_talk": 0.03}])
+def test_whoever_plants_a_wrong_calibration_does_not_declare_the_transducers_exact(
+    planted: dict[str, Any],
+) -> None:
+    declared, wrong = (
+        node_parameters(chosen(sensors), None).estimator.bag_metadata() for sensors in ({}, planted)
+    )
+    assert set(declared) - set(wrong) == {"gain_uncertainty", "cross_talk_uncertainty"}
