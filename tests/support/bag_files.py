@@ -10,7 +10,7 @@ from armimp_common.errors import BagError
 from armimp_common.topics import MESSAGE_TYPES
 from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.files import read_storage
-from armimp_estimation.bags.metadata import absolute
+from armimp_estimation.bags.metadata_yaml import absolute
 from armimp_estimation.bags.topics import contract_topic, resolve_topics
 from support.synthetic_bags import Message
 

@@ -42,7 +42,7 @@ from armimp_common.topics import (
     TRIAL,
 )
 from armimp_estimation.bags.mcap_writer import MAGIC
-from armimp_estimation.bags.metadata import bag_information, dump
+from armimp_estimation.bags.metadata_yaml import bag_information, dump
 from armimp_estimation.bags.statuses import encode_trial_status
 from support.recordings import recorded_arm
 

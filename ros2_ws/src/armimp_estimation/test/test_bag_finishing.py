@@ -14,7 +14,7 @@ from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS
 from armimp_estimation.alignment.streams import stamps_in_step
 from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
-from armimp_estimation.bags.metadata import FILE_NAME
+from armimp_estimation.bags.metadata_yaml import FILE_NAME
 from support.bag_files import iterate_messages, write_bag
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording

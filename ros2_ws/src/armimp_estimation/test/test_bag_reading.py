@@ -18,7 +18,7 @@ from armimp_common import topics
 from armimp_common.errors import BagError, DataError
 from armimp_common.topics import JOINT_STATES, MESSAGE_TYPES, PERIOD_NS, TRIAL
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.metadata import absolute, message_definition
+from armimp_estimation.bags.metadata_yaml import absolute, message_definition
 from support.bag_files import STORE, iterate_messages, typed, write_bag, write_foreign
 from support.synthetic_bags import (
     Message,

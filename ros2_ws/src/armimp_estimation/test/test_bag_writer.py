@@ -29,7 +29,7 @@ from armimp_estimation.bags import (
     require_free_space,
 )
 from armimp_estimation.bags.mcap_writer import FLUSH_INTERVAL_NS, FLUSH_MESSAGES
-from armimp_estimation.bags.metadata import message_definition, qos_profiles
+from armimp_estimation.bags.metadata_yaml import message_definition, qos_profiles
 from support.bag_files import iterate_messages, write_bag
 from support.synthetic_bags import Message, synthetic_recording
 

@@ -11,7 +11,7 @@ import zstandard
 
 from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular, require_text
-from armimp_estimation.bags import metadata
+from armimp_estimation.bags import metadata_yaml
 from armimp_estimation.bags.mcap_reader import read_mcap
 from armimp_estimation.bags.mcap_writer import MAGIC
 from armimp_estimation.bags.raw import Budget, RawMessages, TopicFilter, one_line
@@ -46,7 +46,7 @@ def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> Raw
     custom: dict[str, str] = {}
     try:
         require_text(path)
-        if path.name == metadata.FILE_NAME and path.is_file():
+        if path.name == metadata_yaml.FILE_NAME and path.is_file():
             path = path.parent
         if path.is_dir():
             files, custom = _files_of(path)
@@ -69,12 +69,12 @@ def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> Raw
 
 
 def _files_of(directory: Path) -> tuple[list[Path], dict[str, str]]:
-    description = directory / metadata.FILE_NAME
+    description = directory / metadata_yaml.FILE_NAME
     if description.exists():
-        files, custom = metadata.read_metadata(description)
+        files, custom = metadata_yaml.read_metadata(description)
         for file in files:
             if not file.is_file():
-                raise BagError(f"{file}: is missing, though listed in {metadata.FILE_NAME}")
+                raise BagError(f"{file}: is missing, though listed in {metadata_yaml.FILE_NAME}")
         return files, custom
     entries = sorted(directory.iterdir())
     files = [entry for entry in entries if entry.name.endswith(_SUFFIXES) and entry.is_file()]
@@ -128,17 +128,18 @@ def _bags_in(folder: Path) -> list[Path]:
 
 def _holds_bag(folder: Path) -> bool:
     return any(
-        one.name.endswith(_SUFFIXES) or one.name == metadata.FILE_NAME for one in folder.iterdir()
+        one.name.endswith(_SUFFIXES) or one.name == metadata_yaml.FILE_NAME
+        for one in folder.iterdir()
     )
 
 
 def _why_no_bag(entries: Sequence[Path]) -> str:
     if not entries:
         return "is an empty directory"
-    bags = [entry for entry in entries if (entry / metadata.FILE_NAME).exists()]
+    bags = [entry for entry in entries if (entry / metadata_yaml.FILE_NAME).exists()]
     if bags:
         return f"is not a bag but holds {len(bags)}, {bags[0].name} for one"
-    return f"is not a bag: it has no {metadata.FILE_NAME} and no .mcap or .db3 file"
+    return f"is not a bag: it has no {metadata_yaml.FILE_NAME} and no .mcap or .db3 file"
 
 
 def _natural(path: Path) -> list[tuple[int, str]]:

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import BagError
 from armimp_estimation.bags.mcap_writer import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
-from armimp_estimation.bags.metadata import parse_custom_data
+from armimp_estimation.bags.metadata_yaml import parse_custom_data
 from armimp_estimation.bags.raw import (
     MESSAGE_COST,
     NODE_COST,

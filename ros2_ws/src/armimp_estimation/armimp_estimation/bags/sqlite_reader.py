@@ -10,7 +10,7 @@ from urllib.parse import quote
 
 from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular
-from armimp_estimation.bags.metadata import parse_custom_data
+from armimp_estimation.bags.metadata_yaml import parse_custom_data
 from armimp_estimation.bags.raw import (
     NODE_COST,
     RECORD_COST,

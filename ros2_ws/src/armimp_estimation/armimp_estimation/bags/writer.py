@@ -12,7 +12,7 @@ from typing import Any, Final
 from armimp_common.errors import BagError, ConfigurationError
 from armimp_common.topics import DATA_STREAMS, MESSAGE_TYPES
 from armimp_estimation.bags.mcap_writer import McapFile
-from armimp_estimation.bags.metadata import (
+from armimp_estimation.bags.metadata_yaml import (
     absolute,
     bag_information,
     dump,
