@@ -56,8 +56,8 @@ _OVERDUE_NS = 2_000_000_000
 class TrialRecorder:
     """Records each trial into its own bag and hands it over when it is complete.
 
-    A bag gets everything that comes from the end of the trial before to that of its own. Which of
-    it are the samples of the trial, `assemble_trials` finds out, now as when the bag is read.
+    A bag gets everything that came from up to three seconds before the trial until its end. Which
+    of it are the samples of the trial, `assemble_trials` finds out, now as when the bag is read.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ class TrialRecorder:
         if self._directory is not None:
             self._bag = f"{BAGS}/trial_{status.trial}_joint_{status.joint + 1}"
             path = self._directory / self._bag
-            require_free_space(path, status.ticks, len(self._joint_names))
+            require_free_space(path, _KEPT_BETWEEN + status.ticks, len(self._joint_names))
             self._writer = BagWriter(path, metadata=self._metadata)
 
     def _wait(self, messages: Mapping[str, Sequence[bytes]]) -> None:
