@@ -17,17 +17,24 @@ with AnyReader([bag]) as reader:
     for connection in sorted(reader.connections, key=lambda one: one.topic):
         print(f"{connection.msgcount:6d} {connection.msgtype:37s} {connection.topic}")
 
-    angles, stamps = [], []
-    names: list[str] = []
-    wanted = [one for one in reader.connections if one.topic == "/joint_states"]
-    for connection, _, raw in reader.messages(wanted):
-        message: Any = reader.deserialize(raw, connection.msgtype)
-        names = message.name  # match joints by name: the order is free
-        angles.append(message.position)
-        stamps.append(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+    def read(topic: str) -> tuple[Any, list[Any]]:
+        """Stamps (s) and messages of a topic."""
+        wanted = [one for one in reader.connections if one.topic == topic]
+        found: list[Any] = [
+            reader.deserialize(raw, one.msgtype) for one, _, raw in reader.messages(wanted)
+        ]
+        stamps = [one.header.stamp.sec + 1e-9 * one.header.stamp.nanosec for one in found]
+        return np.array(stamps), found
 
-theta = np.array(angles).T  # (joints, samples), rad
-print(f"{theta.shape[1]} samples from {stamps[0]:.3f} s to {stamps[-1]:.3f} s")
+    stamps, states = read("/joint_states")
+    during, perturbation = read("/imbic_controller/perturbation")
+
+# The bag begins before its trial, which lasts as long as a joint is perturbed.
+perturbed = during[[bool(np.any(one.effort)) for one in perturbation]]
+inside = (stamps >= perturbed[0]) & (stamps <= perturbed[-1])
+names = states[0].name  # match joints by name: the order is free
+theta = np.array([one.position for one in states])[inside].T  # (joints, samples), rad
+print(f"{theta.shape[1]} samples from {stamps[inside][0]:.3f} s to {stamps[inside][-1]:.3f} s")
 for name, row in zip(names, theta, strict=True):
     print(f"{name}: mean {np.degrees(row.mean()):.3f}°, rms motion {1e3 * row.std():.3f} mrad")
 
