@@ -165,7 +165,8 @@ def test_without_tare_an_offset_holds_the_joint_away_from_its_posture_and_with_i
 def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
     sensors = {"offset": OFFSET, "drift": [0.4, 0.2], "noise": 0.005}
     config = chosen(sensors, duration=10.0, rig="realistic", internal_model="observer")
-    case = node_parameters(config, None)
+    calm = {**config.arm_sim, "voluntary": {"rms": 0.02}}  # or there is no tare
+    case = node_parameters(config.model_copy(update={"arm_sim": calm}), None)
     short = {"duration": 0.2, "settle": 0.05, "rest": 0.06}
     controller = case.controller.model_copy(
         update={"sequence": case.controller.sequence.model_copy(update=short)}
@@ -250,6 +251,16 @@ def test_of_the_realistic_rig_the_nodes_are_told_what_its_builder_knows() -> Non
     paper = node_parameters(config.model_copy(update={"rig": "paper"}), None)
     assert paper.simulator.plant_config().ideal
     assert "arm_model" not in paper.estimator.bag_metadata()
+
+
+@pytest.mark.parametrize("joints", [1, 3, 7])
+def test_the_realistic_rig_can_be_simulated_and_controlled_with_any_number_of_joints(
+    joints: int,
+) -> None:
+    config = ExperimentConfig(rig="realistic", internal_model="observer", joints=joints)
+    case = node_parameters(config, None)
+    assert case.simulator.plant_config().soft
+    assert max(case.controller.check().spectral_radius) < 1.0
 
 
 @pytest.mark.parametrize("planted", [{"gain": [1.1, 1.0]}, {"cross_talk": 0.03}])

@@ -119,11 +119,11 @@ class SimulatorParameters(Schema):
         """Parameters of the study's rig at given friction and resolution levels (0 to 3).
 
         With ``rig="realistic"`` it has what a good real one has beside
-        (:data:`armimp_sim.presets.REALISTIC`).
+        (:func:`armimp_sim.presets.realistic`).
         """
         laws = presets.friction(friction, joints)
         sensors = presets.sensors(resolution)
-        real = presets.REALISTIC if rig == "realistic" else {}
+        real = presets.realistic(joints) if rig == "realistic" else {}
         if real:
             noisy = sensors.torque.model_copy(update={"noise": presets.TRANSDUCER_NOISE})
             sensors = sensors.model_copy(update={"torque": noisy})

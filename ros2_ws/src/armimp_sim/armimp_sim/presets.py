@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -45,19 +43,6 @@ Rig = Literal["paper", "realistic"]
 
 TRANSDUCER_NOISE = 0.005
 """Of the realistic rig, N·m rms. Assumption: 0.01 % of a range of 50 N·m."""
-REALISTIC: Mapping[str, Any] = MappingProxyType(
-    {
-        # Assumptions: a servo drive, and one cycle of a field bus.
-        "actuators": ActuatorParameters(bandwidth=200.0, delay=0.001),
-        # Assumption: a cast rather than straps.
-        "cuff": CuffParameters(stiffness=1e5, damping=100.0),
-        # Assumptions: small efforts of a person who tries to relax; for tremor, accelerations of
-        # 0.1 m/s² at 0.35 m of the elbow's inertia.
-        "voluntary": VoluntaryParameters(rms=0.3, cutoff=2.0, tremor=0.02),
-    }
-)
-"""What a good real rig has and the paper's has not, by group of the simulator's parameters."""
-
 # Of the even chain, see _rods.
 _REACH = 0.65  # m
 _FIRST, _BEND = 62.708, 77.260  # degrees
@@ -162,6 +147,24 @@ def sensors(level: int, sampling: Sampling = Sampling.BEFORE_UPDATE) -> SensorPa
         position=ReadingParameters(resolution=2.0 * np.pi / counts if counts else 0.0),
         torque=ReadingParameters(resolution=_TORQUE_RESOLUTION[level]),
     )
+
+
+def realistic(joints: int) -> dict[str, Any]:
+    """What a good real rig has and the paper's has not, by group of the simulator's parameters.
+
+    All of it is assumption. With four joints and more, cuff and person suit the smallest joint.
+    """
+    _check_joints("rig", joints)
+    size = 1.0 if joints <= 3 else min(JOINT_SIZES[joints])
+    return {
+        # A servo drive, and one cycle of a field bus.
+        "actuators": ActuatorParameters(bandwidth=200.0, delay=0.001),
+        # A cast rather than straps.
+        "cuff": CuffParameters(stiffness=1e5 * size, damping=100.0 * size),
+        # Small efforts of a person who tries to relax; for tremor, accelerations of 0.1 m/s² at
+        # 0.35 m of the elbow's inertia.
+        "voluntary": VoluntaryParameters(rms=0.3 * size, tremor=0.02 * size),
+    }
 
 
 def _checked(name: str, level: int) -> int:
