@@ -257,8 +257,8 @@ def test_of_the_realistic_rig_the_nodes_are_told_what_its_builder_knows() -> Non
 def test_the_realistic_rig_can_be_simulated_and_controlled_with_any_number_of_joints(
     joints: int,
 ) -> None:
-    config = ExperimentConfig(rig="realistic", internal_model="observer", joints=joints)
-    case = node_parameters(config, None)
+    values = {"rig": "realistic", "internal_model": "observer", "joints": joints}
+    case = node_parameters(ExperimentConfig.model_validate(values), None)
     assert case.simulator.plant_config().soft
     assert max(case.controller.check().spectral_radius) < 1.0
 
