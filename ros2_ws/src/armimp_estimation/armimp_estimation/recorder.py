@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -171,11 +171,17 @@ class TrialRecorder:
         BagError
             If they can't be written.
         """
-        if self._start_ns is not None:
-            self._keep(messages)
-        if self._start_ns is None or self._is_past(0):
+        if self._start_ns is None:
             self._wait(messages)
-        self._finish_if_complete()
+        elif self._is_past(0):
+            self._wait(self._keep_late(messages))
+            self._finish_if_complete()
+        else:
+            count = self._up_to_end(messages.get(PERTURBATION, ()))
+            self._keep({topic: raws[:count] for topic, raws in messages.items()})
+            self._finish_if_complete()
+            if any(len(raws) > count for raws in messages.values()):
+                self.add({topic: raws[count:] for topic, raws in messages.items()})
 
     def add_beside(self, topic: str, message: bytes, time_ns: int | None = None) -> None:
         """Record a message that is no sample, such as diagnostics, beside the last sample.
@@ -303,17 +309,38 @@ class TrialRecorder:
             require_free_space(path, _KEPT_BETWEEN + status.ticks, len(self._joint_names))
             self._writer = BagWriter(path, metadata=self._metadata)
 
+    def _up_to_end(self, messages: Sequence[bytes]) -> int:
+        """Number of samples up to the first one that is past the end of the trial."""
+        if messages and _stamp(messages[-1]) >= self._end_ns:
+            stamps = map(_stamp, messages)
+            return next(number for number, stamp in enumerate(stamps, 1) if stamp >= self._end_ns)
+        return sys.maxsize
+
+    def _keep_late(self, messages: Mapping[str, Sequence[bytes]]) -> dict[str, list[bytes]]:
+        """Keep what belongs to a trial whose perturbation is over; return what comes after it."""
+        after: dict[str, list[bytes]] = {topic: [] for topic in messages}
+        for topic in _ORDER:
+            for message in messages.get(topic, ()):
+                stamp_ns = _stamp(message)
+                if topic == COMMANDS:
+                    late = self._streams.count(COMMANDS) < self._streams.count(PERTURBATION)
+                elif not (late := stamp_ns < self._end_ns):
+                    self._newest_ns[topic] = stamp_ns
+                if late:
+                    self._keep_one(topic, message)
+                else:
+                    after[topic].append(message)
+        return after
+
     def _wait(self, messages: Mapping[str, Sequence[bytes]]) -> None:
         """Let messages wait for the next trial; those from before a step back in time are over."""
         first = 0
-        for number, message in enumerate(messages.get(PERTURBATION, ())):
-            with suppress(MalformedMessageError):
-                stamp_ns = stamp_of(message)
-                if stamp_ns < self._between_ns - _STEP_BACK_NS:
-                    first = number
-                    for waiting in self._between.values():
-                        waiting.clear()
-                self._between_ns = stamp_ns
+        for number, stamp_ns in enumerate(map(_stamp, messages.get(PERTURBATION, ()))):
+            if stamp_ns < self._between_ns - _STEP_BACK_NS and stamp_ns >= 0:
+                first = number
+                for waiting in self._between.values():
+                    waiting.clear()
+            self._between_ns = stamp_ns if stamp_ns >= 0 else self._between_ns
         for topic, raws in messages.items():
             self._between[topic].extend(raws[first:])
 
@@ -382,9 +409,14 @@ class TrialRecorder:
         """Whether streams, by default the perturbation, are this far past the end of the trial."""
         if self._start_ns is None:
             return False
+        end_ns = self._end_ns + beyond_ns
+        return all(self._newest_ns[topic] >= end_ns for topic in topics or (PERTURBATION,))
+
+    @property
+    def _end_ns(self) -> int:
+        """Stamp from which on no sample belongs to the present trial (ns)."""
         planned = self._statuses[-1].ticks * PERIOD_NS
-        end_ns = self._start_ns + planned + min(int(planned * _DRIFT), _MOST_DRIFT_NS)
-        return all(self._newest_ns[t] >= end_ns + beyond_ns for t in topics or (PERTURBATION,))
+        return (self._start_ns or 0) + planned + min(int(planned * _DRIFT), _MOST_DRIFT_NS)
 
     def _finish_if_complete(self) -> None:
         status = self.status
@@ -427,3 +459,11 @@ class TrialRecorder:
         if trials[0].record is not None:
             self._past.append(trials[0].record)
         return trials[0]
+
+
+def _stamp(message: bytes) -> int:
+    """Stamp of a message (ns); -1 if it is too short to have one."""
+    try:
+        return stamp_of(message)
+    except MalformedMessageError:
+        return -1

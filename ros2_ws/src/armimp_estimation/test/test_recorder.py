@@ -143,16 +143,19 @@ def test_each_trial_gets_a_bag_that_reads_as_what_was_handed_over(
     together=st.sampled_from([1, 7, 20]),
     rest=st.sampled_from([2, REST]),
 )
-def test_however_late_a_stream_is_each_trial_has_exactly_its_samples(
-    late: Mapping[str, int], together: int, rest: int
+def test_however_late_a_stream_is_each_trial_has_exactly_its_samples_also_replayed(
+    tmp_path_factory: pytest.TempPathFactory, late: Mapping[str, int], together: int, rest: int
 ) -> None:
     recording = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=rest, rest=rest)
-    desk = Desk(None, together=together)
+    desk, again = Desk(tmp_path_factory.mktemp("late"), together=together), Desk(None, together=50)
     desk.feed(sorted(recording.messages, key=lambda m: m[1] + late[m[0]] * PERIOD_NS))
     desk.recorder.stop()
-    for trial, expected in zip(desk.finished, recording.records, strict=True):
-        assert_equal(trial.intact()[0], expected)
-        assert trial.segments[0].command is not None
+    again.feed(message for bag in desk.bags for message in iterate_messages(bag))
+    again.recorder.stop()
+    for finished in (desk.finished, again.finished):
+        for trial, expected in zip(finished, recording.records, strict=True):
+            assert_equal(trial.intact()[0], expected)
+            assert trial.segments[0].command is not None
 
 
 @settings(max_examples=20, deadline=None)
