@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -85,12 +86,25 @@ class Mismatch:
     """Share by which stiffness grows over the trial."""
     tremor: float = 0.0
     voluntary: float = 0.0
+    synchronous: bool = False
+    """Whether the voluntary torque repeats itself every 10 s, as a multisine does."""
+    leaning: float = 0.0
+    """Torque that the person builds up over the trial, so that the posture drifts, N·m."""
+    cutoff: float = 20.0
+    """Of the perturbation, Hz."""
+    asymmetry: float = 0.0
+    """Share by which the stiffness grows above the diagonal, and falls below it."""
     preload: float = 0.0
     """Angle between the posture held and the arm's rest, rad."""
     calibrated: bool = True
     """Whether the transducers are declared exact."""
     readings: Callable[[Recording], Recording] | None = field(default=None, compare=False)
     """What is done to the arrays afterwards."""
+
+    @property
+    def simulated(self) -> Mismatch:
+        """What of it is in the simulation."""
+        return replace(self, readings=None, calibrated=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,10 +123,11 @@ class Recording:
 def arm_of(mismatch: Mismatch) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return M, B and K of the arm at small amplitude."""
     n = mismatch.joints
+    uneven = 1.0 + mismatch.asymmetry * (np.triu(np.ones((n, n)), 1) - np.tril(np.ones((n, n)), -1))
     return (
         INERTIA[:n, :n] * mismatch.inertia,
         DAMPING[:n, :n] * mismatch.damping,
-        STIFFNESS[:n, :n] * mismatch.stiffness,
+        STIFFNESS[:n, :n] * mismatch.stiffness * uneven,
     )
 
 
@@ -310,7 +325,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
     if mismatch.torque_step > 0.0:
         torque = np.round(torque / mismatch.torque_step) * mismatch.torque_step
     stamps = 1_700_000_000_000_000_000 + np.rint(np.arange(total) * (1e9 * period)).astype(np.int64)
-    recording = Recording(
+    return Recording(
         joint=joint,
         stamps=stamps,
         position=position + POSTURE[:n, None],
@@ -318,17 +333,26 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
         perturbation=perturbation,
         command=command,
     )
-    return recording if mismatch.readings is None else mismatch.readings(recording)
+
+
+@lru_cache(maxsize=2)
+def _simulated(mismatch: Mismatch, seed: int) -> tuple[Recording, ...]:
+    return tuple(simulate_trial(mismatch, joint, seed) for joint in range(mismatch.joints))
 
 
 def simulate(mismatch: Mismatch, seed: int) -> list[Recording]:
-    """Run one trial for each joint."""
-    return [simulate_trial(mismatch, joint, seed) for joint in range(mismatch.joints)]
+    """Run one trial for each joint, and do to the arrays what is to be done afterwards.
+
+    Mismatches that differ in that alone, one after the other, share a simulation.
+    """
+    found = _simulated(mismatch.simulated, seed)
+    change = mismatch.readings
+    return [one if change is None else change(one) for one in found]
 
 
 def _perturbation(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> FloatArray:
     if not mismatch.multisine:
-        low_pass = butter(4, 20.0, fs=mismatch.rate, output="sos")
+        low_pass = butter(4, mismatch.cutoff, fs=mismatch.rate, output="sos")
         noise: FloatArray = sosfilt(low_pass, rng.standard_normal(ticks))
         return noise
     lines = 0.1 * np.arange(1, 201)
@@ -360,8 +384,11 @@ def _disturbance(mismatch: Mismatch, ticks: int, rng: np.random.Generator) -> Fl
         if size:
             sos = butter(2, band, btype="band", fs=mismatch.rate, output="sos")
             raw = sosfilt(sos, rng.standard_normal((n, ticks + 20000)), axis=1)[:, 20000:]
-            total += size * raw / raw.std(axis=1, keepdims=True)
-    return total
+            raw = raw / raw.std(axis=1, keepdims=True)
+            if mismatch.synchronous:
+                raw = np.resize(raw[:, : round(10.0 * mismatch.rate)].T, (ticks, n)).T
+            total += size * raw
+    return total + mismatch.leaning * np.linspace(-0.5, 0.5, ticks)
 
 
 def _state_space(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -29,6 +28,8 @@ FloatArray = NDArray[np.float64]
 Stamps = NDArray[np.int64]
 Change = Callable[[FloatArray], FloatArray]
 MILLI = 1e-3
+Outcome = tuple[bool, float, float, list[str]]
+"""Valid or not; worst error in standard errors, and in per cent; problems."""
 
 
 def _clipped(share: float) -> Change:
@@ -131,6 +132,56 @@ def _row(row: int, factor: float) -> Change:
 
 def _cross(share: float) -> Change:
     return lambda torque: torque + share * torque[::-1]
+
+
+def _bent(size: float, poles: float) -> Change:
+    """Encoder whose scale is not round: errors of a size, with a number of periods each turn."""
+    return lambda angle: angle + size * np.sin(poles * angle + 0.4)
+
+
+def _sampled(at: Callable[[FloatArray], FloatArray]) -> Change:
+    """Readings at other samples than they say, interpolated between those there are."""
+
+    def resample(values: FloatArray) -> FloatArray:
+        k = np.arange(values.shape[1], dtype=np.float64)
+        return np.stack([np.interp(at(k), k, row) for row in values])
+
+    return resample
+
+
+def _unsteady(share: float) -> Change:
+    """Instants of the readings that jitter, by a share of a period."""
+    return _sampled(lambda k: k + share * np.random.default_rng(9).standard_normal(k.size))
+
+
+def _late_row(row: int, samples: float) -> Change:
+    late = _sampled(lambda k: k - samples)
+
+    def delay(values: FloatArray) -> FloatArray:
+        values = values.copy()
+        values[row] = late(values)[row]
+        return values
+
+    return delay
+
+
+def _resampled(rate: float) -> Callable[[Recording], Recording]:
+    """A recording that somebody interpolated to another rate."""
+
+    def resample(recording: Recording) -> Recording:
+        size = int(recording.stamps.size * rate / 1000.0) - 1
+        k = np.arange(size) * (1000.0 / rate)
+        stamps = recording.stamps[0] + np.rint(k * 1e6).astype(np.int64)
+        assert recording.command is not None
+        old = np.arange(recording.stamps.size)
+        names = ("position", "torque", "perturbation", "command")
+        rows: dict[str, Any] = {
+            name: np.stack([np.interp(k, old, row) for row in getattr(recording, name)])
+            for name in names
+        }
+        return replace(recording, stamps=stamps, **rows)
+
+    return resample
 
 
 def _without_commands(recording: Recording) -> Recording:
@@ -323,6 +374,50 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     }
     add(NOISE, "mixed", ("hum, voluntary, cogging", hummed))
     add(MUST, "mixed", ("reflex, cuff", {"reflex": 0.2, "cuff": 2e4}))
+    for share in (0.03, 0.1, 0.3):
+        shaky = _unsteady(share)
+        both = changed(position=shaky, torque=shaky)
+        add(MUST, "instants jitter", (f"{share:g} periods", {"readings": both}))
+    for size, poles in ((1e-3, 1.0), (5e-3, 1.0), (2e-4, 50.0), (1e-3, 50.0)):
+        add(
+            MUST,
+            "encoder not round",
+            (f"{size:g} rad, {poles:g}", {"readings": changed(position=_bent(size, poles))}),
+        )
+    for factor in (0.8, 0.9, 1.1):
+        add(RIGHT, "command gain", (f"{factor:g}", {"readings": changed(command=_times(factor))}))
+        one_drive = changed(command=_row(1, factor))
+        add(RIGHT, "command gain of joint 2", (f"{factor:g}", {"readings": one_drive}))
+    for row in (0, 1):
+        turned = changed(position=_row(row, -1.0), torque=_row(row, -1.0))
+        add(MUST, "sign of angle and torque of joint", (f"{row + 1}", {"readings": turned}))
+    for late in (0.3, 1.0, 3.0):
+        for name in ("torque", "position"):
+            one_late = changed(**{name: _late_row(1, late)})
+            add(MUST, f"{name} of joint 2 late", (f"{late:g} ms", {"readings": one_late}))
+    for rate in (500.0, 800.0, 2000.0):
+        add(MUST, "interpolated", (f"{rate:g}", {"readings": _resampled(rate)}))
+    for name, change in (
+        ("gain 0.8", _times(0.8)),
+        ("offset 1 N·m", lambda values: values + 1.0),
+        ("late 1 ms", _sampled(lambda k: k - 1.0)),
+        ("late 5 ms", _sampled(lambda k: k - 5.0)),
+    ):
+        add(RIGHT, "perturbation", (name, {"readings": changed(perturbation=change)}))
+    add(
+        RIGHT,
+        "synchronous voluntary",
+        ("", {"multisine": True, "voluntary": 0.3, "synchronous": True}),
+    )
+    for lean in (0.5, 2.0):
+        add(NOISE, "posture drifts", (f"{lean:g} N·m", {"leaning": lean}))
+    for share in (0.5, 0.9):
+        add(NOISE, "uneven stiffness", (f"{share:g}", {"asymmetry": share}))
+    add(RIGHT, "very weak", ("0.03", {"level": 0.03}))
+    for seconds in (3.0, 5.0, 10.0, 20.0):
+        add(RIGHT, "short trial", (f"{seconds:g} s", {"duration": seconds}))
+    for edge in (3.0, 6.0, 10.0):
+        add(RIGHT, "narrow perturbation", (f"{edge:g} Hz", {"cutoff": edge}))
     for share in (0.01, 0.02, 0.03, 0.1):
         crossed = {"readings": changed(torque=_cross(share))} | undeclared
         add(MUST, "cross-talk", (f"{100 * share:g} %", crossed))
@@ -381,7 +476,7 @@ def verdict_on(recordings: list[Recording], *, calibrated: bool = True) -> Resul
     return conclude(trials, metadata=metadata, joint_names=names, estimators=("lpm_full",))
 
 
-def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str]]:
+def outcome(mismatch: Mismatch, seed: int) -> Outcome:
     """Valid or not; worst error in standard errors, and in per cent; problems."""
     try:
         summary = verdict_on(simulate(mismatch, seed), calibrated=mismatch.calibrated).summary
@@ -398,10 +493,33 @@ def outcome(mismatch: Mismatch, seed: int) -> tuple[bool, float, float, list[str
     return summary.valid, worst, 100 * relative, [str(one) for one in summary.problems]
 
 
-def judge(name: str, seeds: Sequence[int]) -> dict[str, Any]:
+def _outcomes(names: Sequence[str], seed: int) -> list[Outcome]:
+    """Outcomes of classes that share a simulation, for one seed."""
+    known = cases()
+    return [outcome(known[name][1], seed) for name in names]
+
+
+def outcomes_of(
+    names: Sequence[str], seeds: Sequence[int], workers: int | None
+) -> list[list[Outcome]]:
+    """Outcomes by class and seed, with one simulation for all classes that share it."""
+    known, groups = cases(), dict[Mismatch, list[str]]()
+    for name in names:
+        groups.setdefault(known[name][1].simulated, []).append(name)
+    tasks = [(group, seed) for seed in seeds for group in groups.values()]
+    found: dict[str, list[Outcome]] = {name: [] for name in names}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        for (group, _), outcomes in zip(
+            tasks, pool.map(_outcomes, *zip(*tasks, strict=True)), strict=True
+        ):
+            for name, one in zip(group, outcomes, strict=True):
+                found[name].append(one)
+    return [found[name] for name in names]
+
+
+def judge(name: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Row of the table: one class at one magnitude, over all seeds."""
-    kind, mismatch = cases()[name]
-    outcomes = [outcome(mismatch, seed) for seed in seeds]
+    kind = cases()[name][0]
     valid = sum(one[0] for one in outcomes)
     return {
         "class": name,
@@ -433,8 +551,10 @@ def investigate(options: InvestigationOptions) -> int:
     names = [name for name in cases() if re.search(options.only, name)]
     if not names:
         raise ConfigurationError(f"--only {options.only}: no class is of that name")
-    with ProcessPoolExecutor(options.workers, mp_context=get_context("spawn")) as pool:
-        rows = list(pool.map(judge, names, itertools.repeat(seeds)))
+    rows = [
+        judge(name, outcomes)
+        for name, outcomes in zip(names, outcomes_of(names, seeds, options.workers), strict=True)
+    ]
     totals = {key: sum(row[key] for row in rows) for key in ("runs", "false_valid")}
     totals["false_refusals"] = sum(row["false_refusals"] for row in rows)
     result = {"schema": 1, "seeds": options.seeds or "0:4", **totals, "classes": rows}

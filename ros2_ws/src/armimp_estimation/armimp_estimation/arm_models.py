@@ -23,6 +23,7 @@ from armimp_estimation.fit import (
     Calibration,
     FitConfig,
     MBKFit,
+    covariance_of_sums,
     fit_weights,
     lack_limit,
     lack_ratio,
@@ -516,14 +517,7 @@ class _Problem:
                 for factor, one in zip(factors, turned, strict=True)
             ]
         stacked = np.concatenate([one.reshape(len(b), -1, one.shape[-1]) for one in parts], axis=1)
-        total = np.zeros((len(b), len(b)))
-        bins = stacked.shape[-1]
-        for lag, rho in enumerate(estimate.bin_correlation[:bins]):
-            left = stacked[:, :, : bins - lag].reshape(len(b), -1)
-            right = stacked[:, :, lag:].reshape(len(b), -1)
-            product = rho * (np.conj(left) @ right.T).real
-            total += product if lag == 0 else product + product.T
-        return 0.5 * total
+        return covariance_of_sums(stacked, estimate.bin_correlation)
 
 
 def _root(matrices: ComplexArray) -> ComplexArray:

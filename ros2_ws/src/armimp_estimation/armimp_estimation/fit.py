@@ -653,9 +653,30 @@ def _sandwich(
     coefficients: FloatArray, variance: FloatArray, correlation: FloatArray
 ) -> FloatArray:
     """Variance of ``Σ_f a_f y_f`` for each row a, shape (rows,); y is a real or imaginary part."""
-    terms = coefficients * np.sqrt(0.5 * variance)
-    total = np.sum(terms**2, axis=1)
-    for lag in range(1, min(correlation.size, variance.size)):
-        total += 2.0 * correlation[lag] * np.sum(terms[:, lag:] * terms[:, :-lag], axis=1)
-    variances: FloatArray = np.maximum(total, 0.0)
-    return variances
+    covariance = covariance_of_sums(coefficients * np.sqrt(variance), correlation)
+    return np.asarray(np.maximum(np.diag(covariance), 0.0))
+
+
+def covariance_of_sums(spread: FloatArray | ComplexArray, correlation: FloatArray) -> FloatArray:
+    """Covariance of ``Re Σ conj(b) δZ`` where errors δZ of neighbouring bins are correlated.
+
+    Parameters
+    ----------
+    spread : ndarray, shape (p, ..., n_freq)
+        For each sum b times the standard deviations of the complex δZ; those along other axes than
+        the last are independent.
+    correlation : ndarray, shape (lags,)
+        Of the errors of bins 0, 1, 2... places apart.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+    """
+    total = np.zeros((len(spread), len(spread)))
+    bins = spread.shape[-1]
+    for lag, rho in enumerate(correlation[:bins]):
+        left = spread[..., : bins - lag].reshape(len(spread), -1)
+        right = spread[..., lag:].reshape(len(spread), -1)
+        product = rho * (np.conj(left) @ right.T).real
+        total += product if lag == 0 else product + product.T
+    return 0.5 * total

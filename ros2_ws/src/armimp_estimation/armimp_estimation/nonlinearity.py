@@ -37,6 +37,7 @@ BAND = ((0.2, 0.7), (11.0, 15.0))
 They are not sharp, so that the ends of the record soon die away.
 """
 SIGNIFICANT = 4.5
+_ALL, _SIGNIFICANT_OF_ALL = 1.0, 3.5
 LARGE = {"amplitude": 0.03, "hysteresis": 0.05, "time": 0.05, "friction": np.inf}
 """Shares of the stiffness, or of M, B or K, beyond which these are of this motion, or time, alone.
 
@@ -195,12 +196,16 @@ def deviations(
         return {}
     kept = band.kept
     filtered = band.filters(record.position[k])[:, kept]
-    basis = np.linalg.qr(filtered.T)[0].T
-    rest = rest[kept] - (basis @ rest[kept]) @ basis
+    inverse = np.linalg.pinv(filtered @ filtered.T, hermitian=True)
+
+    def without_linear(signal: FloatArray) -> FloatArray:
+        return np.asarray(signal - (inverse @ (filtered @ signal)) @ filtered)
+
+    rest = without_linear(rest[kept])
     found = {}
     for name, bend in _BENT.items():
         signal = band.signal(band.of(bend(*(motion[:2] / sizes[:2, None]))))[kept]
-        regressor = signal - (basis @ signal) @ basis
+        regressor = without_linear(signal)
         parts = [np.array_split(one, _PARTS) for one in (regressor, rest)]
         products = np.array([np.sum(p * q) for p, q in zip(*parts, strict=True)])
         squares = np.array([np.sum(p * p) for p in parts[0]])
@@ -241,7 +246,9 @@ def judge_linearity(
     problems = []
     shift = np.zeros(3)
     for name, one in deviations(record, arm, jump, reading).items():
-        if not abs(one.share) > SIGNIFICANT * one.error or abs(one.share) < _NEGLIGIBLE:
+        # By chance, no stiffness seems to change by all of it, unless the trial tells nothing.
+        least = SIGNIFICANT if abs(one.share) < _ALL else _SIGNIFICANT_OF_ALL
+        if not abs(one.share) > least * one.error or abs(one.share) < _NEGLIGIBLE:
             continue
         shift = np.hypot(shift, one.shift)
         severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE

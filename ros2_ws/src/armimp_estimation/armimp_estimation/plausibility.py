@@ -66,16 +66,22 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
                         high=high,
                     )
                 )
-    value, error = least_eigenvalue(fit.mbk.M, fit.M_se)
-    if not problems and value < -_ERRORS * error:
+    if problems:
+        return problems
+    least = {letter: least_eigenvalue(*pair) for letter, pair in matrices.items()}
+    negative = {letter for letter, (value, error) in least.items() if value < -_ERRORS * error}
+    # Muscles may drive a motion of an arm, or let it fall, but not both.
+    letter = "M" if "M" in negative else "K"
+    if "M" in negative or {"B", "K"} <= negative:
+        value, error = least[letter]
         problems.append(
             _problem(
                 ProblemCode.IMPLAUSIBLE_INERTIA,
                 estimator,
-                matrix="M",
+                matrix=letter,
                 value=value,
                 error=error,
-                unit=UNITS["M"],
+                unit=UNITS[letter],
                 suspect="torques or angles of two joints may be swapped",
             )
         )

@@ -31,7 +31,14 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import LocalResponse, local_response
 from armimp_estimation.estimators.lpm import LpmConfig, unresolved
 from armimp_estimation.estimators.welch import invert, multiply
-from armimp_estimation.fit import Calibration, CommonDelay, FitConfig, MBKFit, fit_weights
+from armimp_estimation.fit import (
+    Calibration,
+    CommonDelay,
+    FitConfig,
+    MBKFit,
+    covariance_of_sums,
+    fit_weights,
+)
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
@@ -276,12 +283,10 @@ def _least_squares(
     values = (np.conj(functionals) @ Z).real
     ratio = np.abs(Z - values @ design) ** 2 / variance
     lack = max(1.0, float(np.sum(ratio)) / max(f.size - 0.5 * values.size, 1.0))
-    spread = functionals * np.sqrt(variance)
-    covariance = np.zeros((values.size, values.size))
-    for lag, rho in enumerate(estimate.bin_correlation[: f.size]):
-        product = rho * (np.conj(spread[:, : f.size - lag]) @ spread[:, lag:].T).real
-        covariance += product if lag == 0 else product + product.T
-    return values / scale, 0.5 * lack * covariance / np.outer(scale, scale)
+    covariance = lack * covariance_of_sums(
+        functionals * np.sqrt(variance), estimate.bin_correlation
+    )
+    return values / scale, covariance / np.outer(scale, scale)
 
 
 def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]:
@@ -318,8 +323,8 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
 def gains_in_doubt(shares: FloatArray, errors: FloatArray, calibration: Calibration) -> FloatArray:
     """Relative standard errors of gains, (n,), that the balance leaves possible.
 
-    A share ρ with the standard error s gives ``max(ρ² - s², 0)`` in the square beside what is
-    assumed. A calibration that was declared holds until ρ refutes it.
+    A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
+    what is assumed. A calibration that was declared holds until ρ refutes it.
 
     Parameters
     ----------
@@ -329,8 +334,7 @@ def gains_in_doubt(shares: FloatArray, errors: FloatArray, calibration: Calibrat
         What is known of the transducers.
     """
     least = 0.0 if calibration.assumed else _REFUTED
-    told = np.abs(shares) > least * errors
-    return np.asarray(np.sqrt(np.where(told, np.maximum(shares**2 - errors**2, 0.0), 0.0)))
+    return np.asarray(np.where(np.abs(shares) > least * errors, np.abs(shares), 0.0))
 
 
 def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
