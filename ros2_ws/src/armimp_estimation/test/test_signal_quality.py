@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
-from armimp_estimation.signal_quality import clipping, counts_of, sticking
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.signal_quality import (
+    clipping,
+    counts_of,
+    lost_motion,
+    sticking,
+    unseen_share,
+)
 
 RATE = 1000.0
 
@@ -62,3 +69,39 @@ def test_a_signal_that_keeps_its_value_for_too_long_is_stuck(seconds: float) -> 
 def test_counts_are_steps_of_the_resolution() -> None:
     assert counts_of(np.array([0.0, 0.1, 0.3, 0.2])) == pytest.approx(3.0)
     assert counts_of(np.ones(5)) == 0.0
+
+
+def trials_of(locked: np.ndarray) -> list[TrialRecord]:
+    """Two trials in which the locked joint moves alike; the resolution is 1."""
+    moving = motion(1, 1.0, 100.0)
+    return [
+        TrialRecord(
+            trial=k + 1,
+            perturbed_joint=k,
+            rate=RATE,
+            joint_names=("shoulder", "elbow"),
+            perturbation=np.zeros((2, moving.size)),
+            position=np.stack([moving, locked] if k == 0 else [locked, moving]),
+            torque=np.zeros((2, moving.size)),
+            start_ns=0,
+            seed=None,
+        )
+        for k in range(2)
+    ]
+
+
+@pytest.mark.parametrize(("dither", "share"), [(0.4, 0.085), (0.5, 0.014), (1.0, 0.0)])
+def test_what_encoders_miss_of_a_dithered_joint_follows_from_its_readings(
+    dither: float, share: float
+) -> None:
+    noise = np.random.default_rng(4).standard_normal(50_000)
+    records = trials_of(np.round(dither * noise))
+    assert unseen_share(records)[0, 1] == pytest.approx(share, rel=0.4, abs=1e-3)
+    assert unseen_share(records)[0, 0] == 0.0
+
+
+def test_a_joint_that_rests_within_a_step_may_move_unseen() -> None:
+    slow = np.round(np.linspace(0.0, 3.0, 50_000))
+    records = trials_of(slow)
+    assert unseen_share(records)[1, 0] == 1.0
+    assert lost_motion(records)[1, 0] == pytest.approx(0.16)
