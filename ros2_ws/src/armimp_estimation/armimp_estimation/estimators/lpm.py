@@ -53,7 +53,7 @@ class LpmConfig:
         everything.
     skew_uncertainty : float
         Relative standard error of the correction of what jumps, which no residual shows, as far as
-        it is of the inertial torque. In simulation D is within 0.7 %, mostly within 0.3 %.
+        it is of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %.
     friction_uncertainty : float
         And as far as it is of torque that overcomes friction, at the times when commands that
         chatter reverse the motion within a control period, so that friction answers within it.
@@ -68,7 +68,7 @@ class LpmConfig:
     local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
     span: float = 0.25
     reading: TorqueReading = field(default_factory=TorqueReading)
-    skew_uncertainty: float = 0.003
+    skew_uncertainty: float = 0.002
     friction_uncertainty: float = 0.3
     timing_uncertainty: float = 20e-6
     weight_floor: float = 0.005
