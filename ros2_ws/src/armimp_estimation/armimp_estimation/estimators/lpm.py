@@ -53,7 +53,8 @@ class LpmConfig:
         everything.
     skew_uncertainty : float
         Relative standard error of the correction of what jumps, which no residual shows, as far as
-        it is of the inertial torque. In simulation D is within 0.7 %, half of the times within 0.2 %.
+        it is of the inertial torque. In simulation D is within 0.7 %, half of the times within
+        0.2 %.
     friction_uncertainty : float
         And as far as it is of torque that overcomes friction, at the times when commands that
         chatter reverse the motion within a control period, so that friction answers within it.
