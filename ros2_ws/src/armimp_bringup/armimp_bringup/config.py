@@ -84,7 +84,7 @@ class ExperimentConfig(BaseModel):
         "as a good rig has them.",
     )
     internal_model: Literal["observer", "tde"] = Field(
-        default="tde",
+        default="observer",
         description="Internal model of the control law: observer, or tde, time-delay estimation "
         "with raw differences of the encoders, whose torques no drive can follow.",
     )

@@ -75,7 +75,7 @@ class LawParameters(Schema):
         description="control law: imbic, or pd, plain PD locking as the negative control",
     )
     internal_model: presets.InternalModel = Field(
-        default="tde",
+        default="observer",
         description="internal model of imbic: observer, or tde, time-delay estimation with raw "
         "differences of the encoders",
     )
@@ -152,7 +152,7 @@ class ControllerParameters(Schema):
         duration: float = 50.0,
         seed: int = 1,
         encoder_resolution: float = 0.0,
-        internal_model: presets.InternalModel = "tde",
+        internal_model: presets.InternalModel = "observer",
     ) -> ControllerParameters:
         """Default law for a rig, with the perturbation of a level from 1 to 3.
 
@@ -169,6 +169,7 @@ class ControllerParameters(Schema):
         """
         law = presets.imbic(robot_inertia, posture, internal_model)
         observer = presets.observer(len(joints), encoder_resolution)
+        perturbing = presets.perturbation(perturbation, len(joints))
         return cls(
             joints=joints,
             seed=seed,
@@ -190,9 +191,9 @@ class ControllerParameters(Schema):
             known=KnownParameters(
                 robot_inertia=_flat(robot_inertia), arm_inertia=_flat(arm_inertia)
             ),
-            perturbation=presets.perturbation(perturbation, len(joints)),
+            perturbation=perturbing,
             sequence=SequenceParameters(duration=duration),
-            safety=presets.safety(len(joints)),
+            safety=presets.safety(len(joints), max(perturbing.peak), internal_model),
         )
 
     def law_config(self) -> LawConfig:

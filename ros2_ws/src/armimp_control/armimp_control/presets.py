@@ -12,6 +12,7 @@ from armimp_common.sizes import JOINT_SIZES
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.perturbation import PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
+from armimp_control.sequence import PERIOD
 
 LEVELS = (1, 2, 3)
 
@@ -52,11 +53,14 @@ def lock_dither(encoder_resolution: float, internal_model: InternalModel) -> flo
     return (0.35 if internal_model == "observer" else 0.7) * min(encoder_resolution, 0.01)
 
 
-def safety(joints: int) -> SafetyParameters:
-    """Limits of commands. Assumptions, well above all that nominal experiments need.
+def safety(
+    joints: int, peak: float = 3.0 * _PEAK, internal_model: InternalModel = "observer"
+) -> SafetyParameters:
+    """Limits of commands. Assumptions, above all that nominal experiments need.
 
-    Torque: about twice what IMBIC commands at the first joint for one count of every encoder at
-    resolution level 3, δ Σ_j M̄_1j / L²: 40 N·m for two joints, 43 for three, 67 for seven.
+    With an observer the torque limit is three times the largest peak of the perturbation, and
+    commands may change by that much in a tick. The power limit is that of ISO 10218-1:2006, 5.10.5,
+    for robots beside people. Time-delay estimation chatters, and needs limits that protect nobody.
 
     Largest values in the 48 conditions of the study (and with four to seven joints, trials of 4 s):
 
@@ -65,20 +69,30 @@ def safety(joints: int) -> SafetyParameters:
     ========  ============================================  =====================================
     position  0.19 rad (large joints), 0.38 rad (small)     0.5 rad, 0.8 rad
     velocity  1.5 rad/s (large joints), 5.6 rad/s (small)   4 rad/s, 10 rad/s
-    torque    77 N·m up to three joints, 92 N·m beyond      80 N·m, 140 N·m
-    rate      115 N·m per tick, 152 N·m per tick            150 N·m per tick, 260 N·m per tick
-    power     67 W, 87 W                                    200 W
+    torque    2.7 times the peak; tde: 77 N·m, beyond       3 times the peak; tde: 80 N·m, beyond
+              three joints 92 N·m                           three joints 140 N·m
+    rate      5 N·m per tick; tde: 115 N·m, 152 N·m         3 times the peak; tde: 150 N·m, 260 N·m
+    power     20 W; tde: 67 W, 87 W                         80 W; tde: 200 W
     ========  ============================================  =====================================
 
-    The rate is chatter of the coarsest encoders. A rig with finer ones can do with far less.
+    Parameters
+    ----------
+    joints : n
+    peak : largest of the perturbation, N·m
+    internal_model : observer or tde
     """
     sizes = _sizes("safety limits", joints)
-    few = joints <= 3
+    if internal_model == "observer":
+        torque = round(3.0 * peak, 6)
+        rate, power = torque / PERIOD, 80.0
+    else:
+        torque, rate, power = (80.0, 150e3, 200.0) if joints <= 3 else (140.0, 260e3, 200.0)
     return SafetyParameters(
         position_limit=tuple(0.5 if size >= 0.2 else 0.8 for size in sizes),
         velocity_limit=tuple(4.0 if size >= 0.5 else 10.0 for size in sizes),
-        torque_limit=80.0 if few else 140.0,
-        rate_limit=150e3 if few else 260e3,
+        torque_limit=torque,
+        rate_limit=rate,
+        power_limit=power,
     )
 
 
@@ -105,7 +119,7 @@ def observer(joints: int, encoder_resolution: float) -> Observer:
 def imbic(
     robot_inertia: NDArray[np.float64],
     posture: NDArray[np.float64],
-    internal_model: InternalModel = "tde",
+    internal_model: InternalModel = "observer",
 ) -> ImbicConfig:
     """Default law for a robot and a posture. Assumptions.
 
