@@ -23,7 +23,7 @@ class Person:
     duration: float
     voluntary: float
 
-    def rig(self, approach: float) -> Rig:
+    def rig(self, approach: float, internal_model: str = "observer") -> Rig:
         config = ExperimentConfig(
             friction=3,
             resolution=3,
@@ -31,7 +31,10 @@ class Person:
             seed=self.seed,
             duration=self.duration,
             arm_sim={"voluntary.rms": self.voluntary, "substeps": 20},
-            imbic_controller={"target.lock_approach": approach},
+            imbic_controller={
+                "target.lock_approach": approach,
+                "law.internal_model": internal_model,
+            },
         )
         return node_parameters(config, None).rig()
 
@@ -57,6 +60,8 @@ def test_joint_is_locked_from_afar_without_a_clip_and_held_in_its_posture(person
 @pytest.mark.parametrize(
     ("person", "approach"), [(AT_THE_LIMIT, 1e-5), (BEYOND_IT, 1e-5), (BEYOND_IT, 1e-3)]
 )
-def test_target_that_jumps_is_what_the_safety_gate_stops(person: Person, approach: float) -> None:
+def test_with_time_delay_estimation_the_safety_limiter_stops_a_target_that_jumps(
+    person: Person, approach: float
+) -> None:
     with pytest.raises(DataError, match="safety limiter stopped in trial 2: velocity of joint"):
-        run_offline([person.rig(approach)])
+        run_offline([person.rig(approach, "tde")])

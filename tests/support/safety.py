@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armimp_control.safety_limiter import SafetyParameters
 
 
@@ -14,3 +17,8 @@ def torque_only(limit: float) -> SafetyParameters:
         rate_limit=1e306,
         power_limit=1e306,
     )
+
+
+def within_torque(command: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
+    """What is left of a command (n,), N·m, that asks some joint for more than the limit."""
+    return command / max(1.0, np.max(np.abs(command)) / limit)

@@ -12,9 +12,10 @@ sample before anything of it is used; :func:`limit_command` limits the command b
 3. Torque, its rate, and its power, in this order.
 
 Beyond a limit one of two things is done. *Stop*: the fault is latched, and the torque falls to zero
-in a straight line, tick by tick. *Clip*: the command is changed by as little as the limit needs,
-joint by joint. Beyond a limit of position or velocity that means: no torque that drives the joint
-farther out, or that makes it faster.
+in a straight line, tick by tick. *Clip*: the command is changed by as little as the limit needs.
+Beyond a limit of position or velocity that means: no torque that drives the joint farther out, or
+that makes it faster. Beyond the torque limit all joints get less in proportion: the links are
+coupled, so that one joint that gives less than its share would throw the others about.
 
 What holds for every output u, whatever comes in (T, R, P: limits of torque, rate, power)::
 
@@ -398,22 +399,29 @@ def _limit(
 
     Returns the number of the limit, the joint and the value where that means a stop; else -1.
     """
+    largest = 1.0
     for i in range(command.size):
         for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
             # What means a stop has led to one with the sample.
             outward = command[i] * memory[row, i] > 0.0
             if outward and not abs(memory[row, i]) <= rules[number, i]:
                 _clip(command, i, 0.0, number, journal)
-        for number in (TORQUE, RATE, POWER):
+        if not abs(command[i]) <= rules[TORQUE, i]:
+            if rules[STOPS + TORQUE, i] != 0.0:
+                return TORQUE, i, command[i]
+            largest = max(largest, abs(command[i]) / rules[TORQUE, i])
+    for i in range(command.size):
+        if largest > 1.0:
+            limit = rules[TORQUE, i]
+            _clip(command, i, min(max(command[i] / largest, -limit), limit), TORQUE, journal)
+        for number in (RATE, POWER):
             limit = rules[number, i]
-            value = command[i]
-            nearest = math.copysign(limit, command[i])
             if number == RATE:
                 value = command[i] - memory[SENT, i]
                 nearest = memory[SENT, i] + math.copysign(limit, value)
                 # Rounding must not lead beyond the limit that came before.
                 nearest = min(max(nearest, -rules[TORQUE, i]), rules[TORQUE, i])
-            elif number == POWER:
+            else:
                 value = command[i] * memory[SPEED, i]
                 nearest = math.copysign(limit / abs(memory[SPEED, i]), command[i])
             if not abs(value) <= limit:

@@ -184,13 +184,15 @@ def test_beyond_a_velocity_limit_that_clips_only_braking_torque_passes() -> None
 # --- torque, rate, power ---------------------------------------------------------------------
 
 
-def test_torque_beyond_its_limit_is_clipped_and_counted() -> None:
+def test_when_a_joint_is_asked_for_too_much_torque_expect_less_of_all_in_proportion() -> None:
     limiter = SafetyLimiter(torque_limit=80.0)
-    assert limiter.tick((80.1, -1e300)).tolist() == [80.0, -80.0]
+    assert limiter.tick((40.0, -160.0)).tolist() == [20.0, -80.0]
     assert limiter.clipped == limiter.count(Limit.TORQUE) == 2
+    assert limiter.tick((0.0, 1e300)).tolist() == [0.0, 80.0]
+    assert limiter.clipped == 1
     assert limiter.tick((80.0, -80.0)).tolist() == [80.0, -80.0]
     assert limiter.clipped == 0
-    assert limiter.count(Limit.TORQUE) == 2
+    assert limiter.count(Limit.TORQUE) == 3
 
 
 def test_torque_beyond_a_limit_that_stops_ramps_down_from_the_last_command() -> None:
