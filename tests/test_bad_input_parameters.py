@@ -76,7 +76,9 @@ WRONG = {
     "arm_sim: {arm: {inertia: [-1.0, 0.0, 0.0, 1.0]}}": "inertia of joint 1 must be positive",
     "arm_sim: {arm: {stiffness: [1.0e+300, 0, 0, 1.0]}}": "'arm.stiffness' = 1e+300: is too large",
     "arm_sim: {arm: {stiffness: [1.0e+20, 0, 0, 1.0]}}": "|h·λ|",
-    "imbic_controller: {law: {model_inertia: [9.0, 0.0, 0.0, 9.0]}}": "unstable when sampled",
+    "imbic_controller: {law: {internal_model: tde, model_inertia: [9.0, 0.0, 0.0, 9.0]}}": (
+        "unstable when sampled"
+    ),
 }
 
 

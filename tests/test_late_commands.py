@@ -20,24 +20,18 @@ from support.closed_loop import assert_accurate, identified
 
 pytestmark = pytest.mark.slow
 
-DEFAULT = {"model": 1.0, "gamma": 100.0, "lock": 100.0}
-BORNE: Mapping[int, Mapping[str, float]] = {
+DEFAULT: Mapping[str, JsonValue] = {}
+BORNE: Mapping[int, Mapping[str, JsonValue]] = {
     0: DEFAULT,
-    1: {"model": 0.75, "gamma": 100.0, "lock": 100.0},
-    2: {"model": 0.4, "gamma": 50.0, "lock": 50.0},
+    1: DEFAULT,
+    2: {"law.gamma": 50.0, "target.lock_frequency": 50.0},
 }
-"""By periods of delay: factor on M̄, Γ (rad/s), and ω of locked joints (rad/s)."""
+"""Settings by periods of delay."""
 
 
-def told(delay: int, settings: Mapping[str, float]) -> NodeParameters:
+def told(delay: int, settings: Mapping[str, JsonValue]) -> NodeParameters:
     """Parameters of a controller that knows of the delay (periods)."""
-    model = node_parameters(ExperimentConfig(), None).controller.law.model_inertia
-    changes: dict[str, JsonValue] = {
-        "known.command_delay": delay,
-        "law.model_inertia": [settings["model"] * value for value in model],
-        "law.gamma": settings["gamma"],
-        "target.lock_frequency": settings["lock"],
-    }
+    changes: dict[str, JsonValue] = {"known.command_delay": delay, **settings}
     return node_parameters(ExperimentConfig(imbic_controller=changes), None)
 
 

@@ -389,6 +389,30 @@ def _clip(
 
 
 @inlined
+def _within_torque(
+    command: NDArray[np.float64], rules: NDArray[np.float64], journal: NDArray[np.float64]
+) -> int:
+    """Give all joints less in proportion, if one is asked for more than its limit.
+
+    Returns the joint with which that means a stop; else -1.
+    """
+    largest = 1.0
+    for i in range(command.size):
+        if not abs(command[i]) <= rules[TORQUE, i]:
+            if rules[STOPS + TORQUE, i] != 0.0:
+                return i
+            largest = max(largest, abs(command[i]) / rules[TORQUE, i])
+    if largest > 1.0:
+        for i in range(command.size):
+            # Rounding must lead neither beyond the limit nor, where that is the most, below.
+            share = min(abs(command[i]) / largest, rules[TORQUE, i])
+            if abs(command[i]) / rules[TORQUE, i] >= largest:
+                share = rules[TORQUE, i]
+            _clip(command, i, math.copysign(share, command[i]), TORQUE, journal)
+    return -1
+
+
+@inlined
 def _limit(
     command: NDArray[np.float64],
     rules: NDArray[np.float64],
@@ -399,21 +423,16 @@ def _limit(
 
     Returns the number of the limit, the joint and the value where that means a stop; else -1.
     """
-    largest = 1.0
     for i in range(command.size):
         for number, row in ((POSITION, EXCURSION), (VELOCITY, SPEED)):
             # What means a stop has led to one with the sample.
             outward = command[i] * memory[row, i] > 0.0
             if outward and not abs(memory[row, i]) <= rules[number, i]:
                 _clip(command, i, 0.0, number, journal)
-        if not abs(command[i]) <= rules[TORQUE, i]:
-            if rules[STOPS + TORQUE, i] != 0.0:
-                return TORQUE, i, command[i]
-            largest = max(largest, abs(command[i]) / rules[TORQUE, i])
+    joint = _within_torque(command, rules, journal)
+    if joint >= 0:
+        return TORQUE, joint, command[joint]
     for i in range(command.size):
-        if largest > 1.0:
-            limit = rules[TORQUE, i]
-            _clip(command, i, min(max(command[i] / largest, -limit), limit), TORQUE, journal)
         for number in (RATE, POWER):
             limit = rules[number, i]
             if number == RATE:

@@ -7,6 +7,8 @@ and outputs, ``Y(k) = G(k) U(k) + T(k) + V(k)``. T is what the ends of the recor
 are taken as polynomials, whose coefficients follow by least squares; the residual gives the noise.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -79,7 +81,7 @@ class LocalResponse:
     first : ndarray of int, shape (n_freq,)
         First bin of each window.
     freedom : int
-        Complex degrees of freedom behind the noise.
+        Complex degrees of freedom behind the noise, at the frequency that has the fewest.
     """
 
     f: FloatArray
@@ -112,6 +114,18 @@ class LocalResponse:
         terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, self.noise).real
         variance: FloatArray = self.gain * np.maximum(noise, np.finfo(np.float64).eps * terms)
         return variance
+
+    def followed_by(self, other: LocalResponse) -> LocalResponse:
+        """These frequencies and then those of another response, whose windows are no narrower."""
+        more = (other.weights.shape[1] - self.weights.shape[1]) // 2
+        return LocalResponse(
+            f=np.concatenate((self.f, other.f)),
+            response=np.concatenate((self.response, other.response), axis=1),
+            noise=np.concatenate((self.noise, other.noise), axis=2),
+            weights=np.concatenate((np.pad(self.weights, ((0, 0), (more, more))), other.weights)),
+            first=np.concatenate((self.first - more, other.first)),
+            freedom=min(self.freedom, other.freedom),
+        )
 
     def bin_correlation(self) -> FloatArray:
         """Correlation of the errors of bins 0, 1, 2... places apart, averaged over the band.

@@ -1,5 +1,6 @@
 """Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -41,6 +42,9 @@ class LpmConfig:
     ----------
     local : LocalPolynomialConfig
         Local polynomials.
+    smooth_above : float
+        Hz from which on polynomials of degree 2 over twice the span are enough, as responses change
+        in proportion to the frequency there. They let a third of the noise through.
     span : float
         Hz on either side of a bin that they may span: in shorter records, where bins are wider,
         fewer take part. The responses of an arm have a resonance around 1 Hz. Over 0.25 Hz
@@ -67,6 +71,7 @@ class LpmConfig:
     """
 
     local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
+    smooth_above: float = 5.0
     span: float = 0.25
     reading: TorqueReading = field(default_factory=TorqueReading)
     skew_uncertainty: float = 0.002
@@ -92,6 +97,14 @@ class LpmConfig:
         fewest = self.local.order + _SPARE_BINS
         within = int(self.span * duration * (1.0 + 1e-12))
         return replace(self.local, half_width=min(self.local.half_width, max(fewest, within)))
+
+    def smooth_for(self, duration: float) -> LocalPolynomialConfig:
+        """Those above :attr:`smooth_above`."""
+        local = self.local_for(duration)
+        within = min(2 * self.local.half_width, int(2.0 * self.span * duration))
+        return LocalPolynomialConfig(
+            order=min(local.order, 2), half_width=max(local.half_width, within)
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -333,16 +346,19 @@ class LpmFull:
             outputs = [record.position, record.torque]
             if with_steps:
                 outputs.append(command_steps(record, record.samples))
-            columns.append(
-                local_response(
-                    record.perturbation[record.perturbed_joint],
-                    np.concatenate(outputs),
-                    rate,
-                    self.band,
-                    self.config.local_for(record.duration),
-                    None if record.samples == shortest else f,
-                )
+            respond = functools.partial(
+                local_response,
+                record.perturbation[record.perturbed_joint],
+                np.concatenate(outputs),
+                rate,
+                self.band,
             )
+            local = self.config.local_for(record.duration)
+            smooth = self.config.smooth_for(record.duration)
+            low, high = f[f < self.config.smooth_above], f[f >= self.config.smooth_above]
+            parts = ((local, low), (smooth, high))
+            found = [respond(one, at) for one, at in parts if at.size or not f.size]
+            columns.append(functools.reduce(LocalResponse.followed_by, found))
         return columns
 
 
