@@ -21,4 +21,5 @@ def torque_only(limit: float) -> SafetyParameters:
 
 def within_torque(command: NDArray[np.float64], limit: float) -> NDArray[np.float64]:
     """What is left of a command (n,), N·m, that asks some joint for more than the limit."""
-    return command / max(1.0, np.max(np.abs(command)) / limit)
+    share = max(1.0, float(np.max(np.abs(command))) / limit)
+    return np.asarray(command / share)
