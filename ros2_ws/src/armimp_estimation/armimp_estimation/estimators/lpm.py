@@ -291,7 +291,7 @@ class LpmFull:
         and real for that of friction, which goes with s, and is in doubt where motion reverses.
         """
         inertial = np.asarray(1j * self.config.skew_uncertainty * correction.imag)
-        share = self.config.friction_uncertainty * reversing
+        share = np.hypot(self.config.skew_uncertainty, self.config.friction_uncertainty * reversing)
         return inertial, np.asarray(share * correction.real, dtype=np.complex128)
 
     def _skew(
