@@ -88,6 +88,11 @@ class ExperimentConfig(BaseModel):
         description="Internal model of the control law: observer, or tde, time-delay estimation "
         "with raw differences of the encoders, whose torques no drive can follow.",
     )
+    as_in_paper: bool = Field(
+        default=False,
+        description="Nothing that the paper does not have: time-delay estimation; locked joints "
+        "without approach, dither and stiffer target.",
+    )
     duration: float = Field(
         default=50.0, ge=2.0, le=9000.0, description="Length of each trial, s; 2 to 9000."
     )

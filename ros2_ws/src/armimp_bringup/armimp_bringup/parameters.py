@@ -38,6 +38,12 @@ _PATIENT_LAW: Overrides = {
     "target.lock_frequency": 80.0,
 }
 """With the lags of the realistic rig the loop is stable for arms a third to thrice as heavy."""
+_LAW_OF_THE_PAPER: Overrides = {
+    "target.lock_approach": 0.0,
+    "target.lock_dither": 0.0,
+    "target.lock_frequency": 0.0,
+}
+"""Locked joints as in the paper, end of II-B: they just do not feel the arm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,11 +167,13 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
         duration=config.duration,
         seed=config.seed,
         encoder_resolution=plant.sensors.position.resolution,
-        internal_model=config.internal_model,
+        internal_model="tde" if config.as_in_paper else config.internal_model,
     )
     known = {**_time_of(config), **_known_of(simulator)}
-    if config.rig == "realistic" and config.internal_model == "observer":
+    if config.rig == "realistic" and preset.law.internal_model == "observer":
         known |= _PATIENT_LAW
+    if config.as_in_paper:
+        known |= _LAW_OF_THE_PAPER
     controller = _overridden(preset, CONTROLLER_NODE, {**known, **config.imbic_controller})
     if config.target_error:
         sequence = controller.sequence.model_copy(update={"may_end_early": True})

@@ -36,9 +36,10 @@ class TargetParameters(Schema):
     )
     lock_frequency: float = Field(
         default=100.0,
-        ge=1.0,
+        ge=0.0,
         le=1e4,
-        description="natural frequency of the target of joints locked by the law imbic (rad/s)",
+        description="natural frequency of the target of joints locked by the law imbic (rad/s); "
+        "0: the target that they have while they are perturbed",
     )
     lock_damping_ratio: float = Field(
         default=1.0,
@@ -47,9 +48,9 @@ class TargetParameters(Schema):
     )
     lock_approach: float = Field(
         default=0.05,
-        gt=0.0,
+        ge=0.0,
         description="time constant with which the target of a joint that gets locked goes from "
-        "where the joint is to the target posture (s)",
+        "where the joint is to the target posture (s); 0: it is there at once",
     )
     lock_dither: float = Field(
         default=0.0,

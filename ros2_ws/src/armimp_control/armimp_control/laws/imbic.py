@@ -145,12 +145,14 @@ class ImbicConfig:
     target_inertia : (n,) diagonal of M_rd, kg·m²
     target_damping : (n,) diagonal of B_rd of a joint while it is perturbed, N·m·s/rad
     target_stiffness : (n,) diagonal of K_rd of a joint while it is perturbed, N·m/rad
-    lock_frequency : natural frequency ω of a locked joint's target, rad/s
+    lock_frequency : natural frequency ω of a locked joint's target, rad/s; with 0 it is the target
+        that it has while it is perturbed
     lock_damping_ratio : its ζ; so B_rd = 2ζω·M_rd and K_rd = ω²·M_rd
     model_inertia : (n, n) M̄, kg·m²
     gamma : Γ, rad/s
     period : L, s
-    lock_approach : time constant with which the target of a joint that gets locked goes to θ_rd, s
+    lock_approach : time constant with which the target of a joint that gets locked goes to θ_rd, s;
+        with 0 it is there at once
     lock_dither : amplitude of each of two sines that a locked joint is to make, rad; 0 for none
     lock_dither_frequency : lower of their frequencies, Hz; the other is 1.3 times that
     observer : the internal model; None for time-delay estimation
@@ -185,14 +187,13 @@ class ImbicConfig:
             self,
             {**dict.fromkeys(vectors, (n,)), "model_inertia": (n, n)},
             (
-                *("target_inertia", "lock_frequency", "lock_damping_ratio", "lock_approach"),
+                *("target_inertia", "lock_damping_ratio"),
                 *("gamma", "period"),
             ),
         )
-        if not 0.0 <= self.lock_dither < np.inf:
-            raise ConfigurationError(
-                f"controller: lock_dither must not be negative, got {self.lock_dither}"
-            )
+        for name in ("lock_dither", "lock_frequency", "lock_approach"):
+            if not 0.0 <= (value := getattr(self, name)) < np.inf:
+                raise ConfigurationError(f"controller: {name} must not be negative, got {value}")
         if not 0.0 < SECOND_TONE * self.lock_dither_frequency < 0.5 / self.period:
             raise ConfigurationError(
                 "controller: lock_dither_frequency must lie between 0 and "
@@ -240,19 +241,18 @@ class ImbicConfig:
         rows = np.empty((ROLE_ROWS, self.joints))
         rows[SENSED] = ~locked
         rows[INERTIA] = self.target_inertia
-        rows[DAMPING] = np.where(
-            locked,
-            2.0 * self.lock_damping_ratio * self.lock_frequency * self.target_inertia,
-            self.target_damping,
-        )
-        rows[STIFFNESS] = np.where(
-            locked, self.lock_frequency**2 * self.target_inertia, self.target_stiffness
-        )
-        rows[APPROACH] = np.exp(-self.period / self.lock_approach)
+        rows[DAMPING], rows[STIFFNESS] = self.target_damping, self.target_stiffness
+        if self.lock_frequency > 0.0:
+            inertia = self.target_inertia[locked]
+            rows[DAMPING, locked] = 2.0 * self.lock_damping_ratio * self.lock_frequency * inertia
+            rows[STIFFNESS, locked] = self.lock_frequency**2 * inertia
+        rows[APPROACH] = np.exp(-self.period / self.lock_approach) if self.lock_approach else 0.0
         # The target has to move further than the joint, which follows like a low-pass.
         turning = 2.0 * np.pi * self.lock_dither_frequency
-        ratio = math.sqrt(SECOND_TONE) * turning / self.lock_frequency
-        attenuation = np.hypot(1.0 - ratio**2, 2.0 * self.lock_damping_ratio * ratio)
+        moving = 1j * math.sqrt(SECOND_TONE) * turning
+        stiffness = rows[STIFFNESS]
+        asked = (self.target_inertia * moving + rows[DAMPING]) * moving + stiffness
+        attenuation = np.abs(asked) / np.where(stiffness > 0.0, stiffness, np.inf)
         rows[DITHER] = np.where(locked, self.lock_dither * attenuation, 0.0)
         rows[DITHER_ANGLE] = turning * self.period
         rows[TARE] = 0.0
