@@ -116,14 +116,13 @@ class LocalResponse:
         return variance
 
     def followed_by(self, other: LocalResponse) -> LocalResponse:
-        """These frequencies and then those of another response, whose windows are no narrower."""
-        more = (other.weights.shape[1] - self.weights.shape[1]) // 2
+        """These frequencies and then those of another response, with windows as wide."""
         return LocalResponse(
             f=np.concatenate((self.f, other.f)),
             response=np.concatenate((self.response, other.response), axis=1),
             noise=np.concatenate((self.noise, other.noise), axis=2),
-            weights=np.concatenate((np.pad(self.weights, ((0, 0), (more, more))), other.weights)),
-            first=np.concatenate((self.first - more, other.first)),
+            weights=np.concatenate((self.weights, other.weights)),
+            first=np.concatenate((self.first, other.first)),
             freedom=min(self.freedom, other.freedom),
         )
 

@@ -43,8 +43,8 @@ class LpmConfig:
     local : LocalPolynomialConfig
         Local polynomials.
     smooth_above : float
-        Hz from which on polynomials of degree 2 over twice the span are enough, as responses change
-        in proportion to the frequency there. They let a third of the noise through.
+        Hz from which on polynomials of degree 2 are enough, as responses mostly change in
+        proportion to the frequency there. They let two thirds of the noise through.
     span : float
         Hz on either side of a bin that they may span: in shorter records, where bins are wider,
         fewer take part. The responses of an arm have a resonance around 1 Hz. Over 0.25 Hz
@@ -97,14 +97,6 @@ class LpmConfig:
         fewest = self.local.order + _SPARE_BINS
         within = int(self.span * duration * (1.0 + 1e-12))
         return replace(self.local, half_width=min(self.local.half_width, max(fewest, within)))
-
-    def smooth_for(self, duration: float) -> LocalPolynomialConfig:
-        """Those above :attr:`smooth_above`."""
-        local = self.local_for(duration)
-        within = min(2 * self.local.half_width, int(2.0 * self.span * duration))
-        return LocalPolynomialConfig(
-            order=min(local.order, 2), half_width=max(local.half_width, within)
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -354,7 +346,7 @@ class LpmFull:
                 self.band,
             )
             local = self.config.local_for(record.duration)
-            smooth = self.config.smooth_for(record.duration)
+            smooth = replace(local, order=min(local.order, 2))
             low, high = f[f < self.config.smooth_above], f[f >= self.config.smooth_above]
             parts = ((local, low), (smooth, high))
             found = [respond(one, at) for one, at in parts if at.size or not f.size]
