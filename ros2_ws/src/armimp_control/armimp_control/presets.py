@@ -59,8 +59,9 @@ def safety(
     """Limits of commands. Assumptions, above all that nominal experiments need.
 
     With an observer the torque limit is three times the largest peak of the perturbation, and
-    commands may change by that much in a tick. The power limit is that of ISO 10218-1:2006, 5.10.5,
-    for robots beside people. Time-delay estimation chatters, and needs limits that protect nobody.
+    commands may change by that much in a tick. The power limit is the 80 W that ISO 10218-1:2006 is
+    said to set for robots beside people; the standard was not at hand. Time-delay estimation
+    chatters, and needs limits that protect nobody.
 
     Largest values in the 48 conditions of the study (and with four to seven joints, trials of 4 s):
 
