@@ -93,6 +93,10 @@ class Desk:
     def assert_bags_read_as_handed_over(self) -> None:
         for trial in self.finished:
             assert self.directory is not None
+            if not all(trial.statistics.streams[topic].received for topic in STREAMS):
+                with pytest.raises(BagError, match="no "):
+                    read_bag(self.directory / str(trial.bag))
+                continue
             (read,) = read_bag(self.directory / str(trial.bag)).trials
             assert (read.window, read.statistics) == (trial.window, trial.statistics)
             assert read.problems == trial.problems
@@ -193,10 +197,10 @@ def test_when_a_stream_falls_silent_expect_the_next_trial_whole_but_for_that(
     desk = Desk(tmp_path, together=together)
     desk.feed(m for m in recording.messages if m[0] != TORQUE_SENSORS or m[1] < last_ns)
     desk.recorder.stop()
-    (trial,) = desk.finished
-    lost = {topic: one.lost for topic, one in trial.statistics.streams.items()}
-    assert lost == {**dict.fromkeys(DATA_STREAMS, 0), TORQUE_SENSORS: 30}
-    assert [str(one) for one in desk.problems] == [f"no messages of {TORQUE_SENSORS}"]
+    for trial, expected in zip(desk.finished, (30, 50), strict=True):
+        lost = {topic: one.lost for topic, one in trial.statistics.streams.items()}
+        assert lost == {**dict.fromkeys(DATA_STREAMS, 0), TORQUE_SENSORS: expected}
+    assert desk.problems == []
     desk.assert_bags_read_as_handed_over()
     states = {raw for topic, _, raw in iterate_messages(desk.bags[1]) if topic == JOINT_STATES}
     first = 5 + 50 + 2050 + 5
@@ -330,14 +334,18 @@ def test_when_aborted_expect_the_reason_in_the_trial_and_in_the_bag(tmp_path: Pa
     assert_equal(read.segments[0], MADE_UP.records[0], 40)
 
 
-def test_when_nothing_of_a_stream_can_be_used_expect_the_reason_instead_of_a_trial(
-    tmp_path: Path,
+@pytest.mark.parametrize("missing", [(JOINT_STATES,), STREAMS])
+def test_when_nothing_of_a_stream_came_expect_trials_that_say_so(
+    tmp_path: Path, missing: tuple[str, ...]
 ) -> None:
     desk = Desk(tmp_path)
-    desk.feed(message for message in MADE_UP.messages if message[0] != JOINT_STATES)
+    desk.feed(message for message in MADE_UP.messages if message[0] not in missing)
     desk.recorder.stop()
-    assert desk.finished == []
-    assert [str(one) for one in desk.problems] == ["no messages of joint_states"] * 2
+    assert desk.problems == []
+    for trial in desk.finished:
+        assert trial.statistics.excluded == TICKS
+        assert {topic for topic, one in trial.statistics.streams.items() if one.lost} >= {*missing}
+        assert ProblemCode.SAMPLES_MISSING in [one.code for one in trial.problems]
     assert [bag.name for bag in desk.bags] == list(BAG_NAMES)
 
 

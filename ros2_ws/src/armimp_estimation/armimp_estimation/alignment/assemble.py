@@ -270,9 +270,9 @@ def assemble_trials(
     Raises
     ------
     DataError
-        If a stream is missing or foreign, or the trials cannot be inferred.
+        If a stream is foreign, or the trials cannot be inferred.
     """
-    streams.require()
+    streams.decode()
     period = sampling_period({topic: one.stamps for topic, one in streams.stamped.items()})
     perturbation = streams.stamped[PERTURBATION]
     windows = (
@@ -286,7 +286,8 @@ def assemble_trials(
         raise DataError(f"trials of {announced} samples are announced, and there are {received}")
     # The controller, which tells of its trials, works at the rate of the contract.
     planned = NS_PER_S / PERIOD_NS if statuses else None
-    began_ns = min(int(stream.stamps.min()) for stream in streams.stamped.values())
+    stamped = [one.stamps for one in streams.stamped.values() if one.count]
+    began_ns = min((int(stamps.min()) for stamps in stamped), default=0)
     trials: list[Trial] = []
     used = 0
     for window in windows:
