@@ -228,7 +228,7 @@ def graph_tick(processes: Processes) -> Experiment:
     """
     with tempfile.TemporaryDirectory() as folder, _timed_steps() as steps:
         config = ExperimentConfig(duration=DURATION, processes=processes)
-        summary = run_experiment(config, Path(folder) / "out")
+        summary = run_experiment(config, Path(folder) / "out").summary
     lost = sum(trial.lost for trial in summary.trials)
     # Whether any are lost is measured here, and no reason to measure nothing.
     if not (summary.valid or lost):

@@ -22,7 +22,7 @@ def tell(progress: Progress) -> None:
         print(f"trial {progress.trial} of {progress.trials}: joint {progress.joint}")
 
 
-summary = run_experiment(config, directory, on_progress=tell)
+summary = run_experiment(config, directory, on_progress=tell).summary
 
 for one in summary.trials:
     print(f"joint {one.k}: {one.ticks} samples, {one.lost} lost, {one.rtf:.1f} x real time")

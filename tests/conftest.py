@@ -44,7 +44,7 @@ def run(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Run:
     def run_short(**options: Any) -> FinishedRun:
         config = ExperimentConfig.model_validate({"duration": 2.0, **options})
         directory = tmp_path_factory.mktemp("run") / "out"
-        return FinishedRun(directory=directory, summary=run_experiment(config, directory))
+        return FinishedRun(directory=directory, summary=run_experiment(config, directory).summary)
 
     return run_short
 

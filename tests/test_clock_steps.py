@@ -44,7 +44,9 @@ SHORT: dict[str, Any] = {"joints": 1, "imbic_controller": {"sequence.duration": 
 def run(directory: Path, **options: Any) -> FinishedRun:
     hooks = {name: options.pop(name) for name in ("on_phase", "on_progress") if name in options}
     config = ExperimentConfig.model_validate({**SHORT, **options})
-    return FinishedRun(directory=directory, summary=run_experiment(config, directory, **hooks))
+    return FinishedRun(
+        directory=directory, summary=run_experiment(config, directory, **hooks).summary
+    )
 
 
 @pytest.fixture(scope="module")

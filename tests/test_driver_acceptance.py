@@ -83,7 +83,7 @@ def test_offset_drift_delay_filter_and_lag_are_calibrated_out_or_found(
         {"duration": duration, "processes": "external", **CALIBRATION}
     )
 
-    summary = run_experiment(config, tmp_path / "out")
+    summary = run_experiment(config, tmp_path / "out").summary
 
     assert summary.valid
     # Nobody declared how well the transducers are calibrated.

@@ -139,7 +139,7 @@ def test_a_node_hears_the_results(ran: tuple[Path, str]) -> None:
         assert listener.stderr is not None
         assert "listens" in listener.stderr.readline()
         bags = sorted((ran[0] / "bags").iterdir())
-        summary = replay_bags(bags, ("lpm_full",), None, domain_id=domain)
+        summary = replay_bags(bags, ("lpm_full",), None, domain_id=domain).summary
         assert summary.valid
         out, _ = listener.communicate(timeout=30.0)
     finally:

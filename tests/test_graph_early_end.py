@@ -40,7 +40,7 @@ def early(
 ) -> FinishedRun:
     directory = tmp_path_factory.mktemp("early") / "out"
     config = ExperimentConfig.model_validate(OPTIONS)
-    summary = run_experiment(config, directory, on_progress=seen.append)
+    summary = run_experiment(config, directory, on_progress=seen.append).summary
     return FinishedRun(directory=directory, summary=summary)
 
 

@@ -53,8 +53,8 @@ def config(**options: Any) -> ExperimentConfig:
 def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
     started: Processes, tmp_path: Path, composed: FinishedRun
 ) -> None:
-    first = run_experiment(config(), tmp_path / "first")
-    second = run_experiment(config(joints=1, seed=2), tmp_path / "second")
+    first = run_experiment(config(), tmp_path / "first").summary
+    second = run_experiment(config(joints=1, seed=2), tmp_path / "second").summary
 
     assert first.problems == composed.summary.problems
     assert [trial.lost for trial in (*first.trials, *second.trials)] == [0] * 3
@@ -86,7 +86,7 @@ def test_when_a_node_of_others_is_killed_expect_it_named_and_the_others_left_alo
         if progress.samples > 1000:
             started[CONTROLLER_NODE].kill()
 
-    summary = run_experiment(config(), tmp_path / "out", on_progress=kill)
+    summary = run_experiment(config(), tmp_path / "out", on_progress=kill).summary
 
     assert not summary.valid
     assert summary.problems[0].sentence == f"node {CONTROLLER_NODE} is dead"
@@ -111,7 +111,7 @@ def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
             on_progress=told.append,
             interrupted=lambda: bool(told),
         )
-    again = run_experiment(config(), tmp_path / "again")
+    again = run_experiment(config(), tmp_path / "again").summary
 
     assert again.problems[0].sentence.startswith(
         f"node {ESTIMATOR_NODE} is finalized, not unconfigured"
@@ -130,7 +130,7 @@ def test_when_a_parameter_is_refused_expect_node_and_reason(
 
     monkeypatch.setattr(orchestrator, "node_parameters", spoiled)
 
-    summary = run_experiment(config(), tmp_path / "out")
+    summary = run_experiment(config(), tmp_path / "out").summary
 
     assert summary.problems[0].sentence.startswith(
         f"node {CONTROLLER_NODE} refused its parameters: "

@@ -62,7 +62,7 @@ def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
         tmp_path / "out",
         on_progress=told.append,
         interrupted=interrupted,
-    )
+    ).summary
 
     assert_ended_in_order(tmp_path / "out", summary, "interrupted by the user")
     finished = FinishedRun(directory=tmp_path / "out", summary=summary)
@@ -94,7 +94,7 @@ def test_when_interrupted_before_the_rig_is_active_expect_no_trial_begun(
     monkeypatch.setattr(LifecycleManager, "change", noted)
     summary = run_experiment(
         config(), tmp_path / "out", interrupted=interrupted, on_phase=phases.append
-    )
+    ).summary
 
     assert_ended_in_order(tmp_path / "out", summary, "interrupted by the user")
     assert summary.estimators == {}
@@ -109,7 +109,7 @@ def test_when_a_phase_without_recording_takes_long_expect_the_run_to_go_on(
     monkeypatch.setattr(orchestrator, "_STALL", 5.0)
     sequence = {"sequence.settle": 100.0}
 
-    summary = run_experiment(config(imbic_controller=sequence), tmp_path / "out")
+    summary = run_experiment(config(imbic_controller=sequence), tmp_path / "out").summary
 
     assert summary.problems == []
 
@@ -123,7 +123,7 @@ def test_when_a_node_refuses_its_configuration_expect_it_named_and_no_trial(
 
     monkeypatch.setattr(orchestrator, "to_params_yaml", spoiled)
 
-    summary = run_experiment(config(), tmp_path / "out")
+    summary = run_experiment(config(), tmp_path / "out").summary
 
     assert not summary.valid
     assert summary.problems[0].code is ProblemCode.NODE_FAILED
@@ -136,7 +136,7 @@ def test_when_the_simulation_breaks_down_expect_the_reason(tmp_path: Path) -> No
     # Bristles so stiff that they can be integrated at rest only.
     stiff = {"friction.sigma_0": [3e6, 3e6], "friction.sigma_1": [0.0, 0.0]}
 
-    summary = run_experiment(config(arm_sim=stiff), tmp_path / "out")
+    summary = run_experiment(config(arm_sim=stiff), tmp_path / "out").summary
 
     assert not summary.valid
     assert any("h·σ0|v|/g(v)" in problem.sentence for problem in summary.problems)

@@ -139,7 +139,7 @@ def run_on_own_clock(directory: Path, latency: Callable[[int], float]) -> Finish
         patch.setattr("armimp_sim.node.RealtimeSimulator", clock.rig)
         # Samples need time of the machine on their way, of which the rig's clock knows nothing.
         patch.setattr("armimp_control.node.time", SimpleNamespace(monotonic=lambda: 0.0))
-        summary = run_experiment(config(processes="composed"), directory)
+        summary = run_experiment(config(processes="composed"), directory).summary
     return FinishedRun(directory=directory, summary=summary)
 
 
@@ -174,7 +174,7 @@ def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -
     live = in_time.summary
 
     offline = estimate_bags(in_time.bags, ("welch_siso", "lpm_full")).summary
-    replayed = replay_bags(in_time.bags, (), None)
+    replayed = replay_bags(in_time.bags, (), None).summary
 
     for summary in (offline, replayed):
         assert summary.estimators == live.estimators
@@ -228,7 +228,7 @@ def patient() -> ExperimentConfig:
 @pytest.mark.slow
 def test_every_run_reports_its_timing_and_a_verdict_that_fits(tmp_path: Path) -> None:
     directory = tmp_path / "out"
-    summary = run_experiment(patient(), directory)
+    summary = run_experiment(patient(), directory).summary
 
     assert_verdict_fits(summary)
     timing = summary.timing
@@ -267,7 +267,7 @@ def test_when_one_side_is_held_up_for_long_expect_the_other_to_end_the_run(
             os.kill(process, signal.SIGCONT)
             held += 1
 
-    summary = run_experiment(patient(), directory, on_progress=on_progress)
+    summary = run_experiment(patient(), directory, on_progress=on_progress).summary
 
     assert held
     assert not summary.valid

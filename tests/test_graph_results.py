@@ -82,7 +82,9 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
     bystander.listen()
     progress: list[Progress] = []
     try:
-        summary = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
+        result = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
+        # Whoever draws needs not read the bags.
+        assert [len(trial.segments) for trial in result.trials] == [1, 1]
         deadline = time.monotonic() + PATIENCE
         while RESULT_NAME not in [message.name for message in bystander.heard]:
             assert time.monotonic() < deadline
@@ -92,7 +94,7 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
         bystander.thread.join()
         bystander.close()
     return Account(
-        run=FinishedRun(directory=directory, summary=summary),
+        run=FinishedRun(directory=directory, summary=result.summary),
         heard=bystander.heard,
         progress=progress,
     )

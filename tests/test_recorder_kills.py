@@ -183,7 +183,7 @@ def test_when_the_estimator_node_is_killed_expect_its_bag_finished_by_the_run(
             os.kill(estimator, signal.SIGKILL)
 
     config = ExperimentConfig.model_validate({"duration": 10.0, "processes": "separate"})
-    summary = run_experiment(config, tmp_path / "out", on_progress=on_progress)
+    summary = run_experiment(config, tmp_path / "out", on_progress=on_progress).summary
 
     assert seen
     assert any(

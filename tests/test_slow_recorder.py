@@ -35,7 +35,7 @@ def test_when_the_estimator_process_is_held_up_expect_no_sample_lost(tmp_path: P
             threads[0].start()
 
     config = load_config(None, {"duration": 10.0, "processes": "separate"})
-    summary = run_experiment(config, tmp_path / "out", on_progress=on_progress)
+    summary = run_experiment(config, tmp_path / "out", on_progress=on_progress).summary
     for thread in threads:
         thread.join()
 

@@ -31,7 +31,7 @@ from armimp_bringup.orchestrator import run_experiment
 
 for number in range(int(sys.argv[2])):
     directory = Path(sys.argv[1]) / str(number)
-    summary = run_experiment(ExperimentConfig(seed=number), directory)
+    summary = run_experiment(ExperimentConfig(seed=number), directory).summary
     shutil.rmtree(directory)
     status = dict(line.split(":", 1) for line in open("/proc/self/status"))
     told = {

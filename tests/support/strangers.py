@@ -367,7 +367,7 @@ def disturbed(case: Case, directory: Path) -> tuple[Summary, bool]:
     config = ExperimentConfig.model_validate({**BASE, **dict(case.options)})
     if case.kind in PARAMETERS:
         with _setting(case) as done:
-            return run_experiment(config, directory, domain_id=domain_id), bool(done)
+            return run_experiment(config, directory, domain_id=domain_id).summary, bool(done)
     phases: Counter[Phase] = Counter()
     due = {
         "before": (Phase.SETTLE, 1),
@@ -402,7 +402,7 @@ def disturbed(case: Case, directory: Path) -> tuple[Summary, bool]:
             act()
 
     try:
-        summary = run_experiment(config, directory, domain_id=domain_id, on_phase=on_phase)
+        summary = run_experiment(config, directory, domain_id=domain_id, on_phase=on_phase).summary
     finally:
         for thread in threads:
             thread.join()

@@ -66,7 +66,7 @@ def run_for_bench(tell: Tell = lambda _: None, **options: Any) -> Summary:
 
     config = load_config(None, {"duration": DURATION, **options})
     with tempfile.TemporaryDirectory() as folder:
-        summary = run_experiment(config, Path(folder) / "run")
+        summary = run_experiment(config, Path(folder) / "run").summary
     for problem in summary.faults:
         tell(str(problem))
     if not summary.trials:

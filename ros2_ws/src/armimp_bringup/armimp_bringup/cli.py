@@ -189,7 +189,7 @@ def run(
                 display.complete("estimating")
 
         with stop_on_signals() as stopped:
-            summary = run_experiment(
+            result = run_experiment(
                 settings,
                 directory,
                 domain_id=domain_id,
@@ -198,7 +198,7 @@ def run(
                 interrupted=stopped,
             )
             display.close()
-            return present(summary, directory, as_json=json, stopwatch=stopwatch)
+            return present(result, directory, as_json=json, stopwatch=stopwatch)
 
 
 @app.command()
@@ -241,7 +241,7 @@ def estimate(
             say(f"note: {note}")
         if out is not None:
             result.write(out)
-        return present(result.summary, out, as_json=json, result=result)
+        return present(result, out, as_json=json)
 
 
 @app.command()
@@ -265,7 +265,7 @@ def replay(
 
         bags = find_bags(bags)
         with stop_on_signals() as stopped:
-            summary = replay_bags(
+            result = replay_bags(
                 bags,
                 tuple(estimators or ()),
                 out,
@@ -276,7 +276,7 @@ def replay(
                 interrupted=stopped,
             )
             display.close()
-            return present(summary, out, as_json=json, bags=bags)
+            return present(result, out, as_json=json)
 
 
 @app.command()

@@ -29,6 +29,7 @@ from armimp_common.parameters import as_parameters
 from armimp_common.process import ParentWatchdog
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_estimation.metadata import CALIBRATION_KEYS
+from armimp_estimation.result import Result
 
 NODES = (ESTIMATOR_NODE, CONTROLLER_NODE, SIM_NODE)
 """In the order of activation: whoever listens comes before whoever speaks."""
@@ -156,6 +157,11 @@ class NodeGroup:
         """End the life of a node that is needed no more."""
         manager.shutdown(name)
 
+    @property
+    def result(self) -> Result | None:
+        """What the estimator found, where it is in this process; else its files have it."""
+        return None
+
     def close(self) -> None:
         """Take the nodes down."""
 
@@ -194,6 +200,14 @@ class ComposedNodes(NodeGroup):
             node = classes[name](context=context, cli_args=arguments, use_global_arguments=False)
             self._nodes.append(node)
             spinner.add_node(node)
+
+    @property
+    def result(self) -> Result | None:
+        """What the estimator found."""
+        from armimp_estimation.node import ImpedanceEstimatorNode
+
+        found = (one.result for one in self._nodes if isinstance(one, ImpedanceEstimatorNode))
+        return next(found, None)
 
     def close(self) -> None:
         """Destroy the nodes."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -42,8 +43,8 @@ from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
-from armimp_estimation.result import conclude
-from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary, write_summary
+from armimp_estimation.result import Result, conclude
+from armimp_estimation.summary import SUMMARY_FILE, read_summary, write_summary
 
 PARAMETERS_FILE = "parameters.yaml"
 LOGS = "logs"
@@ -67,7 +68,7 @@ def run_experiment(
     on_progress: Callable[[Progress], None] = lambda _: None,
     on_phase: Callable[[Phase], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
-) -> Summary:
+) -> Result:
     """Run an experiment through the node graph.
 
     Parameters
@@ -86,8 +87,9 @@ def run_experiment(
 
     Returns
     -------
-    Summary
-        As stored in ``summary.json``.
+    Result
+        Its summary is that of ``summary.json``. Curves and trials are there if the estimator was in
+        this process; else `armimp_estimation.result.load_result` reads them.
 
     Raises
     ------
@@ -126,6 +128,7 @@ def run_experiment(
             )
             try:
                 problems = course.run()
+                result = nodes.result
             finally:
                 nodes.close()
                 spinner.remove_node(supervisor)
@@ -137,7 +140,7 @@ def run_experiment(
     timing = None
     if supervisor.timing is not None:
         timing = Timing.of(supervisor.timing, parameters.estimator.realtime)
-    return settle(directory, parameters.estimator, problems, timing)
+    return settle(directory, parameters.estimator, result, problems, timing)
 
 
 def _prepare(directory: Path, parameters: NodeParameters) -> Path:
@@ -369,9 +372,10 @@ def _failure(error: ArmimpError) -> Problem:
 def settle(
     directory: Path,
     estimator: EstimatorParameters,
+    found: Result | None,
     problems: Sequence[Problem],
     timing: Timing | None = None,
-) -> Summary:
+) -> Result:
     """Bring together what the estimator stored and what the orchestrator saw.
 
     Parameters
@@ -380,6 +384,8 @@ def settle(
         Where the estimator stores its summary.
     estimator : EstimatorParameters
         Parameters of the estimator, for a run of which it left no summary.
+    found : Result or None
+        What the estimator found, where it is in this process.
     problems : sequence of Problem
         What the orchestrator saw go wrong.
     timing : Timing, optional
@@ -402,9 +408,9 @@ def settle(
             write_summary(path, result.summary)
         except DataError as error:
             raise DataError("; ".join([*map(str, problems), str(error)])) from None
-        return result.summary
-    summary = read_summary(path)
-    complete = summary
+        return result
+    result = Result(summary=read_summary(path)) if found is None else found
+    summary = complete = result.summary
     if timing is not None:
         before = [] if summary.timing is None else summary.timing.problems
         others = [one for one in summary.problems if one not in before]
@@ -414,4 +420,4 @@ def settle(
     complete = complete.with_problems(problems)
     if complete != summary:
         write_summary(path, complete, anew=True)
-    return complete
+    return replace(result, summary=complete)

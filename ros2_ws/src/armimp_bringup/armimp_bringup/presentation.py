@@ -72,27 +72,22 @@ class Stopwatch:
 
 
 def present(
-    summary: Summary,
+    result: Result,
     directory: Path | None,
     *,
     as_json: bool,
-    result: Result | None = None,
-    bags: Sequence[Path] | None = None,
     stopwatch: Stopwatch | None = None,
 ) -> int:
     """Print a result, and draw and report it afterwards.
 
     Parameters
     ----------
-    summary : Summary
-        As it is stored.
+    result : Result
+        As it is stored. What of its curves and trials is not there is read from the directory.
     directory : Path or None
         Where it is stored, and figures and report go; None if nowhere.
     as_json : bool
         Whether to print the summary instead of tables.
-    result : Result, optional
-        With the curves and trials to draw; by default they are read from the directory and `bags`,
-        see `armimp_estimation.result.load_result`.
     stopwatch : Stopwatch, optional
         What has measured the run; its times become part of the summary.
 
@@ -102,7 +97,7 @@ def present(
         The exit status that the result deserves.
     """
     complete = True
-    summary = summary.model_copy(update={"origin": OriginSummary.of(sys.argv)})
+    summary = result.summary.model_copy(update={"origin": OriginSummary.of(sys.argv)})
     if not as_json:
         print_result(summary)
         if stopwatch is not None:
@@ -111,15 +106,16 @@ def present(
         say(f"armimp: {line}")
     if directory is not None:
         try:
-            write_summary(directory / SUMMARY_FILE, summary, anew=True)
-            with Display() as display:
-                display.phase("drawing figures and report")
-                if result is None:
-                    result = load_result(directory, bags)
-                name = directory.absolute().name
-                _draw(directory, replace(result, name=name, summary=summary))
-            if stopwatch is not None:
-                summary = summary.model_copy(update={"wall": stopwatch.stop()})
+            try:
+                with Display() as display:
+                    display.phase("drawing figures and report")
+                    if not result.trials:
+                        result = load_result(directory)
+                    name = directory.absolute().name
+                    _draw(directory, replace(result, name=name, summary=summary))
+            finally:
+                if stopwatch is not None:
+                    summary = summary.model_copy(update={"wall": stopwatch.stop()})
                 write_summary(directory / SUMMARY_FILE, summary, anew=True)
         except DataError as error:
             # As on a full disk; the numbers are there all the same.

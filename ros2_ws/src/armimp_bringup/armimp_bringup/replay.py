@@ -33,7 +33,7 @@ from armimp_estimation.bags import BagContent
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.metadata import latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.summary import Summary
+from armimp_estimation.result import Result
 
 _CLASSES: dict[str, type[Any]] = {
     topics.JOINT_STATES: JointState,
@@ -144,7 +144,7 @@ def replay_bags(
     domain_id: int | None = None,
     on_progress: Callable[[Progress], None] = lambda _: None,
     interrupted: Callable[[], bool] = lambda: False,
-) -> Summary:
+) -> Result:
     """Play bags into an estimator node and return what it finds.
 
     Parameters
@@ -210,9 +210,10 @@ def replay_bags(
                 course = Course(supervisor, spinner, nodes, interrupted=interrupted)
                 try:
                     problems = course.run(drive)
+                    result = nodes.result
                 finally:
                     nodes.close()
                     for node in (player, supervisor):
                         spinner.remove_node(node)
                         node.destroy_node()
-        return settle(directory, parameters, problems)
+        return settle(directory, parameters, result, problems)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 import time
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from armimp_bringup import presentation
 from armimp_bringup.presentation import Stopwatch, complaints, present
 from armimp_common.status import Phase
 from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
+from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import read_summary
 from support.results import make_result
 
@@ -31,8 +33,7 @@ def test_when_figures_cannot_be_drawn_expect_one_line_and_everything_else(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (directory / "coherence.png").mkdir()
-    summary = read_summary(directory / "summary.json")
-    assert present(summary, directory, as_json=True) == 1
+    assert present(load_result(directory), directory, as_json=True) == 1
     told = capsys.readouterr()
     (line,) = told.err.splitlines()
     assert line.startswith(f"armimp: {directory / 'coherence.png'}: cannot be written: ")
@@ -45,8 +46,7 @@ def test_when_the_report_cannot_be_written_expect_the_figures_all_the_same(
     directory: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (directory / "report.html").mkdir()
-    summary = read_summary(directory / "summary.json")
-    assert present(summary, directory, as_json=True) == 1
+    assert present(load_result(directory), directory, as_json=True) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"armimp: {directory / 'report.html'}: cannot be written: ")
     assert {"impedance.png", "impedance.pdf"} <= names(directory)
@@ -60,7 +60,7 @@ def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_els
     for phase in (Phase.SETTLE, Phase.PERTURB, Phase.REST, Phase.DONE):
         stopwatch.note(phase)
     before = read_summary(directory / "summary.json")
-    assert present(before, directory, as_json=False, stopwatch=stopwatch) == 0
+    assert present(Result(summary=before), directory, as_json=False, stopwatch=stopwatch) == 0
     after = read_summary(directory / "summary.json")
     assert after.wall is not None
     assert after.wall.before > 0.0
@@ -69,6 +69,17 @@ def test_wall_times_and_origin_become_part_of_the_summary_and_change_nothing_els
     assert after.origin is not None
     assert after.model_copy(update={"wall": None, "origin": None}) == before
     assert "until the first sample" in capsys.readouterr().out
+
+
+def test_what_is_at_hand_is_drawn_without_being_read_again(
+    directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Result] = []
+    monkeypatch.setattr(presentation, "_draw", lambda _, result: drawn.append(result))
+    result = load_result(directory)
+    shutil.rmtree(directory / "bags")
+    present(result, directory, as_json=True)
+    assert drawn[0].trials == result.trials != ()
 
 
 def test_rests_between_trials_are_part_of_them_and_the_last_rest_is_not(

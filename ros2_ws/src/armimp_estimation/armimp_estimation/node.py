@@ -69,6 +69,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(topics.ESTIMATOR_NODE, **kwargs)
+        self.result: Result | None = None
+        """What the trials since the last activation gave; None as long as there may be more."""
         self._active = False
         self._sign = Heartbeat(self, topics.ESTIMATOR_NODE)
         self._rig = HeartbeatMonitor(self, topics.SIM_NODE, lambda _: None)
@@ -137,6 +139,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             monitors=[self._rig, self._controller],
         )
         self._active = True
+        self.result = None
         # What has come so far goes with what the synchronizer does not take either.
         take_all(self._leading.subscription)
         self._synchronizer.open()
@@ -188,7 +191,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._problems: list[Problem] = []
         self._ended = 0
         self._done_at = math.inf
-        self._concluded = False
         self._recording = TrialRecorder(
             self._settings.joints,
             self._directory if self._settings.record else None,
@@ -201,7 +203,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _stop(self, reason: str) -> None:
         self._end_recording()
-        if not self._concluded:
+        if self.result is None:
             # Before the trial is finished, which may be the last one that was awaited.
             self._note(problem(ProblemCode.RECORDING_STOPPED, reason=reason))
         self._finish()
@@ -302,7 +304,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _on_controller(self, controller: HeartbeatMonitor) -> None:
         """Close the bag when the controller is lost: nobody else would say that it is over."""
-        if controller.presence.lost and self._active and not self._concluded:
+        if controller.presence.lost and self._active and self.result is None:
             if self._done_at == math.inf:
                 self._note(problem(ProblemCode.NODE_FAILED, reason=controller.sentence))
             self._finish()
@@ -329,10 +331,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _conclude(self) -> None:
         """Publish and store the result, once; without any trial there is none."""
-        if self._concluded:
+        if self.result is not None:
             return
-        self._concluded = True
-        result = self._result_so_far()
+        self.result = result = self._result_so_far()
         if self._directory is not None:
             try:
                 self._directory.mkdir(parents=True, exist_ok=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pydantic import JsonValue
@@ -57,7 +57,7 @@ class Result:
     """
 
     summary: Summary
-    curves: Mapping[str, ImpedanceCurve]
+    curves: Mapping[str, ImpedanceCurve] = field(default_factory=dict)
     trials: tuple[Trial, ...] = ()
     name: str = ""
     notes: tuple[str, ...] = ()
@@ -181,6 +181,7 @@ def conclude(
         summary=summary.model_copy(update=facts),
         curves={name: ImpedanceCurve.of(one) for name, one in curves.items()},
         trials=tuple(trials),
+        notes=tuple(trial.note for trial in trials if trial.note),
     )
 
 
@@ -221,7 +222,7 @@ def summarise(
     )
 
 
-def load_result(directory: Path, bags: Sequence[Path] | None = None) -> Result:
+def load_result(directory: Path) -> Result:
     """Read a result directory and the bags of its trials.
 
     What is missing besides the summary leaves a note, not an error.
@@ -229,9 +230,7 @@ def load_result(directory: Path, bags: Sequence[Path] | None = None) -> Result:
     Parameters
     ----------
     directory : Path
-        With ``summary.json`` and mostly ``frf.npz``.
-    bags : sequence of Path, optional
-        Where the trials are; by default where the summary says.
+        With ``summary.json`` and mostly ``frf.npz``. The summary says where the bags are.
 
     Raises
     ------
@@ -247,7 +246,7 @@ def load_result(directory: Path, bags: Sequence[Path] | None = None) -> Result:
         except DataError as error:
             notes.append(str(error))
     contents = []
-    for path in _bags_of(directory, summary) if bags is None else dict.fromkeys(bags):
+    for path in _bags_of(directory, summary):
         try:
             # They have been read before, or were recorded here.
             contents.append(read_bag(path, trust=True))

@@ -187,7 +187,7 @@ def test_an_invalid_result_says_why_and_what_to_do(directory: Path, tmp_path: Pa
         ProblemCode.LOCK_RATIO, name="elbow", perturbed="shoulder", percent=9.0, limit=2.0
     )
     target = altered(directory, tmp_path / "bad", problems=[found])
-    words = Page(report_page(load_result(target, []))).words
+    words = Page(report_page(load_result(target))).words
     assert "Not valid: 1 problem " in words
     assert "Joints that should have been held still moved" in words
     assert found.sentence.strip().replace("(limit 2 %)", "").strip() in words.replace(
@@ -227,14 +227,6 @@ def test_a_summary_alone_is_enough_and_what_lacks_is_said(directory: Path, tmp_p
     assert "frf.npz: not a file of impedance curves" in words
     assert "no time traces: bags/session" in words
     assert f"trial of {result.joint_names[0]} 10000 0" in words
-
-
-def test_bags_may_be_elsewhere(directory: Path, tmp_path: Path) -> None:
-    target = altered(directory, tmp_path / "replayed")
-    bag = directory / "bags" / "session"
-    result = load_result(target, [bag, bag])
-    assert [one.trial for one in result.trials] == [1, 2]
-    assert tuple(result.joint_names) == recorded_arm().records[0].joint_names
 
 
 def test_of_a_trial_that_ended_early_both_lengths_are_told(tmp_path: Path) -> None:
