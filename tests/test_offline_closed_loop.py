@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
@@ -74,7 +75,14 @@ def test_perturbed_joint_shows_its_target_impedance_in_spite_of_friction(
     joint: int,
 ) -> None:
     """The delay of one tick costs accuracy in proportion to frequency."""
-    plant = _plant(friction)
+    shown, target = _shown(_plant(friction), internal_model, frequency, joint)
+    assert abs(shown / target - 1.0) < tolerance
+
+
+def _shown(
+    plant: PlantConfig, internal_model: control_presets.InternalModel, frequency: float, joint: int
+) -> tuple[complex, complex]:
+    """Impedance of the robot at a frequency (Hz), from a sine, and its target, N·m/rad."""
     law = _law(plant, internal_model)
     t = np.arange(4000) * PERIOD
     tau_delta = 2.0 * np.sin(2.0 * np.pi * frequency * t)
@@ -89,7 +97,24 @@ def test_perturbed_joint_shows_its_target_impedance_in_spite_of_friction(
         + law.target_damping[joint] * s
         + law.target_stiffness[joint]
     )
-    assert abs(net / theta / target - 1.0) < tolerance
+    return complex(net / theta), complex(target)
+
+
+def test_score_of_the_realisation_is_what_sines_show_of_the_robot() -> None:
+    pd: dict[str, JsonValue] = {"law": {"kind": "pd"}}
+    configs = [
+        ExperimentConfig(friction=0, resolution=0, duration=6.0, imbic_controller=law)
+        for law in ({}, pd)
+    ]
+    ours, without_target = (one.identify(["lpm_full"]) for one in simulate(configs))
+    frequencies = (1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0)
+    for joint, trial in enumerate(ours.trials):
+        shown = np.array([_shown(_plant(0), "observer", f, joint) for f in frequencies])
+        deviation = np.linalg.norm(shown[:, 0] - shown[:, 1]) / np.linalg.norm(shown[:, 1])
+        assert 0.03 < deviation < 0.1
+        assert trial.realisation[0] == pytest.approx(deviation, rel=0.1)
+        assert trial.realisation[1] <= trial.realisation[0] <= trial.realisation[2]
+    assert all(np.isnan(one.realisation).all() for one in without_target.trials)
 
 
 @pytest.mark.parametrize("internal_model", ["tde", "observer"])

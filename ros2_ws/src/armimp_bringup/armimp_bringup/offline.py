@@ -349,8 +349,7 @@ class SimulatedExperiment:
         """Options of an estimate that suit the shortest record and the sensors."""
         known = Metadata.of(self.parameters.estimator.bag_metadata())
         shortest = min(record.samples for record in self.records)
-        welch = WelchConfig.for_samples(shortest)
-        return IdentifyConfig(welch=welch, lpm=known.lpm)
+        return known.options(WelchConfig.for_samples(shortest))
 
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
         """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ class EstimatorResult:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialScores:
-    """Quality of locking in one trial.
+    """What one trial tells of the robot: how it locks joints, and yields to the perturbation.
 
     Attributes
     ----------
@@ -102,12 +103,25 @@ class TrialScores:
     bias_bound : ndarray, shape (n,)
         Share of each torque that motion of locked joints explains, see
         :func:`armimp_estimation.scores.bias_bound`.
+    realisation : ndarray, shape (3,)
+        Deviation of the robot from the target impedance of joint k, and the ends of its 95 %
+        interval, see :func:`armimp_estimation.scores.realisation`; NaN if that is not known.
     """
 
     trial: int
     joint: int
     lock_ratio: FloatArray
     bias_bound: FloatArray
+    realisation: FloatArray
+
+    def figures(self) -> dict[str, Any]:
+        """Scores by their names in `summary.json`."""
+        return {
+            "lock_ratio": self.lock_ratio.tolist(),
+            "bias_bound": self.bias_bound.tolist(),
+            "realisation": float(self.realisation[0]),
+            "realisation_ci": self.realisation[1:].tolist(),
+        }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -254,9 +268,11 @@ def identify(
         of_motion, doubts = _judge_motion(records, best.fit.mbk, hold, reading)
         problems += of_motion
         results = {name: one.with_doubts(doubts) for name, one in results.items()}
+    trusted = first if best is None else best
+    realised = scores.realisation(trusted.estimate, options.target)
     balance = None
     if responses is not None:
-        fit = (best if best is not None else first).fit
+        fit = trusted.fit
         balance = responses.balance(order, hold, reading, fit.delay)
         unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
         problems += unbalanced
@@ -270,6 +286,7 @@ def identify(
                 joint=k,
                 lock_ratio=locks[:, k].copy(),
                 bias_bound=bounds[:, k].copy(),
+                realisation=realised[k],
             )
             for k, trial in enumerate(ordered)
         ),

@@ -22,12 +22,15 @@ from typing_extensions import Self
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.realtime import LATE_NS, TimingLimits
 from armimp_common.status import TimingFigures
+from armimp_common.topics import CONTROLLER_NODE
 from armimp_estimation.arm_models import AUTO, require_model
 from armimp_estimation.estimators.lpm import LpmConfig
+from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.fit import Calibration
 from armimp_estimation.json_model import JsonModel, Number, first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Problem, ProblemCode, problem
+from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 CALIBRATION_KEYS = {"gain_uncertainty": "gain", "cross_talk_uncertainty": "cross_talk"}
@@ -214,6 +217,28 @@ class Metadata(BaseModel):
         if self.torque_uncertainty is None:
             return lpm
         return replace(lpm, timing_uncertainty=self.torque_uncertainty)
+
+    @property
+    def target(self) -> MBK | None:
+        """Target impedance of the law; None where it has none, or nothing is known of it."""
+        law = self.config.get(CONTROLLER_NODE)
+        if not isinstance(law, Mapping) or law.get("law.kind") != "imbic":
+            return None
+        try:
+            parts = [np.diag(law[f"target.{one}"]) for one in ("inertia", "damping", "stiffness")]
+            return MBK(**dict(zip("MBK", parts, strict=True)))
+        except (LookupError, TypeError, ValueError, OverflowError, ArmimpError):
+            return None
+
+    def options(self, welch: WelchConfig) -> IdentifyConfig:
+        """Options of an identification that follow from it, with these segments and band."""
+        return IdentifyConfig(
+            welch=welch,
+            lpm=self.lpm,
+            model=self.arm_model,
+            calibration=self.calibration,
+            target=self.target,
+        )
 
     @property
     def calibration(self) -> Calibration:

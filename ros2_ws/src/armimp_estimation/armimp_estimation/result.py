@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from pydantic import JsonValue
 
@@ -149,12 +150,7 @@ def conclude(
         try:
             parts = [trial.segments for trial in trials]
             if config is None:
-                config = IdentifyConfig(
-                    welch=segments_for(parts),
-                    lpm=known.lpm,
-                    model=known.arm_model,
-                    calibration=known.calibration,
-                )
+                config = known.options(segments_for(parts))
             reading = config.lpm.reading
             data = [TrialData.from_stretches(one, config.welch, reading) for one in parts]
             identification = identify(data, estimators, known.truth, config)
@@ -266,16 +262,16 @@ def _trial_summary(
     trial: Trial, identification: Identification | None, joints: int
 ) -> TrialSummary:
     """Summary of a trial; without scores if nothing could be estimated."""
-    lock, bias = [math.nan] * joints, [math.nan] * joints
+    unknown = [math.nan] * joints
+    figures: dict[str, Any] = {"lock_ratio": unknown, "bias_bound": unknown}
     for scores in () if identification is None else identification.trials:
         if scores.joint == trial.joint:
-            lock, bias = scores.lock_ratio.tolist(), scores.bias_bound.tolist()
+            figures = scores.figures()
     return TrialSummary(
         k=trial.joint + 1,
         bag=trial.bag,
         ticks=trial.statistics.streams[PERTURBATION].received,
-        lock_ratio=lock,
-        bias_bound=bias,
+        **figures,
         rtf=trial.rtf,
         saved=trial.window.saved * PERIOD_NS / NS_PER_S,
         **dict(trial.statistics),

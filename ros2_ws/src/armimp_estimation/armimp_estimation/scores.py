@@ -20,6 +20,9 @@ from armimp_estimation.trial import TrialSpectra
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
+NORMAL_95 = 1.959963984540054
+"""Standard errors on either side of an estimate that make a 95 % confidence interval."""
+
 
 def vaf(estimate: ImpedanceEstimate, truth: MBK) -> FloatArray:
     """Variance accounted for, of each element against the true impedance, %.
@@ -182,6 +185,61 @@ def bias_bound(frf: FrfMatrix) -> FloatArray:
                     share = np.abs(frf.T[i, j] / frf.R[j, j] * R[j, k] / frf.T[i, k])
                     bound[i, k] += np.mean(share)
     return bound
+
+
+def realisation(estimate: ImpedanceEstimate, target: MBK | None) -> FloatArray:
+    """How far the robot is from the target impedance of each joint while that is perturbed.
+
+    The law asks for ``Z_rd θ_k = τΔ - τ_k``, so what the robot shows is ``Ẑ_r = (1 - T_kk)/R_kk``,
+    which is ``1/R_kk - Ẑ_kk`` where locked joints are still. Its deviation, relative to the target,
+    is ``sqrt(Σ_f (|Ẑ_r - Z_rd|² - var Ẑ_r) / Σ_f |Z_rd|²)``.
+
+    Parameters
+    ----------
+    estimate : ImpedanceEstimate
+        Responses T and R with their covariance.
+    target : MBK or None
+        Z_rd, of which the diagonal counts, if it is known.
+
+    Returns
+    -------
+    ndarray, shape (n, 3)
+        Deviation by k, and the ends of its 95 % interval, which are NaN without a covariance; all
+        is without a target for these joints.
+    """
+    if target is None or target.joints != estimate.joints:
+        return np.full((estimate.joints, 3), np.nan)
+    every = np.arange(estimate.joints)
+    moved, asked = estimate.R[every, every], target.impedance(estimate.f)[every, every]
+    shown = (1.0 - estimate.T[every, every]) / moved
+    error, sizes = shown - asked, np.sum(np.abs(asked) ** 2, axis=1)
+    if estimate.covariance is None:
+        plain = np.sqrt(np.sum(np.abs(error) ** 2, axis=1) / sizes)
+        return np.stack([plain, *np.full((2, plain.size), np.nan)], axis=1)
+    found = []
+    for k, motion in enumerate(moved):
+        pair = [k, estimate.joints + k]
+        shares = np.stack([shown[k], np.ones_like(motion)]) / motion
+        noise = np.einsum(
+            "af,abf,bf->f", shares, estimate.covariance[k][np.ix_(pair, pair)], np.conj(shares)
+        ).real
+        square = float(np.sum(np.abs(error[k]) ** 2 - noise))
+        spread = NORMAL_95 * np.sqrt(_variance_of_power(error[k], noise, estimate.bin_correlation))
+        ends = np.array([square, square - spread, square + spread])
+        found.append(np.sqrt(np.maximum(ends, 0.0) / sizes[k]))
+    return np.stack(found)
+
+
+def _variance_of_power(values: ComplexArray, noise: FloatArray, correlation: FloatArray) -> float:
+    """Variance of ``Σ_f |v|²`` for values that contain circular noise of variance (n_freq,)."""
+    scaled, least, crossed = values * np.sqrt(noise), 0.0, 0.0
+    for lag, rho in enumerate(correlation[: noise.size]):
+        here, there = slice(noise.size - lag), slice(lag, None)
+        twice = 1.0 if lag == 0 else 2.0
+        least += twice * rho**2 * float(noise[here] @ noise[there])
+        crossed += twice * rho * float(np.vdot(scaled[here], scaled[there]).real)
+    # What values have of their own noise counts in `crossed` too; the rest can't be negative.
+    return least + 2.0 * max(crossed - least, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

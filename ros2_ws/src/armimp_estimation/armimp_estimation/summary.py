@@ -22,14 +22,13 @@ from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, firs
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Timing
 from armimp_estimation.problems import Concern, Problem, Severity, spoiled
+from armimp_estimation.scores import NORMAL_95
 from armimp_estimation.torque_timing import TorqueReading
 
 SUMMARY_FILE = "summary.json"
 
 Intervals = list[Matrix]
 """Lower and upper end of an interval for each element of a matrix."""
-NORMAL_95 = 1.959963984540054
-"""Standard errors on either side of an estimate that make a 95 % confidence interval."""
 
 
 class Verdict(JsonModel):
@@ -103,6 +102,10 @@ class TrialSummary(StreamStatistics):
     """Samples of the trial."""
     lock_ratio: Vector
     bias_bound: Vector
+    realisation: Number = math.nan
+    """Deviation of the robot from the target impedance of joint k, relative."""
+    realisation_ci: Vector = Field(default_factory=lambda: [math.nan, math.nan])
+    """Its 95 % interval."""
     rtf: Number = math.nan
     """Times real time at which the trial ran; null if it was not run live."""
     saved: Number = 0.0

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from armimp_common.errors import DataError
 from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -18,6 +19,7 @@ ComplexArray = NDArray[np.complex128]
 
 WELCH = WelchConfig(segment=1024, overlap=768)
 F = WELCH.frequencies(125.0)
+TARGET = MBK(M=np.diag([0.2, 0.2]), B=np.diag([2.0, 2.0]), K=np.diag([10.0, 10.0]))
 
 
 def estimate_of(Z: ComplexArray) -> ImpedanceEstimate:
@@ -70,6 +72,48 @@ def test_vaf_of_an_element_that_is_truly_zero_is_nan() -> None:
     truth = MBK(M=np.diag([1.0, 1.0]), B=np.zeros((2, 2)), K=np.zeros((2, 2)))
     vaf = scores.vaf(estimate_of(TWO_JOINT_ARM.impedance(F)), truth)
     np.testing.assert_array_equal(np.isnan(vaf), [[False, True], [True, False]])
+
+
+def _realised(deviation: float, covariance: ComplexArray | None = None) -> ImpedanceEstimate:
+    """Responses of a robot that shows its target, all of it too large by a share."""
+    Z = TWO_JOINT_ARM.impedance(F)
+    shown = (1.0 + deviation) * TARGET.impedance(F)
+    R = np.zeros_like(Z)
+    R[[0, 1], [0, 1]] = 1.0 / (shown + Z)[[0, 1], [0, 1]]
+    T = np.einsum("ijf,jkf->ikf", Z, R)
+    return dataclasses.replace(estimate_of(Z), T=T, R=R, covariance=covariance)
+
+
+def test_a_robot_that_does_what_its_law_says_has_no_deviation_from_the_target() -> None:
+    silent = np.zeros((2, 4, 4, F.size), dtype=np.complex128)
+    np.testing.assert_allclose(scores.realisation(_realised(0.0, silent), TARGET), 0.0, atol=1e-13)
+    off = scores.realisation(_realised(0.07, silent), TARGET)
+    np.testing.assert_allclose(off, np.full((2, 3), 0.07), rtol=1e-9)
+    unknown = scores.realisation(_realised(0.07), TARGET)
+    np.testing.assert_allclose(unknown[:, 0], 0.07, rtol=1e-9)
+    assert np.isnan(unknown[:, 1:]).all()
+
+
+@pytest.mark.parametrize(("inertia", "closest", "furthest"), [(0.2, 0.0, 0.03), (0.22, 0.09, 0.11)])
+def test_the_interval_of_the_deviation_holds_that_of_the_loop_as_often_as_it_says(
+    inertia: float, closest: float, furthest: float
+) -> None:
+    loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.1, inertia=inertia)
+    shown = MBK(M=np.diag([inertia] * 2), B=np.diag([2.0] * 2), K=np.diag([10.0] * 2))
+    held, found = [], []
+    for seed in range(40):
+        trials = [
+            TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, k, loop, seed), WELCH)
+            for k in (0, 1)
+        ]
+        estimate = LpmFull(band=(1.0, 15.0)).estimate(trials)
+        error = (shown.impedance(estimate.f) - TARGET.impedance(estimate.f))[0, 0]
+        true = np.linalg.norm(error) / np.linalg.norm(TARGET.impedance(estimate.f)[0, 0])
+        value, low, high = scores.realisation(estimate, TARGET).T
+        held += list((low <= true) & (true <= high))
+        found += list(value)
+    assert 0.88 <= np.mean(held) <= 1.0
+    assert closest <= np.mean(found) <= furthest
 
 
 def test_coherence_is_the_share_of_common_power() -> None:

@@ -152,8 +152,7 @@ def estimate_condition(
             TrialSummary(
                 k=scores.joint + 1,
                 ticks=record.samples,
-                lock_ratio=scores.lock_ratio.tolist(),
-                bias_bound=scores.bias_bound.tolist(),
+                **scores.figures(),
             )
             for record, scores in zip(experiment.records, identification.trials, strict=True)
         ],

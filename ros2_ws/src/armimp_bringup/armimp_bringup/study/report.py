@@ -47,7 +47,8 @@ from armimp_estimation.report.settings import (
     identity,
     marked_origin,
 )
-from armimp_estimation.summary import NORMAL_95, OriginSummary
+from armimp_estimation.scores import NORMAL_95
+from armimp_estimation.summary import OriginSummary
 from armimp_estimation.verdict import Limits
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]

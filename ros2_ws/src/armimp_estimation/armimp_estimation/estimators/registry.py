@@ -10,6 +10,7 @@ from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull
 from armimp_estimation.estimators.welch import WelchFull, WelchSiso
 from armimp_estimation.fit import Calibration, FitConfig
+from armimp_estimation.mbk import MBK
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.verdict import Limits
 
@@ -33,6 +34,8 @@ class IdentifyConfig:
         default those that it takes where M, B and K don't fit.
     calibration : Calibration
         What is known of the torque transducers.
+    target : MBK or None
+        Target impedance of the law, if it is known; a score compares the robot with its diagonal.
 
     Raises
     ------
@@ -46,6 +49,7 @@ class IdentifyConfig:
     limits: Limits = field(default_factory=Limits)
     model: str = AUTO
     calibration: Calibration = field(default_factory=Calibration)
+    target: MBK | None = None
 
     def __post_init__(self) -> None:
         require_model(self.model)

@@ -64,7 +64,7 @@ def report_page(result: Result) -> str:
     found: list[tuple[str, str, Content | None]] = [
         ("verdict", "Verdict", _verdict(result)),
         ("parameters", "M, B, K", estimated),
-        ("scores", "Scores", estimated),
+        ("scores", "Scores", _scores(result)),
         ("impedance", "Impedance", _impedance(result)),
         ("coherence", "Coherence", _coherence(result)),
         ("locking", "Locking", _locking(result)),
@@ -214,6 +214,12 @@ def _limits_table(result: Result) -> Table:
         groups=[(None, rows)],
         words=(3, 4),
     )
+
+
+def _scores(result: Result) -> Content | None:
+    if not result.summary.estimators:
+        return None
+    return {"realised": [one for one in result.summary.trials if math.isfinite(one.realisation)]}
 
 
 def _switches(names: Iterable[str]) -> list[Content]:
