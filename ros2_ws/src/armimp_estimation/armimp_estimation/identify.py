@@ -115,13 +115,12 @@ class TrialScores:
     realisation: FloatArray
 
     def figures(self) -> dict[str, Any]:
-        """Scores by their names in `summary.json`."""
-        return {
-            "lock_ratio": self.lock_ratio.tolist(),
-            "bias_bound": self.bias_bound.tolist(),
-            "realisation": float(self.realisation[0]),
-            "realisation_ci": self.realisation[1:].tolist(),
-        }
+        """Scores that are known, by their names in `summary.json`."""
+        found = {"lock_ratio": self.lock_ratio.tolist(), "bias_bound": self.bias_bound.tolist()}
+        if np.isnan(self.realisation[0]):
+            return found
+        deviation, *ends = self.realisation.tolist()
+        return {**found, "realisation": deviation, "realisation_ci": ends}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
