@@ -84,22 +84,6 @@ def test_maps_show_another_quantity_when_it_is_chosen(page: Browser) -> None:
     assert page.said() == []
 
 
-def test_rows_of_the_table_are_sorted_by_the_heading_that_is_pressed(page: Browser) -> None:
-    column = (
-        "[...document.querySelector('.sortable table').tBodies[0].rows]"
-        ".map((row) => Number(row.cells[5].textContent))"
-    )
-    button = "[...document.querySelectorAll('.sortable thead th button')][5]"
-    values = page.value(column)
-    assert len(values) == 8
-    page.value(f"{button}.click()")
-    assert page.value(column) == sorted(values)
-    page.value(f"{button}.click()")
-    assert page.value(column) == sorted(values, reverse=True)
-    state = f"{button}.closest('th').getAttribute('aria-sort')"
-    assert page.value(state) == "descending"
-
-
 @pytest.mark.parametrize("width", [360, 1280])
 def test_study_report_fits_any_screen(browser: Browser, study: Path, width: int) -> None:
     browser.open(study / "report.html", width=width)

@@ -177,17 +177,14 @@ def test_figure_2_shows_magnitude_phase_and_error_of_every_element(
 def test_figures_3_and_4_group_by_every_factor_and_reach_from_worst_to_best(table: Table) -> None:
     for scores, entries in ((FIT_SCORES, 4), (COHERENCE_SCORES, 6)):
         figure = levels_figure(table[:, 0], scores)
-        panels = np.array(figure.axes).reshape(-1, 3)
-        assert len(panels) == len(scores)
-        assert [one.get_xlabel() for one in panels[-1]] == [
-            "friction level", "resolution level", "perturbation level",
-        ]  # fmt: skip
-        assert [one.get_xticks().tolist() for one in panels[0]] == [[0, 3], [3], [1]]
+        assert len(figure.axes) == len(scores)
+        ticks = [one.get_text() for one in figure.axes[-1].get_xticklabels()]
+        assert ticks == ["F0", "F3", "R3", "P1"]
         assert len(_labels(figure)) == entries + 1
         assert "target" in _labels(figure)
     # By resolution, of which there is one.
-    container: Any = levels_figure(table[:, 0], FIT_SCORES).axes[1].containers[1]
+    container: Any = levels_figure(table[:, 0], FIT_SCORES).axes[0].containers[1]
     values = table["vaf_percent"][:, 0, 0, 1]
-    np.testing.assert_allclose(container.lines[0].get_ydata(), [np.mean(values)])
-    (segment,) = container.lines[2][0].get_segments()
+    np.testing.assert_allclose(container.lines[0].get_ydata()[2], np.mean(values))
+    segment = container.lines[2][0].get_segments()[2]
     np.testing.assert_allclose(segment[:, 1], [values.min(), values.max()])

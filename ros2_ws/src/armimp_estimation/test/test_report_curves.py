@@ -17,7 +17,7 @@ from armimp_estimation.report.curves import (
     magnitude_range,
     phase_range,
 )
-from armimp_estimation.report.look import COLOURS, looks
+from armimp_estimation.report.look import DASHES, printed, strokes
 from armimp_estimation.report.result_plots import rows_of
 from armimp_estimation.scores import Coherences
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
@@ -171,12 +171,12 @@ def test_signals_are_seen_in_the_band_of_the_perturbation_neither_early_nor_late
 
 
 def test_an_estimator_looks_the_same_whatever_it_is_shown_with() -> None:
-    alone = looks(["welch_full"])["welch_full"]
-    assert looks(["lpm_full", "welch_full"])["welch_full"] == alone
-    assert alone.variable == "--estimator-1"
+    alone = strokes(["welch_full"])["welch_full"]
+    assert strokes(["lpm_full", "welch_full"])["welch_full"] == alone
+    assert alone.colour == "--estimator-1"
 
 
 def test_estimators_differ_in_colour_and_dashes_even_if_they_are_unknown() -> None:
-    every = looks(["welch_siso", "welch_full", "lpm_full", "direct", "mimo", "new"]).values()
-    assert {look.colour for look in every} == set(COLOURS)
-    assert len({look.dash for look in every}) == len(COLOURS)
+    every = strokes(["welch_siso", "welch_full", "lpm_full", "direct", "mimo", "new"]).values()
+    assert len({printed(stroke.colour) for stroke in every}) == len(every)
+    assert {stroke.dash for stroke in every} == set(DASHES)

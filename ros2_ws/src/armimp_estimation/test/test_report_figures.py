@@ -50,8 +50,8 @@ def test_legend_names_estimators_bands_and_truth(result: Result) -> None:
     assert [text.get_text() for text in legend.get_texts()] == [
         "welch_siso",
         "welch_full",
+        "truth",
         "95 % confidence",
-        "truth (simulation)",
     ]
 
 

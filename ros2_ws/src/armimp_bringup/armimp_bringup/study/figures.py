@@ -11,41 +11,29 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.ticker import MultipleLocator
 
 from armimp_bringup.bench import available_cores
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
+from armimp_bringup.study.report_plots import (
+    level_marks,
+    level_stroke,
+    levels_chart,
+    overlay_chart,
+)
+from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table
 from armimp_common.errors import DataError
 from armimp_estimation.curves import ImpedanceCurve
-from armimp_estimation.figures import DASHES as MPL_DASHES
-from armimp_estimation.figures import (
-    STYLE,
-    TWO_COLUMNS,
-    element_matrix,
-    frequency_axis,
-    line_key,
-    log_axis,
-    save_figure,
-    title,
-)
+from armimp_estimation.figures import TWO_COLUMNS, element_figure, matrix_figure, save_figure
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.curves import deviation_percent, phase_about
-from armimp_estimation.report.look import ELEMENT_COLOURS, LEVEL_COLOURS, LEVEL_DASHES
+from armimp_estimation.report.result_plots import TRUE
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 _Drawing = Callable[[Any, Any], Figure]
 
-_MARKERS: Final = ("o", "s", "^", "D", "v", "P", "X", "<", ">")
 _LEAST_PANEL: Final = 2.3  # inches; with many joints Figure 2 is a poster
-_LEGEND_COLUMNS: Final = 8
 _WORTH_A_PROCESS: Final = 3
 """Figures that take longer to draw than another process takes to start."""
-_TRUE: Final[Any] = {"color": "black", "linestyle": (0, (4, 3)), "linewidth": 1.1}
-_TARGET: Final[Any] = {"color": "0.45", "linewidth": 0.8, "linestyle": (0, (5, 3))}
 
 
 def write_figures(
@@ -118,7 +106,6 @@ def _draw(directory: Path, name: str, draw: _Drawing, *arguments: Any) -> list[P
     return save_figure(draw(*arguments), directory / name)
 
 
-@rc_context(STYLE)
 def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> Figure:
     """Fig. 2: true and estimated transfer-function matrix at one perturbation level.
 
@@ -136,110 +123,30 @@ def impedance_figure(curves: Mapping[Condition, ImpedanceCurve], truth: MBK) -> 
         which all curves would look like one.
     """
     n = len(truth.M)
-    grid = max((curve.f for curve in curves.values()), key=len)
-    true = truth.impedance(grid)
-    by_friction = [
-        line_key(f"friction {level}", LEVEL_COLOURS[level])
-        for level in sorted({one.friction for one in curves})
-    ]
-    by_resolution = [
-        line_key(f"resolution {level}", "0.4", LEVEL_DASHES[level])
-        for level in sorted({one.resolution for one in curves})
-    ]
+    by_friction = [level_stroke(friction=one) for one in sorted({c.friction for c in curves})]
+    by_resolution = [level_stroke(resolution=one) for one in sorted({c.resolution for c in curves})]
     # Legends are filled column by column: friction above resolution.
     pairs = itertools.zip_longest(by_friction, by_resolution)
     keys = [key for pair in pairs for key in pair if key is not None]
-    keys.append(Line2D([], [], label="truth", **_TRUE))
-    width = max(TWO_COLUMNS, _LEAST_PANEL * n)
-    figure, cells = element_matrix(n, width, cell_height=2.7, rows=(3, 2, 2), keys=keys)
-    for (i, k), (magnitude, phase, error) in cells.items():
-        sizes, errors = [np.abs(true[i, k])], []
-        for condition, curve in curves.items():
-            z, centre = curve.Z[i, k], truth.impedance(curve.f)[i, k]
-            style: dict[str, Any] = {
-                "color": LEVEL_COLOURS[condition.friction],
-                "linestyle": MPL_DASHES[LEVEL_DASHES[condition.resolution]],
-                "linewidth": 0.8,
-            }
-            sizes.append(np.abs(z))
-            errors.append(deviation_percent(centre, z))
-            magnitude.plot(curve.f, sizes[-1], **style)
-            phase.plot(curve.f, phase_about(centre, z), **style)
-            error.plot(curve.f, errors[-1], **{**style, "linewidth": 0.5})
-        magnitude.plot(grid, sizes[0], **_TRUE)
-        phase.plot(grid, np.degrees(np.unwrap(np.angle(true[i, k]))), **_TRUE)
-        for axes, values in ((magnitude, sizes), (error, errors)):
-            low, high = (end(np.concatenate(values)) for end in (np.min, np.max))
-            log_axis(axes, (0.8 * low, 1.25 * high))
-        phase.yaxis.set_major_locator(MultipleLocator(45))
-        title(magnitude, f"$Z_{{{i + 1}{k + 1}}}$")
-        if k == 0:
-            magnitude.set_ylabel("magnitude (N·m/rad)")
-            phase.set_ylabel("phase (°)")
-            error.set_ylabel("error (%)")
-        frequency_axis(error, [grid], last=i == n - 1)
-    return figure
+    of_condition = {condition: {"": curve} for condition, curve in curves.items()}
+    return element_figure(
+        n,
+        lambda i, k: overlay_chart(of_condition, truth, i, k),
+        [*keys, TRUE],
+        row_height=0.38,
+        width=max(TWO_COLUMNS, _LEAST_PANEL * n),
+    )
 
 
-@rc_context(STYLE)
 def levels_figure(table: Table, scores: Sequence[Score]) -> Figure:
     """Figs. 3 and 4: scores by friction, resolution and perturbation level.
-
-    Marks are means over all conditions with that level, bars reach from the worst to the best.
 
     Parameters
     ----------
     table : ndarray, shape (n_conditions, n, n)
         Results of one estimator.
     scores : sequence of Score
-        One row of panels each.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Rows of scores, columns of factors.
+        One axis each.
     """
-    figure = Figure(figsize=(TWO_COLUMNS, 1.9 * len(scores) + 0.6), layout="constrained")
-    panels = figure.subplots(len(scores), len(LEVELS), sharey="row", squeeze=False)
-    subjects = list(dict.fromkeys(one for score in scores for one in score.subjects(table)))
-    keys: dict[str, Any] = {}
-    for row, score in zip(panels, scores, strict=True):
-        found = score.subjects(table)
-        spread = 0.5 if len(found) <= 4 else 0.8
-        limit = score.limit(table.shape[-1], table["estimator"].flat[0])
-        for panel, factor in zip(row, LEVELS, strict=True):
-            for number, (subject, values) in enumerate(found.items()):
-                look = subjects.index(subject)
-                levels, mean, low, high = statistics(table, factor, values)
-                reach = np.array([mean - low, high - mean])
-                keys[_label(*subject)] = panel.errorbar(
-                    np.add(levels, spread * ((number + 0.5) / len(found) - 0.5)),
-                    mean,
-                    # Rounding may leave the mean of equal values beside them.
-                    yerr=np.maximum(reach, 0.0),
-                    color=ELEMENT_COLOURS[look % len(ELEMENT_COLOURS)],
-                    marker=_MARKERS[look % len(_MARKERS)],
-                    linestyle="none",
-                    elinewidth=0.9,
-                )
-            if limit is not None:
-                keys["target"] = panel.axhline(limit, **_TARGET)
-            ticks = np.unique(table[factor])
-            panel.set_xticks(ticks)
-            panel.set_xlim(ticks[0] - 0.5, ticks[-1] + 0.5)
-            panel.grid(visible=False, axis="x")
-            panel.ticklabel_format(axis="y", useOffset=False)
-            if score is scores[-1]:
-                panel.set_xlabel(f"{factor} level")
-        name = score.name.replace("τΔ → ", r"$\tau_\Delta \to$ ")
-        row[0].set_ylabel(f"{name} ({score.unit.strip()})" if score.unit else name)
-    columns = min(len(keys), _LEGEND_COLUMNS)
-    figure.legend(
-        keys.values(), keys.keys(), loc="outside lower center", ncols=columns, frameon=False
-    )
-    return figure
-
-
-def _label(symbol: str, indices: str) -> str:
-    symbol, indices = symbol.replace("θ", r"\theta"), indices.replace("·", r"\cdot")
-    return f"${symbol}_{{{indices}}}$"
+    legend = level_marks(table, scores)
+    return matrix_figure([[levels_chart(table, scores)]], [[""]], legend, row_height=1.6)

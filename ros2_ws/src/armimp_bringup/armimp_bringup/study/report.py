@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.report_plots import Panel, heat_map, levels_view, overlay_plot
+from armimp_bringup.study.report_plots import Panel, heat_map, levels_chart, overlay_plot
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
@@ -36,10 +36,10 @@ from armimp_estimation.report.formats import (
     symbol,
     written,
 )
-from armimp_estimation.report.look import LEVEL_DASHES
+from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
 from armimp_estimation.report.plots import Plot, View
-from armimp_estimation.report.result_plots import TRUTH, estimator_tag, plot_matrix
+from armimp_estimation.report.result_plots import TRUTH, plot_matrix
 from armimp_estimation.report.run import advised
 from armimp_estimation.report.settings import (
     assumptions_content,
@@ -244,7 +244,7 @@ class StudyReport:
     # --- conditions ----------------------------------------------------------------------------
 
     def _conditions(self) -> Content:
-        """Maps of the worst score in each condition, and a table that can be sorted."""
+        """Maps of the worst score in each condition."""
         plots = []
         for name in self._estimators:
             views = []
@@ -261,7 +261,7 @@ class StudyReport:
                     height=self._height,
                 )
             )
-        return {"seeds": len(self._seeds), "plots": plots, "table": self._sortable()}
+        return {"seeds": len(self._seeds), "plots": plots}
 
     @property
     def _height(self) -> int:
@@ -311,37 +311,6 @@ class StudyReport:
             )
         titles = ("friction level", "resolution level")
         return heat_map(score, [f"F{f}" for f in frictions], panels, titles=titles, limit=limit)
-
-    def _sortable(self) -> Table:
-        found = {
-            name: [score.worst(self._of(name), judged=False)[0] for score in SCORES]
-            for name in self._estimators
-        }
-        locks, _ = self._lock_ratios()
-        rows: list[list[object]] = []
-        for levels, members in self._groups().items():
-            row: list[object] = [*levels]
-            row.append("yes" if all(self.entries[one].valid for one in members) else "no")
-            row.append(f"{locks[members].max():.3f}" if self.entries[0].joints > 1 else NONE)
-            for columns in found.values():
-                for score, values in zip(SCORES, columns, strict=True):
-                    worst, _ = _worst(values[members], score)
-                    # Units are in the headings, as cells are sorted as numbers.
-                    text = score.format(worst).removesuffix(score.unit)
-                    row.append(NONE if math.isnan(worst) else text)
-            rows.append(row)
-        heads: list[object] = ["F", "R", "P", "valid", "motion of held joints %"]
-        spans: list[tuple[object, int]] = [("Levels", 3), ("", 2)]
-        for name in self._estimators:
-            heads += [f"{score.name}{score.unit}" for score in SCORES]
-            spans.append((name, len(SCORES)))
-        return Table(
-            caption="Worst values of all elements",
-            columns=heads,
-            groups=[(None, rows)],
-            spans=spans,
-            sortable=True,
-        )
 
     def _lock_ratios(self) -> tuple[FloatArray, list[str]]:
         """Largest motion of a held joint in each condition (%), and which joint that was."""
@@ -481,11 +450,16 @@ class StudyReport:
             yield "overlay-perturbation", "Perturbation", options
 
     def _by_level(self, identifier: str, title: str, scores: Sequence[Score]) -> Content:
+        legend = {"orientation": "h", "y": -0.16, "yanchor": "top", "x": 0}
+        views = [
+            levels_chart(self._of(name), scores).view(name, hovermode="closest", legend=legend)
+            for name in self._estimators
+        ]
         plot = Plot(
             identifier=f"levels-{identifier}",
             caption=title,
             description=f"{title}: {', '.join(score.name for score in scores)}.",
-            views=[levels_view(name, self._of(name), scores) for name in self._estimators],
+            views=views,
             height=90 + 190 * len(scores),
         )
         return {"title": title, "plot": plot, "rows": self.entries[0].joints > MOST_JOINTS}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -14,28 +14,28 @@ from armimp_bringup.study.scores import FloatArray, Score, Table, statistics
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.curves import deviation_percent, phase_about
-from armimp_estimation.report.formats import NONE, number, symbol
-from armimp_estimation.report.look import ELEMENT_COLOURS, LEVEL_DASHES
+from armimp_estimation.report.formats import NONE, symbol
+from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
 from armimp_estimation.report.plots import (
-    Layout,
+    Axis,
+    Chart,
+    Line,
     Plot,
     Stroke,
     Trace,
     View,
     axis,
-    axis_name,
     frequency_axis,
     label,
-    line,
-    log_axis,
-    packed,
     stacked,
 )
-from armimp_estimation.report.result_plots import TRUTH, estimator_tag
+from armimp_estimation.report.result_plots import IMPEDANCE, TRUE
 
 # From good to bad, within the limit and beyond it; dark is bad in print as well.
 _WITHIN: Final = ("#f2f7fb", "#6baed6")
 _BEYOND: Final = ("#f0a868", "#b03a00")
+_TRUE: Final = replace(TRUE, width=2.0)
+_TARGET: Final = Stroke(name="target", colour="--soft", dash="dash", width=1.2)
 _GAP: Final = 0.6
 _SYMBOLS: Final = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "x")
 _SUBSCRIPTS: Final = str.maketrans("0123456789·", "₀₁₂₃₄₅₆₇₈₉.")
@@ -180,142 +180,79 @@ def _note(text: str, x: float, y: float, **more: object) -> dict[str, object]:
 # --- levels ------------------------------------------------------------------------------------
 
 
-def levels_view(name: str, table: Table, scores: Sequence[Score]) -> View:
+def level_marks(table: Table, scores: Sequence[Score]) -> list[Stroke]:
+    """Strokes of all marks of `levels_chart`, and that of the targets."""
+    subjects = dict.fromkeys(one for score in scores for one in score.subjects(table))
+    return [
+        *(
+            Stroke(
+                name=f"{symbol}{indices.translate(_SUBSCRIPTS)}",
+                colour=f"--element-{number % len(_SYMBOLS)}",
+                symbol=_SYMBOLS[number % len(_SYMBOLS)],
+            )
+            for number, (symbol, indices) in enumerate(subjects)
+        ),
+        _TARGET,
+    ]
+
+
+def levels_chart(table: Table, scores: Sequence[Score]) -> Chart:
     """Scores of one estimator by level of each factor, as Figures 3 and 4 of the paper.
+
+    Marks are means over all conditions with that level, bars reach from the worst to the best.
 
     Parameters
     ----------
-    name : str
-        Of the estimator, for people.
     table : ndarray, shape (n_conditions, n, n)
-        Its results.
+        Results of one estimator.
     scores : sequence of Score
         One row each.
     """
-    places: dict[str, dict[int, float]] = {}
-    start, gap = 0.0, 0.7
+    strokes = {stroke.name: stroke for stroke in level_marks(table, scores)}
+    places: dict[str, float] = {}
+    start = 0.0
     for factor in LEVELS:
-        places[factor] = {int(one): start + n for n, one in enumerate(np.unique(table[factor]))}
-        start += len(places[factor]) + gap
-    subjects = list(dict.fromkeys(one for score in scores for one in score.subjects(table)))
-    ends = -0.5, start - gap - 0.5
-    data: list[Trace] = []
+        levels = np.unique(table[factor]).tolist()
+        places |= {f"{factor[0].upper()}{one}": start + n for n, one in enumerate(levels)}
+        start += len(levels) + _GAP
+    ends = -0.6, start - _GAP - 0.4
+    lines: list[Line] = []
     for row, score in enumerate(scores, 1):
         found = score.subjects(table)
-        for order, (subject, values) in enumerate(found.items()):
-            shift = 0.7 * ((order + 0.5) / len(found) - 0.5)
-            data.append(
-                _marks(table, values, places, shift)
-                | _mark_style(subject, subjects.index(subject), row, score.unit.strip())
+        for order, ((letter, indices), values) in enumerate(found.items()):
+            of_factors = [statistics(table, factor, values)[1:] for factor in LEVELS]
+            mean, low, high = np.concatenate(of_factors, axis=1)
+            lines.append(
+                Line(
+                    x=np.array([*places.values()]) + 0.7 * ((order + 0.5) / len(found) - 0.5),
+                    y=mean,
+                    stroke=strokes[f"{letter}{indices.translate(_SUBSCRIPTS)}"],
+                    row=row,
+                    unit=score.unit.strip(),
+                    ends=(low, high),
+                )
             )
         limit = score.limit(table.shape[-1], table["estimator"].flat[0])
         if limit is not None:
-            data.append(_target(ends, limit, row))
-    ticks = [(x, f"{level}") for place in places.values() for level, x in place.items()]
-    abscissa = axis(
-        "",
-        tickvals=[x for x, _ in ticks],
-        ticktext=[text for _, text in ticks],
-        range=[ends[0] - 0.1, ends[1] + 0.1],
-        showgrid=False,
-    )
+            lines.append(Line(x=np.array(ends), y=np.full(2, limit), stroke=_TARGET, row=row))
     short = {"VAF": "VAF (%)", "derived coherence": "derived γ²"}
     titles = (short.get(score.name, score.name.replace("coherence", "γ²")) for score in scores)
-    layout = stacked(abscissa, [(1.0, axis(one, tickformat="~g")) for one in titles], left=78)
-    layout |= {
-        "hovermode": "closest",
-        "showlegend": True,
-        "legend": {"orientation": "h", "y": -0.16, "yanchor": "top", "x": 0},
-        "margin": {**layout["margin"], "b": 84},
-    }
-    middles = {factor: sum(place.values()) / len(place) for factor, place in places.items()}
-    layout["annotations"] = [
-        _note(f"{factor} level", x, 0.0, yshift=-22, yanchor="top") for factor, x in middles.items()
-    ]
-    borders = [min(place.values()) - 0.5 - gap / 2.0 for place in places.values()][1:]
-    rule = {
-        "type": "line",
-        "y0": 0,
-        "y1": 1,
-        "yref": "paper",
-        "line": {"color": "--rule", "width": 1},
-    }
-    layout["shapes"] = [rule | {"x0": x, "x1": x} for x in borders]
-    return View(name=name, data=data, layout=layout)
-
-
-def _marks(
-    table: Table,
-    values: FloatArray,
-    places: Mapping[str, Mapping[int, float]],
-    shift: float,
-) -> Trace:
-    """Mean and range at every level of every factor."""
-    x, notes, found = [], [], []
-    for factor, place in places.items():
-        levels, *of_factor = statistics(table, factor, values)
-        x += [place[level] + shift for level in levels]
-        notes += [f"{factor} {level}" for level in levels]
-        found.append(of_factor)
-    mean, low, high = np.concatenate(found, axis=1)
-    return {
-        "x": packed(x),
-        "y": packed(mean),
-        "error_y": {
-            "type": "data",
-            "symmetric": False,
-            "array": packed(np.maximum(high - mean, 0.0)),
-            "arrayminus": packed(np.maximum(mean - low, 0.0)),
-            "thickness": 1.4,
-            "width": 0,
-        },
-        "text": [
-            f"{note}: worst {number(a, '.5g')}, best {number(b, '.5g')}"
-            for note, a, b in zip(notes, low, high, strict=True)
-        ],
-    }
-
-
-def _mark_style(subject: tuple[str, str], look: int, row: int, unit: str) -> Trace:
-    name = label(f"{subject[0]}{subject[1].translate(_SUBSCRIPTS)}")
-    return {
-        "type": "scatter",
-        "mode": "markers",
-        "name": name,
-        "legendgroup": name,
-        "showlegend": row == 1 or subject[0] != "Z",
-        "marker": {
-            "color": ELEMENT_COLOURS[look % len(ELEMENT_COLOURS)],
-            "symbol": _SYMBOLS[look % len(_SYMBOLS)],
-            "size": 8,
-        },
-        "hovertemplate": f"{name}, %{{text}}<br>mean %{{y:.5g}} {unit}<extra></extra>",
-        "meta": [],
-        "yaxis": axis_name("y", row),
-    }
-
-
-def _target(ends: tuple[float, float], limit: float, row: int) -> Trace:
-    return {
-        "type": "scatter",
-        "mode": "lines",
-        "x": list(ends),
-        "y": [limit, limit],
-        "name": "target",
-        "showlegend": row == 1,
-        "line": {"color": "--soft", "dash": "dash", "width": 1.2},
-        "hovertemplate": f"target {limit:g}<extra></extra>",
-        "meta": [],
-        "yaxis": axis_name("y", row),
-    }
+    abscissa = Axis(
+        title="level of friction (F), resolution (R) and perturbation (P)",
+        ends=ends,
+        ticks=[*places.values()],
+        labels=[*places],
+    )
+    rows = [(1.0, Axis(title=title, hoverformat=".5~g")) for title in titles]
+    return Chart(abscissa=abscissa, rows=rows, lines=lines)
 
 
 # --- curves ------------------------------------------------------------------------------------
 
 
-def overlay_plot(
+def overlay_chart(
     curves: Mapping[Condition, Mapping[str, ImpedanceCurve]], truth: MBK, i: int, k: int
-) -> Plot:
+) -> Chart:
     """Fig. 2 for one element: magnitude, phase and error in all conditions over the truth.
 
     Parameters
@@ -327,47 +264,63 @@ def overlay_plot(
     i, k : int
         Element, 0-based.
     """
-    data: list[Trace] = []
-    sizes: list[FloatArray] = []
+    lines: list[Line] = []
     for condition, found in curves.items():
         levels = {factor: getattr(condition, factor) for factor in LEVELS}
+        words = ", ".join(f"{factor} {level}" for factor, level in levels.items())
+        tags = [f"{factor}:{level}" for factor, level in levels.items()]
         for name, curve in found.items():
             z, centre = curve.Z[i, k], truth.impedance(curve.f)[i, k]
-            words = ", ".join(f"{factor} {level}" for factor, level in levels.items())
-            stroke = Stroke(
+            stroke = replace(
+                level_stroke(condition.friction, condition.resolution),
                 name=f"{name}, {words}",
-                colour=f"--level-{condition.friction}",
-                dash=LEVEL_DASHES[condition.resolution],
-                width=1.2,
-                tags=[
-                    estimator_tag(name),
-                    *(f"{factor}:{level}" for factor, level in levels.items()),
-                ],
+                tags=[estimator_tag(name), *tags],
             )
-            sizes.append(np.abs(z))
-            data.append(line(curve.f, sizes[-1], stroke, unit="N·m/rad"))
-            data.append(line(curve.f, phase_about(centre, z), stroke, row=2, unit="°"))
-            data.append(line(curve.f, deviation_percent(centre, z), stroke, row=3, unit="%"))
+            for row, (values, unit) in enumerate(
+                (
+                    (np.abs(z), IMPEDANCE),
+                    (phase_about(centre, z), "°"),
+                    (deviation_percent(centre, z), "%"),
+                ),
+                1,
+            ):
+                lines.append(Line(x=curve.f, y=values, stroke=stroke, row=row, unit=unit))
     grid = max((curve.f for found in curves.values() for curve in found.values()), key=len)
     true = truth.impedance(grid)[i, k]
-    stroke = Stroke(name="truth", colour="--ink", width=2.0, dash="dot", tags=[TRUTH])
-    data.append(line(grid, np.abs(true), stroke, unit="N·m/rad"))
-    data.append(line(grid, np.degrees(np.unwrap(np.angle(true))), stroke, row=2, unit="°"))
-    low, high = (float(end(np.concatenate(sizes))) for end in (np.min, np.max))
-    error = axis("error (%)", type="log", dtick=1, exponentformat="none", hoverformat=".3~g")
-    layout: Layout = stacked(
-        frequency_axis([grid]),
-        [
-            (3.0, log_axis("magnitude (N·m/rad)", (0.8 * low, 1.25 * high), ".4~g")),
-            (2.0, axis("phase (°)", dtick=90, hoverformat=".1f")),
-            (2.0, error),
-        ],
+    phase = np.degrees(np.unwrap(np.angle(true)))
+    lines.append(Line(x=grid, y=np.abs(true), stroke=_TRUE, unit=IMPEDANCE))
+    lines.append(Line(x=grid, y=phase, stroke=_TRUE, row=2, unit="°"))
+    ends = []
+    for row in (1, 3):
+        values = np.concatenate([one.y for one in lines if one.row == row and one.y is not None])
+        ends.append((0.8 * float(values.min()), 1.25 * float(values.max())))
+    rows = [
+        (3.0, Axis(title="magnitude (N·m/rad)", ends=ends[0], log=True)),
+        (2.0, Axis(title="phase (°)", step=90.0, hoverformat=".1f")),
+        (2.0, Axis(title="error (%)", ends=ends[1], log=True, hoverformat=".3~g")),
+    ]
+    return Chart(abscissa=frequency_axis([grid]), rows=rows, lines=lines)
+
+
+def level_stroke(friction: int | None = None, resolution: int | None = None) -> Stroke:
+    """Stroke of one level or both: friction shows by the colour, resolution by the dashes."""
+    return Stroke(
+        name=f"resolution {resolution}" if friction is None else f"friction {friction}",
+        colour="--soft" if friction is None else f"--level-{friction}",
+        dash="solid" if resolution is None else LEVEL_DASHES[resolution],
+        width=1.2,
     )
+
+
+def overlay_plot(
+    curves: Mapping[Condition, Mapping[str, ImpedanceCurve]], truth: MBK, i: int, k: int
+) -> Plot:
+    """Plot of a page with the chart of `overlay_chart`."""
     return Plot(
         identifier=f"overlay-{i + 1}-{k + 1}",
         caption=symbol("Z", i + 1, k + 1),
         description=f"Estimates of Z {i + 1} {k + 1} in all conditions over the truth.",
         # One box for all lines would cover the plot.
-        views=[View(data=data, layout=layout | {"hovermode": "closest"})],
+        views=[overlay_chart(curves, truth, i, k).view(hovermode="closest")],
         height=470,
     )

@@ -148,10 +148,10 @@ def phase_range(curves: Sequence[BodeCurve]) -> tuple[float, float]:
     return _range(values[np.isfinite(values)], 0.08, 2.0)
 
 
-def phase_step(ends: tuple[float, float], most: int) -> float:
-    """Distance of ticks on an axis of phases, degrees, so that there are no more than `most`."""
+def phase_step(ends: tuple[float, float]) -> float:
+    """Distance of ticks on an axis of phases, degrees, so that there are five of them at most."""
     span = ends[1] - ends[0]
-    return next((step for step in (15.0, 30.0, 45.0, 90.0) if span <= most * step), 180.0)
+    return next((step for step in (15.0, 30.0, 45.0, 90.0) if span <= 5.0 * step), 180.0)
 
 
 def _range(values: FloatArray, share: float, least: float) -> tuple[float, float]:

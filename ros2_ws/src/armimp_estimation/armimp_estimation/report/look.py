@@ -1,15 +1,17 @@
 """Names and colours of estimators, joints and levels, the same in every report and figure.
 
 One colour stands for one thing. Estimators have those of Okabe and Ito, joints those that Tol calls
-muted, levels steps from light to dark: all can be told apart by colour-blind people. Lines differ
-in their dashes as well. A page has them as variables of its style, with a lighter set for the dark
-mode; plots name them so, ``--estimator-0``, and ``plots.js`` looks them up.
+muted, elements those that he calls bright, levels steps from light to dark: all can be told apart
+by colour-blind people. Lines differ in their dashes as well. A page has them as variables of its
+style, with a lighter set for the dark mode; charts name them so, ``--estimator-0``. A page looks
+them up in ``plots.js``, a figure with `printed`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+
+from armimp_estimation.report.plots import Stroke
 
 _PALETTES: Mapping[str, Sequence[tuple[str, str]]] = {
     "estimator": (
@@ -25,6 +27,10 @@ _PALETTES: Mapping[str, Sequence[tuple[str, str]]] = {
         *(("#b8a500", "#fde725"), ("#35a06a", "#4fd18b"), ("#2f6f8f", "#58a8cf")),
         ("#440154", "#c06fd6"),
     ),
+    "element": tuple(
+        (colour, colour)
+        for colour in ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#8f8f8f")
+    ),
     "signal": (("#8a8a8a", "#9a9a9a"), ("#2b2b2b", "#dddddd")),
     "ink": (("#1d2329", "#e3e7eb"),),
     "soft": (("#55606b", "#a2adb8"),),
@@ -36,66 +42,43 @@ _PALETTES: Mapping[str, Sequence[tuple[str, str]]] = {
     "link": (("#005a94", "#6db8f0"),),
 }
 """Colours in the light and in the dark mode."""
-COLOURS = tuple(light for light, _ in _PALETTES["estimator"])
-ELEMENT_COLOURS = ("#4477aa", "#ee6677", "#228833", "#ccbb44", "#66ccee", "#aa3377", "#8f8f8f")
-"""Of elements that are compared with each other: those that Tol calls bright."""
-LEVEL_COLOURS = tuple(light for light, _ in _PALETTES["level"])
 LEVEL_DASHES = ("solid", "dash", "dashdot", "dot")
 """Of friction and resolution in a study."""
-TRUTH_COLOUR = "#000000"
-MOTION_COLOUR, TORQUE_COLOUR = (light for light, _ in _PALETTES["signal"])
-"""Of the coherences of the perturbation with angle and torque."""
 DASHES = ("solid", "dash", "dashdot", "longdash", "longdashdot", "dot")
 """As plotly names them; dotted is the truth's own, so it comes last."""
 _KNOWN = ("welch_siso", "welch_full", "lpm_full", "direct", "mimo")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Look:
-    """How an estimator appears, under the name that it has everywhere.
-
-    Attributes
-    ----------
-    name : str
-        Of the estimator.
-    number : int
-        Of its colour.
-    """
-
-    name: str
-    number: int
-
-    @property
-    def colour(self) -> str:
-        """Of its lines, ``#rrggbb``."""
-        return COLOURS[self.number]
-
-    @property
-    def variable(self) -> str:
-        """Colour of its lines in a page."""
-        return f"--estimator-{self.number}"
-
-    @property
-    def dash(self) -> str:
-        """Of its lines, as plotly names it."""
-        return DASHES[self.number]
+def estimator_tag(name: str) -> str:
+    """Tag of everything that an estimator found."""
+    return f"estimator:{name}"
 
 
-def looks(names: Iterable[str]) -> dict[str, Look]:
-    """Looks of estimators by name. Known ones always look alike, others get what is left."""
+def strokes(names: Iterable[str]) -> dict[str, Stroke]:
+    """Strokes of estimators by name. Known ones always look alike, others get what is left."""
     wanted = list(names)
     order = [*_KNOWN, *(name for name in wanted if name not in _KNOWN)]
-    return {name: Look(name=name, number=order.index(name) % len(COLOURS)) for name in wanted}
+    numbers = {name: order.index(name) % len(DASHES) for name in wanted}
+    return {
+        name: Stroke(
+            name=name,
+            colour=f"--estimator-{number}",
+            dash=DASHES[number],
+            tags=[estimator_tag(name)],
+        )
+        for name, number in numbers.items()
+    }
 
 
 def joint_colour(joint: int) -> str:
-    """Colour of a joint (0-based)."""
-    return _PALETTES["joint"][joint % 7][0]
-
-
-def joint_variable(joint: int) -> str:
-    """Colour of a joint (0-based) in a page."""
+    """Colour of a joint (0-based), a variable of the style."""
     return f"--joint-{joint % 7}"
+
+
+def printed(colour: str) -> str:
+    """Colour of a figure on paper, ``#rrggbb``, for a variable of the style."""
+    name, _, number = colour.removeprefix("--").partition("-")
+    return _PALETTES[name][int(number or 0)][0]
 
 
 def style_rules() -> str:

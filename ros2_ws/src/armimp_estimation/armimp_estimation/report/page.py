@@ -54,8 +54,6 @@ class Table:
         Headers above those of the columns, with the number of columns that each is above.
     words : sequence of int
         Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
-    sortable : bool
-        Whether a press on a heading sorts the rows.
     """
 
     caption: object
@@ -63,7 +61,6 @@ class Table:
     groups: Sequence[tuple[object, Rows]]
     spans: Sequence[tuple[object, int]] = ()
     words: Sequence[int] = ()
-    sortable: bool = False
 
     def __post_init__(self) -> None:
         for _, rows in self.groups:
@@ -140,7 +137,7 @@ def render_page(
     environment.globals |= {one.__name__: one for one in _FUNCTIONS} | {"NONE": NONE}
     environment.filters |= {one.__name__: one for one in (number, percent)}
     environment.filters |= {"json": script_json, "words": lambda value: Markup(value).striptags()}
-    scripts = [str(get_plotlyjs()), *map(_resource, ("plots.js", "tables.js"))]
+    scripts = [str(get_plotlyjs()), _resource("plots.js")]
     return environment.get_template("report/page.html").render(
         title=title,
         header=header,

@@ -23,28 +23,28 @@ from armimp_estimation.report.curves import (
     true_curve,
 )
 from armimp_estimation.report.formats import symbol
-from armimp_estimation.report.look import joint_variable, looks
+from armimp_estimation.report.look import joint_colour, strokes
 from armimp_estimation.report.plots import (
+    Axis,
+    Chart,
+    Line,
     Plot,
     Stroke,
     View,
-    axis,
-    band,
     frequency_axis,
-    line,
-    log_axis,
-    stacked,
 )
 from armimp_estimation.spectra import WelchConfig
 
 FloatArray = NDArray[np.float64]
-BANDS = "bands"
-"""Tag of confidence bands."""
 TRUTH = "truth"
 """Tag of true curves."""
+TRUE = Stroke(name="truth", colour="--ink", dash="dot", tags=[TRUTH])
+MOTION = Stroke(name="perturbation → angle", colour="--signal-0", width=1.3)
+TORQUE = Stroke(name="perturbation → torque", colour="--signal-1", width=1.3)
+UNRELATED = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
+IMPEDANCE = "N·m/rad"
 SIDE_BY_SIDE = 3
 """Joints up to which the elements of a matrix are shown beside each other."""
-_IMPEDANCE = "N·m/rad"
 PERIOD: float = PERIOD_NS / 1e9
 """Time from one sample to the next, s."""
 BAND = 2.0 * WelchConfig.f_high
@@ -53,11 +53,6 @@ _ORDER = 4
 _BUCKETS = 1000
 _EXCERPT = 2000
 """Samples at either end that are shown in full."""
-
-
-def estimator_tag(name: str) -> str:
-    """Tag of everything that an estimator found."""
-    return f"estimator:{name}"
 
 
 def plot_matrix(joints: int, plot: Callable[[int, int], Plot]) -> list[Plot]:
@@ -72,7 +67,7 @@ def plot_matrix(joints: int, plot: Callable[[int, int], Plot]) -> list[Plot]:
     return [replace(first, caption="Element", views=views, height=first.height + 60)]
 
 
-def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Plot:
+def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Chart:
     """Bode plot of ``Z_ik``: every estimate with its 95 % band, the truth, and how far they part.
 
     Parameters
@@ -86,45 +81,42 @@ def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k
     """
     grids = [curve.f for curve in curves.values()]
     parted = distances(curves, truth, i, k)
-    data, every = [], []
-    for name, look in looks(curves).items():
-        tags = [estimator_tag(name)]
-        stroke = Stroke(name=name, colour=look.variable, dash=look.dash, tags=tags)
+    lines, every = [], []
+    for name, stroke in strokes(curves).items():
         one = element_curve(curves[name], i, k)
-        for row, values, ends, unit in (
-            (1, one.magnitude, one.magnitude_band, _IMPEDANCE),
-            (2, one.phase, one.phase_band, "°"),
-        ):
-            data.append(band(one.f, ends, look.variable, [*tags, BANDS], row=row))
-            data.append(line(one.f, values, stroke, row=row, unit=unit, ends=ends))
         f, off, radius = parted.lines[name]
-        data.append(band(f, (np.full(f.size, 1e-6), radius), look.variable, [*tags, BANDS], row=3))
-        if off is not None:
-            thin, ends = replace(stroke, width=1.1), (np.zeros(f.size), radius)
-            data.append(line(f, off, thin, row=3, unit="%", ends=ends))
+        lines += [
+            Line(x=one.f, y=one.magnitude, stroke=stroke, unit=IMPEDANCE, ends=one.magnitude_band),
+            Line(x=one.f, y=one.phase, stroke=stroke, row=2, unit="°", ends=one.phase_band),
+            Line(
+                x=f,
+                y=off,
+                stroke=replace(stroke, width=1.1),
+                row=3,
+                unit="%",
+                ends=(np.zeros(f.size), radius),
+            ),
+        ]
         every.append(one)
     if truth is not None:
         true = true_curve(truth, max(grids, key=len), i, k)
-        stroke = Stroke(name="truth", colour="--ink", dash="dot", tags=[TRUTH])
-        data.append(line(true.f, true.magnitude, stroke, unit=_IMPEDANCE))
-        data.append(line(true.f, true.phase, stroke, row=2, unit="°"))
+        lines.append(Line(x=true.f, y=true.magnitude, stroke=TRUE, unit=IMPEDANCE))
+        lines.append(Line(x=true.f, y=true.phase, stroke=TRUE, row=2, unit="°"))
         every.append(true)
     phases = phase_range(every)
+    phase = Axis(title="phase (°)", ends=phases, step=phase_step(phases), hoverformat=".1f")
     rows = [
-        (3.0, log_axis("magnitude (N·m/rad)", magnitude_range(every), ".4~g")),
-        (
-            2.0,
-            axis(
-                "phase (°)",
-                range=list(phases),
-                tick0=0,
-                dtick=phase_step(phases, most=5),
-                hoverformat=".1f",
-            ),
-        ),
-        (2.4, log_axis("distance (%)", parted.ends, ".3~g")),
+        (3.0, Axis(title="magnitude (N·m/rad)", ends=magnitude_range(every), log=True)),
+        (2.0, phase),
+        (2.4, Axis(title="distance (%)", ends=parted.ends, log=True, hoverformat=".3~g")),
     ]
-    sizes = np.concatenate([one.magnitude for one in every])
+    return Chart(abscissa=frequency_axis(grids), rows=rows, lines=lines)
+
+
+def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Plot:
+    """Plot of a page with the chart of `bode_chart`."""
+    chart = bode_chart(curves, truth, i, k)
+    sizes = chart.values()
     return Plot(
         identifier=f"bode-{i + 1}-{k + 1}",
         caption=symbol("Z", i + 1, k + 1),
@@ -132,14 +124,14 @@ def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k
             f"Magnitude and phase of Z {i + 1} {k + 1} over frequency: from {np.nanmin(sizes):.3g} "
             f"to {np.nanmax(sizes):.3g} N·m/rad, and the distance of the estimates."
         ),
-        views=[View(data=data, layout=stacked(frequency_axis(grids), rows))],
+        views=[chart.view()],
         height=500,
     )
 
 
-def coherence_plot(
+def coherence_chart(
     curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
-) -> Plot:
+) -> Chart:
     """Coherences behind ``Z_ik`` over frequency.
 
     Parameters
@@ -154,34 +146,32 @@ def coherence_plot(
         Coherence below which signals count as unrelated.
     """
     common = next(iter(curves.values())).coherence
-    f, motion, torque = common.f, common.motion[k], common.torque[i, k]
-    strokes = [
-        Stroke(name=f"perturbation → angle of {joint_names[k]}", colour="--signal-0", width=1.3),
-        Stroke(name=f"perturbation → torque of {joint_names[i]}", colour="--signal-1", width=1.3),
+    shown = [
+        (common.motion[k], replace(MOTION, name=f"{MOTION.name} of {joint_names[k]}")),
+        (common.torque[i, k], replace(TORQUE, name=f"{TORQUE.name} of {joint_names[i]}")),
     ]
-    shown = [motion, torque]
-    for name, look in looks(curves).items():
-        strokes.append(
-            Stroke(
-                name=f"derived, {name}",
-                colour=look.variable,
-                dash=look.dash,
-                tags=[estimator_tag(name)],
-            )
-        )
-        shown.append(curves[name].coherence.derived[i, k])
-    data = [line(f, values, stroke) for values, stroke in zip(shown, strokes, strict=True)]
-    limit = Stroke(name="unrelated signals stay below", colour="--soft", dash="dot", width=1.0)
-    data.append(line(f[[0, -1]], np.full(2, level), limit) | {"hoverinfo": "skip"})
-    ordinate = axis("coherence γ²", range=[0.0, 1.02], hoverformat=".4f")
+    for name, stroke in strokes(curves).items():
+        derived = curves[name].coherence.derived[i, k]
+        shown.append((derived, replace(stroke, name=f"derived, {name}")))
+    lines = [Line(x=common.f, y=values, stroke=stroke) for values, stroke in shown]
+    lines.append(Line(x=common.f[[0, -1]], y=np.full(2, level), stroke=UNRELATED))
+    ordinate = Axis(title="coherence γ²", ends=(0.0, 1.02), hoverformat=".4f")
+    return Chart(abscissa=frequency_axis([common.f]), rows=[(1.0, ordinate)], lines=lines)
+
+
+def coherence_plot(
+    curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
+) -> Plot:
+    """Plot of a page with the chart of `coherence_chart`."""
+    chart = coherence_chart(curves, i, k, joint_names, level)
+    lowest = np.nanmin(np.concatenate([one.y for one in chart.lines[:-1] if one.y is not None]))
     return Plot(
         identifier=f"coherence-{i + 1}-{k + 1}",
         caption=symbol("Z", i + 1, k + 1),
         description=(
-            f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is "
-            f"{np.nanmin(shown):.2g}."
+            f"Coherences behind Z {i + 1} {k + 1} over frequency; the lowest is {lowest:.2g}."
         ),
-        views=[View(data=data, layout=stacked(frequency_axis([f]), [(1.0, ordinate)]))],
+        views=[chart.view()],
         height=250,
     )
 
@@ -290,8 +280,9 @@ def trace_views(trial: Trial, prefix: str = "", buckets: int = _BUCKETS) -> list
         parts.append((f"last {length}", seen, span - short, span))
     parts.append((f"last {short * PERIOD:g} s as recorded", recorded, span - short, span))
     return [
-        _view(f"{prefix}{name}", rows, names, (start, stop), buckets)
-        for name, rows, start, stop in parts
+        # Zooming into one view says nothing about the others.
+        trace_chart(rows, names, part, buckets).view(f"{prefix}{name}", uirevision=name)
+        for name, rows, *part in parts
     ]
 
 
@@ -307,27 +298,36 @@ def trace_plot(identifier: str, description: str, views: Sequence[View]) -> Plot
     )
 
 
-def _view(
-    name: str, rows: Sequence[Row], names: Sequence[str], part: tuple[int, int], buckets: int
-) -> View:
+def trace_chart(
+    rows: Sequence[Row], names: Sequence[str], part: Sequence[int], buckets: int = _BUCKETS
+) -> Chart:
+    """Signals over time.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        As `rows_of` gives them.
+    names : sequence of str
+        Names of the joints.
+    part : sequence of int
+        First sample that is shown, and the one after the last.
+    buckets : int
+        Parts into which long signals are thinned out, see `envelope`.
+    """
     start, stop = part
-    data = []
+    lines = []
     for number, row in enumerate(rows, 1):
         for joint, values in zip(row.joints, row.values, strict=True):
-            title, colour = f"{row.title}, {names[joint]}", joint_variable(joint)
-            stroke = Stroke(name=title, colour=colour, width=1.0)
+            name, colour = f"{row.title}, {names[joint]}", joint_colour(joint)
+            stroke = Stroke(name=name, colour=colour, width=1.0)
             thinned, step = envelope(values[start:stop], buckets)
             place = (start * PERIOD, step * PERIOD)
-            data.append(line(place, thinned, stroke, row=number, unit=row.unit))
-    abscissa = axis(
-        "time since the perturbation began (s)",
-        range=[start * PERIOD, stop * PERIOD],
+            lines.append(Line(x=place, y=thinned, stroke=stroke, row=number, unit=row.unit))
+    abscissa = Axis(
+        title="time since the perturbation began (s)",
+        ends=(start * PERIOD, stop * PERIOD),
         hoverformat=".3f",
-        unifiedhovertitle={"text": "%{x} s"},
+        unit="s",
     )
-    ordinates = [
-        (1.0, axis(f"{row.title}<br>({row.unit})", hoverformat=".4~g", nticks=5)) for row in rows
-    ]
-    layout = stacked(abscissa, ordinates, gap=0.03, left=78)
-    # Zooming into one view says nothing about the others.
-    return View(name=name, data=data, layout=layout | {"uirevision": name})
+    ordinates = [(1.0, Axis(title=f"{row.title}<br>({row.unit})")) for row in rows]
+    return Chart(abscissa=abscissa, rows=ordinates, lines=lines)

@@ -22,18 +22,16 @@ from armimp_estimation.report.formats import (
     number,
     symbol,
 )
-from armimp_estimation.report.look import joint_variable, looks
+from armimp_estimation.report.look import joint_colour, strokes
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
-from armimp_estimation.report.plots import Plot
+from armimp_estimation.report.plots import BANDS, Plot
 from armimp_estimation.report.result_plots import (
     BAND,
-    BANDS,
     PERIOD,
     SIDE_BY_SIDE,
     TRUTH,
     bode_plot,
     coherence_plot,
-    estimator_tag,
     plot_matrix,
     trace_plot,
     trace_views,
@@ -224,8 +222,8 @@ def _scores(result: Result) -> Content | None:
 
 def _switches(names: Iterable[str]) -> list[Content]:
     return [
-        box(estimator_tag(look.name), look.name, look.variable, look.dash)
-        for look in looks(names).values()
+        box(stroke.tags[0], stroke.name, stroke.colour, stroke.dash)
+        for stroke in strokes(names).values()
     ]
 
 
@@ -300,7 +298,7 @@ def _signals(result: Result) -> Content:
         together = trace_plot("traces-all", f"{signals} all trials.", views)
     return {
         "key": [
-            box("", name, joint_variable(joint)) for joint, name in enumerate(result.joint_names)
+            box("", name, joint_colour(joint)) for joint, name in enumerate(result.joint_names)
         ],
         "band": f"{BAND:g}",
         "trials": list(zip(shown, plots, strict=True)),
