@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
@@ -32,6 +33,7 @@ from armimp_estimation.summary import (
 _TOO_BUSY = (ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY)
 _COUNTS = ("duplicated", "contradictory", "reordered", "late")
 _UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
+_WORDS = ("", "element", "unit", "bag")
 
 
 class Stopwatch:
@@ -195,90 +197,78 @@ def _wall_line(wall: WallSummary) -> str:
     )
 
 
-def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:
-    title = f"{name}: Z = M s² + B s + K"
+def _table(columns: Sequence[str], title: str | None = None) -> Table:
+    """Return an empty table, in which words stand on the left and numbers on the right."""
     table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
-    table.add_column("")
-    table.add_column("estimate", justify="right")
-    table.add_column("± s.e.", justify="right")
-    if summary.truth is not None:
-        table.add_column("truth", justify="right")
-        table.add_column("error", justify="right")
-    table.add_column("unit")
+    for name in columns:
+        table.add_column(name, justify="left" if name in _WORDS else "right")
+    return table
+
+
+def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> Table:
+    known = [] if summary.truth is None else ["truth", "error"]
+    columns = ["", "estimate", "± s.e.", *known, "unit"]
+    table = _table(columns, f"{name}: Z = M s² + B s + K")
+    last = summary.joints - 1
     for letter, unit in _UNITS.items():
         estimates, errors = getattr(result, letter), getattr(result, f"{letter}_se")
-        for i in range(summary.joints):
-            for k in range(summary.joints):
-                value = estimates[i][k]
-                cells = [f"{letter}{i + 1}{k + 1}", f"{value:.5f}", f"{errors[i][k]:.5f}"]
-                if summary.truth is not None:
-                    true = getattr(summary.truth, letter)[i][k]
-                    cells += [f"{true:.5f}", _relative(value, true)]
-                table.add_row(*cells, unit, end_section=i == k == summary.joints - 1)
+        for i, k in np.ndindex(summary.joints, summary.joints):
+            value = estimates[i][k]
+            cells = [f"{letter}{i + 1}{k + 1}", f"{value:.5f}", f"{errors[i][k]:.5f}"]
+            if summary.truth is not None:
+                true = getattr(summary.truth, letter)[i][k]
+                cells += [f"{true:.5f}", _relative(value, true)]
+            table.add_row(*cells, unit, end_section=i == k == last)
     return table
 
 
 def _quality_table(result: EstimatorSummary, summary: Summary) -> Table:
-    table = Table(box=SIMPLE_HEAD)
-    table.add_column("element")
-    rows: list[tuple[str, list[list[float]] | None, str]] = [
-        ("VAF %", result.vaf, ".2f"),
-        ("R²", result.r2, ".4f"),
-        ("lack of fit", result.lack_of_fit, ".2f"),
-        ("coherence, derived", result.coherence_derived, ".4f"),
-        ("coherence τΔ→τ", result.coherence_torque, ".4f"),
-    ]
-    n = range(summary.joints)
-    for title, matrix, _ in rows:
-        if matrix is not None:
-            table.add_column(title, justify="right")
-    for i in n:
-        for k in n:
-            cells = [format(m[i][k], f) for _, m, f in rows if m is not None]
-            table.add_row(f"Z{i + 1}{k + 1}", *cells)
+    scores = {
+        "VAF %": (result.vaf, ".2f"),
+        "R²": (result.r2, ".4f"),
+        "lack of fit": (result.lack_of_fit, ".2f"),
+        "coherence, derived": (result.coherence_derived, ".4f"),
+        "coherence τΔ→τ": (result.coherence_torque, ".4f"),
+    }
+    known = {title: (matrix, spec) for title, (matrix, spec) in scores.items() if matrix}
+    table = _table(["element", *known])
+    for i, k in np.ndindex(summary.joints, summary.joints):
+        cells = (format(matrix[i][k], spec) for matrix, spec in known.values())
+        table.add_row(f"Z{i + 1}{k + 1}", *cells)
     return table
 
 
 def _trial_table(summary: Summary) -> Table:
-    table = Table(title="trials", box=SIMPLE_HEAD, title_justify="left")
-    table.add_column("joint", justify="right")
-    table.add_column("samples", justify="right")
-    table.add_column("lost", justify="right")
+    trials = summary.trials
     # What is zero in all trials, as it mostly is, takes no room.
     counts = {
-        **{kind: [str(one.total(kind)) for one in summary.trials] for kind in _COUNTS},
-        "clipped": [str(one.clipped) for one in summary.trials],
-        "excluded": [f"{100.0 * one.excluded_share:.3g} %" for one in summary.trials],
+        **{kind: [str(one.total(kind)) for one in trials] for kind in _COUNTS},
+        "clipped": [str(one.clipped) for one in trials],
+        "excluded": [f"{100.0 * one.excluded_share:.3g} %" for one in trials],
+        "saved s": [f"{one.saved:.1f}" for one in trials],
     }
-    counts = {kind: cells for kind, cells in counts.items() if {*cells} - {"0", "0 %"}}
-    for kind in counts:
-        table.add_column(kind, justify="right")
-    if saved := any(one.saved for one in summary.trials):
-        table.add_column("saved s", justify="right")
-    table.add_column("lock ratio", justify="right")
-    table.add_column("x real time", justify="right")
-    table.add_column("bag", overflow="fold")
-    for row, trial in enumerate(summary.trials):
-        others = [ratio for i, ratio in enumerate(trial.lock_ratio) if i != trial.k - 1]
-        table.add_row(
-            str(trial.k),
-            str(trial.ticks),
-            str(trial.lost),
-            *(cells[row] for cells in counts.values()),
-            *([f"{trial.saved:.1f}"] if saved else []),
-            _largest(others),
-            "–" if math.isnan(trial.rtf) else f"{trial.rtf:.1f}",
-            "–" if trial.bag is None else trial.bag,
-        )
+    cells = {
+        "joint": [str(one.k) for one in trials],
+        "samples": [str(one.ticks) for one in trials],
+        "lost": [str(one.lost) for one in trials],
+        **{name: told for name, told in counts.items() if {*told} - {"0", "0 %", "0.0"}},
+        "lock ratio": [
+            _largest([ratio for i, ratio in enumerate(one.lock_ratio) if i != one.k - 1])
+            for one in trials
+        ],
+        "x real time": ["–" if math.isnan(one.rtf) else f"{one.rtf:.1f}" for one in trials],
+        "bag": ["–" if one.bag is None else one.bag for one in trials],
+    }
+    table = _table(list(cells), "trials")
+    table.columns[-1].overflow = "fold"
+    for row in zip(*cells.values(), strict=True):
+        table.add_row(*row)
     return table
 
 
 def _timing_table(timing: Timing) -> Table:
     title = f"timing: {timing.ticks} samples, {timing.late} late, {timing.missed} commands missed"
-    table = Table(title=title, box=SIMPLE_HEAD, title_justify="left")
-    table.add_column("")
-    for column in ("median", "99 %", "longest"):
-        table.add_column(f"{column}, ms", justify="right")
+    table = _table(["", "median, ms", "99 %, ms", "longest, ms"], title)
     for label, durations in (
         ("period", (timing.period_p50, timing.period_p99, timing.period_max)),
         ("sample to command", (timing.latency_p50, timing.latency_p99, timing.latency_max)),
