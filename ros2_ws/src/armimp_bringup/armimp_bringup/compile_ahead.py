@@ -1,4 +1,4 @@
-"""Compiles plant and law side by side, for the first run on a machine.
+"""Compiles plant and law side by side, for the first run of its kind on a machine.
 
 numba compiles one function at a time in a process, and the two take about as long as each other. So
 the plant is compiled by another process (``python -m armimp_bringup.compile_ahead PARAMETERS``),
@@ -9,20 +9,23 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from contextlib import suppress
 
 import numpy as np
 
 from armimp_bringup.parameters import NodeParameters
-from armimp_common.compiled import is_cached
+from armimp_common.compiled import cache_folder
 from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.plant import Plant, tick
+from armimp_sim.plant import Plant, PlantConfig, tick
+from armimp_sim.real_rig import real_rig
 
 
 def compile_ahead(parameters: NodeParameters) -> None:
     """Compile what a run of these parameters calls, unless this machine has compiled it before."""
-    if is_cached(tick):
+    folder = cache_folder(tick)
+    if folder is None or (mark := folder / _kind(parameters.simulator.plant_config())).exists():
         return
     plant = subprocess.Popen(
         [sys.executable, "-m", __spec__.name, parameters.simulator.model_dump_json()],
@@ -34,7 +37,16 @@ def compile_ahead(parameters: NodeParameters) -> None:
     try:
         _compile_law(parameters)
     finally:
-        plant.wait()
+        failed = plant.wait()
+    with suppress(OSError):  # as on a full disk: it is done again, which is quick
+        if not failed:
+            mark.touch()
+
+
+def _kind(plant: PlantConfig) -> str:
+    """Name for all plants that have the same types, and so the same machine code."""
+    cuff = "-soft" if plant.soft else ""
+    return f"compiled-{'ideal' if real_rig([plant]) is None else 'real'}-{plant.joints}{cuff}"
 
 
 def _compile_law(parameters: NodeParameters) -> None:

@@ -14,21 +14,21 @@ import numpy as np
 from armimp_bringup.compile_ahead import compile_ahead
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
-from armimp_common.compiled import is_cached, on_compiling
+from armimp_common.compiled import on_compiling
 from armimp_control.trial_sequencer import TrialSequencer
-from armimp_sim.plant import tick
 from armimp_sim.simulator import SimulatedRig
 
-parameters = node_parameters(ExperimentConfig(duration=2.0), None)
-assert not is_cached(tick)
-compile_ahead(parameters)
-assert is_cached(tick)
 compiled = []
-on_compiling(lambda: compiled.append("a function"))
-sequencer, rig = TrialSequencer(parameters.controller, print), SimulatedRig(parameters.simulator)
-sequencer.answer(rig.stamp_ns, rig.position.tolist(), rig.torque.tolist())
-rig.step(sequencer.command.tolist())
-assert not compiled
+for rig in ("paper", "realistic"):
+    parameters = node_parameters(ExperimentConfig(duration=2.0, rig=rig), None)
+    compile_ahead(parameters)
+    compiled.clear()
+    on_compiling(lambda: compiled.append("a function"))
+    sequencer = TrialSequencer(parameters.controller, print)
+    simulated = SimulatedRig(parameters.simulator)
+    sequencer.answer(simulated.stamp_ns, simulated.position.tolist(), simulated.torque.tolist())
+    simulated.step(sequencer.command.tolist())
+    assert not compiled, rig
 """
 
 

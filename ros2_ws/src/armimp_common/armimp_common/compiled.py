@@ -58,7 +58,7 @@ def compiled_entry(function: Function) -> Function:
 
     Without any folder to write to, it is compiled anew in every process.
     """
-    folder = _cache_folder(function)
+    folder = cache_folder(function)
     config = cast(Any, numba.config)
     before = config.CACHE_DIR
     try:
@@ -67,12 +67,6 @@ def compiled_entry(function: Function) -> Function:
         return cast(Function, compiler(function))
     finally:
         config.CACHE_DIR = before
-
-
-def is_cached(entry: Callable[..., Any]) -> bool:
-    """Whether the present code of an entry was compiled before, for whatever types, and kept."""
-    folder = _cache_folder(entry)
-    return folder is not None and any(folder.glob(f"*/*.{_plain(entry).__name__}-*.nbi"))
 
 
 class _OnStart(Listener):
@@ -149,8 +143,11 @@ def _plain(function: Callable[..., Any]) -> FunctionType:
     return cast(FunctionType, getattr(function, "py_func", function))
 
 
-def _cache_folder(function: Callable[..., Any]) -> Path | None:
-    """First folder that can be written to: the user's choice, beside the source, in the home."""
+def cache_folder(function: Callable[..., Any]) -> Path | None:
+    """Return the folder for the machine code of an entry in its present version, None if none is.
+
+    It is the first that can be written to: the user's choice, beside the source, in the home.
+    """
     plain = _plain(function)
     name = f"numba-{source_digest(function)}"
     chosen = str(cast(Any, numba.config).CACHE_DIR)
