@@ -182,7 +182,7 @@ def test_limits_that_are_not_reached_change_no_bit(limit: Limit, action: Action)
     rig = brief_rig(level=1)
     (usual,), (other,) = (
         run_offline([replace(rig, safety=safety)])
-        for safety in (torque_only(80.0), control_presets.safety(2).model_copy(update=change))
+        for safety in (torque_only(80.0), control_presets.safety(2, 9.0).model_copy(update=change))
     )
     assert all(_same(one, two) for one, two in zip(usual, other, strict=True))
     assert [trial.clipped for trial in other] == [0, 0]

@@ -33,7 +33,7 @@ def _fastest(friction: int, resolution: int, stop_tick: int, ramp_time: float) -
     )
     controller = Controller(
         control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture),
-        safety=control_presets.safety(2).model_copy(update={"ramp_time": ramp_time}),
+        safety=control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time}),
     )
     signal = perturbation(
         control_presets.perturbation(3, 2), joint=0, trial=1, ticks=stop_tick, seed=1
@@ -58,7 +58,7 @@ def _fastest(friction: int, resolution: int, stop_tick: int, ramp_time: float) -
 STOPS = range(2000, 2600, 37)
 
 
-@pytest.mark.parametrize("ramp_time", [0.0, control_presets.safety(2).ramp_time])
+@pytest.mark.parametrize("ramp_time", [0.0, control_presets.safety(2, 9.0).ramp_time])
 @pytest.mark.parametrize(("friction", "resolution"), [(0, 3), (3, 3), (3, 1)])
 def test_after_a_stop_the_arm_is_hardly_faster_than_it_was_in_a_trial(
     friction: int, resolution: int, ramp_time: float

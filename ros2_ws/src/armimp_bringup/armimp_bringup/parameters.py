@@ -19,31 +19,17 @@ from armimp_common.versions import git_revision, versions
 from armimp_control.laws.law import LawConfig
 from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import PerturbationParameters
+from armimp_control.presets import LawName
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters
 from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import PlantConfig
-from armimp_sim.presets import LEVELS, sensors
 from armimp_sim.voluntary import VoluntaryParameters
 
 _LARGEST = 1e20
 """Beyond any quantity here, whatever its unit; products of a few such numbers are still numbers."""
-
-
-_PATIENT_LAW: Overrides = {
-    "law.gamma": 60.0,
-    "law.encoder_resolution": sensors(LEVELS[-1]).position.resolution,
-    "target.lock_frequency": 80.0,
-}
-"""With the lags of the realistic rig the loop is stable for arms a third to thrice as heavy."""
-_LAW_OF_THE_PAPER: Overrides = {
-    "target.lock_approach": 0.0,
-    "target.lock_dither": 0.0,
-    "target.lock_frequency": 0.0,
-}
-"""Locked joints as in the paper, end of II-B: they just do not feel the arm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,17 +153,12 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
         duration=config.duration,
         seed=config.seed,
         encoder_resolution=plant.sensors.position.resolution,
-        internal_model="tde" if config.as_in_paper else config.internal_model,
+        law=_law(config),
     )
-    known = {**_time_of(config), **_known_of(simulator)}
-    if config.rig == "realistic" and preset.law.internal_model == "observer":
-        known |= _PATIENT_LAW
-    if config.as_in_paper:
-        known |= _LAW_OF_THE_PAPER
-    controller = _overridden(preset, CONTROLLER_NODE, {**known, **config.imbic_controller})
+    overrides = {**_time_of(config), **_known_of(simulator), **config.imbic_controller}
     if config.target_error:
-        sequence = controller.sequence.model_copy(update={"may_end_early": True})
-        controller = controller.model_copy(update={"sequence": sequence})
+        overrides["sequence.may_end_early"] = True
+    controller = _overridden(preset, CONTROLLER_NODE, overrides)
     controller.check()
     if simulator.mode != controller.mode:
         raise ConfigurationError(
@@ -185,6 +166,13 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
             f"{controller.mode!r}: they must be the same"
         )
     return controller
+
+
+def _law(config: ExperimentConfig) -> LawName:
+    if config.as_in_paper:
+        return "paper"
+    patient = config.rig == "realistic" and config.internal_model == "observer"
+    return "patient" if patient else config.internal_model
 
 
 def _estimator(

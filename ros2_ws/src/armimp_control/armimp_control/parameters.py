@@ -153,9 +153,9 @@ class ControllerParameters(Schema):
         duration: float = 50.0,
         seed: int = 1,
         encoder_resolution: float = 0.0,
-        internal_model: presets.InternalModel = "observer",
+        law: presets.LawName = "observer",
     ) -> ControllerParameters:
-        """Default law for a rig, with the perturbation of a level from 1 to 3.
+        """A preset of the law for a rig, with the perturbation of a level from 1 to 3.
 
         Parameters
         ----------
@@ -166,25 +166,28 @@ class ControllerParameters(Schema):
         duration : of every perturbation, s
         seed : of the perturbation
         encoder_resolution : rad per count, for the dither of locked joints and the observer
-        internal_model : observer or tde
+        law : name of one of :data:`armimp_control.presets.LAWS`
         """
-        law = presets.imbic(robot_inertia, posture, internal_model)
-        observer = presets.observer(len(joints), encoder_resolution)
+        preset = presets.LAWS[law]
+        config = presets.imbic(robot_inertia, posture, law, encoder_resolution)
+        observer = presets.observer(len(joints), encoder_resolution, preset.finest)
         perturbing = presets.perturbation(perturbation, len(joints))
         return cls(
             joints=joints,
             seed=seed,
             target=TargetParameters(
-                posture=_flat(law.target_posture),
-                inertia=_flat(law.target_inertia),
-                damping=_flat(law.target_damping),
-                stiffness=_flat(law.target_stiffness),
-                lock_frequency=law.lock_frequency,
-                lock_dither=presets.lock_dither(encoder_resolution, internal_model),
+                posture=_flat(config.target_posture),
+                inertia=_flat(config.target_inertia),
+                damping=_flat(config.target_damping),
+                stiffness=_flat(config.target_stiffness),
+                lock_frequency=config.lock_frequency,
+                lock_approach=config.lock_approach,
+                lock_dither=config.lock_dither,
             ),
             law=LawParameters(
-                internal_model=internal_model,
-                model_inertia=_flat(law.model_inertia),
+                internal_model=preset.internal_model,
+                model_inertia=_flat(config.model_inertia),
+                gamma=config.gamma,
                 encoder_resolution=observer.resolution,
                 perturbed_walk=_flat(observer.perturbed),
                 locked_walk=_flat(observer.locked),
@@ -194,7 +197,7 @@ class ControllerParameters(Schema):
             ),
             perturbation=perturbing,
             sequence=SequenceParameters(duration=duration),
-            safety=presets.safety(len(joints), max(perturbing.peak), internal_model),
+            safety=presets.safety(len(joints), max(perturbing.peak), preset.internal_model),
         )
 
     def law_config(self) -> LawConfig:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +19,54 @@ from armimp_control.sequence import PERIOD
 LEVELS = (1, 2, 3)
 
 InternalModel: TypeAlias = Literal["observer", "tde"]
+LawName: TypeAlias = Literal["observer", "patient", "tde", "paper"]
 
 FINEST = 1e-4
 """Rounding of encoders (rad) below which the observer gets no faster: delays would show."""
 
+
+@dataclass(frozen=True, kw_only=True)
+class LawPreset:
+    """What makes one law of :data:`LAWS`.
+
+    Attributes
+    ----------
+    internal_model : observer, or tde, time-delay estimation
+    lock_frequency : ω of locked joints, rad/s; 0: they have the target of perturbed ones
+    lock_approach : time constant of their approach to the posture, s
+    dither : amplitude of their dither, in counts of the encoders
+    gamma : gain Γ of the ideal-velocity feedback, rad/s
+    inertia : M̄ as a share of M_r(θ_0)
+    finest : rounding of encoders (rad) below which the observer gets no faster
+    """
+
+    internal_model: InternalModel = "observer"
+    lock_frequency: float
+    lock_approach: float = 0.05
+    dither: float
+    gamma: float = 100.0
+    inertia: float = 1.0
+    finest: float = FINEST
+
+
+LAWS: Final[Mapping[LawName, LawPreset]] = {
+    "observer": LawPreset(lock_frequency=120.0, dither=0.35),
+    # With the lags of the realistic rig it is stable for arms a third to thrice as heavy.
+    "patient": LawPreset(lock_frequency=80.0, dither=0.35, gamma=60.0, finest=2.0 * np.pi / 51200),
+    "tde": LawPreset(internal_model="tde", lock_frequency=100.0, dither=0.7, inertia=0.6),
+    # Locked joints as in the paper, end of II-B: they just do not feel the arm.
+    "paper": LawPreset(
+        internal_model="tde", lock_frequency=0.0, lock_approach=0.0, dither=0.0, inertia=0.6
+    ),
+}
+"""The laws that there are presets of. Assumptions.
+
+M̄ = M_r(θ_0) for the observer, whose torques are all fed forward through it, and 0.6·M_r(θ_0) for
+time-delay estimation, where it is a gain. A third of a count of dither is enough; with time-delay
+estimation joints follow less well, and are asked for twice that.
+"""
+
+_COARSEST = 0.01  # rad per count, eighty times the coarsest encoders of the study
 _PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table III)
 
 
@@ -43,18 +89,8 @@ def perturbation(level: int, joints: int) -> PerturbationParameters:
     )
 
 
-def lock_dither(encoder_resolution: float, internal_model: InternalModel) -> float:
-    """Amplitude (rad) of the dither of locked joints for a resolution, rad per count.
-
-    A third of a count is enough; with time-delay estimation joints follow less well, and are asked
-    for twice that. Encoders so coarse that it would be a motion to be felt get that of a count of
-    0.01 rad, eighty times the coarsest of the study.
-    """
-    return (0.35 if internal_model == "observer" else 0.7) * min(encoder_resolution, 0.01)
-
-
 def safety(
-    joints: int, peak: float = 3.0 * _PEAK, internal_model: InternalModel = "observer"
+    joints: int, peak: float, internal_model: InternalModel = "observer"
 ) -> SafetyParameters:
     """Limits of commands. Assumptions, above all that nominal experiments need.
 
@@ -97,7 +133,7 @@ def safety(
     )
 
 
-def observer(joints: int, encoder_resolution: float) -> Observer:
+def observer(joints: int, encoder_resolution: float, finest: float = FINEST) -> Observer:
     """What the observer has to expect. Assumptions, chosen by ``make research ARGS=controller``.
 
     Friction at a joint that reverses changes by some N·m within ten milliseconds; that of a locked
@@ -108,10 +144,11 @@ def observer(joints: int, encoder_resolution: float) -> Observer:
     ----------
     joints : n
     encoder_resolution : rad per count
+    finest : resolution below which the observer gets no faster, rad per count
     """
     sizes = np.array(_sizes("observer", joints))
     return Observer(
-        resolution=min(max(encoder_resolution, FINEST), 0.01),
+        resolution=min(max(encoder_resolution, finest), _COARSEST),
         perturbed=0.4 * sizes,
         locked=0.02 * sizes,
     )
@@ -120,20 +157,21 @@ def observer(joints: int, encoder_resolution: float) -> Observer:
 def imbic(
     robot_inertia: NDArray[np.float64],
     posture: NDArray[np.float64],
-    internal_model: InternalModel = "observer",
+    law: LawName = "observer",
+    encoder_resolution: float = 0.0,
 ) -> ImbicConfig:
-    """Default law for a robot and a posture. Assumptions.
+    """One of :data:`LAWS` for a robot and a posture. Assumptions.
 
-    M̄ = M_r(θ_0) for the observer, whose torques are all fed forward through it, and 0.6·M_r(θ_0)
-    for time-delay estimation, where it is a gain. For two joints M_rd, B_rd and K_rd are those of
-    the study's rig. For other numbers M_rd = 0.56·diag(M_r(θ_0)), and a perturbed joint has
-    B_rd/M_rd = 10 1/s, as the rig of the study, and K_rd/M_rd = 100 1/s², as its elbow.
+    For two joints M_rd, B_rd and K_rd are those of the study's rig. For other numbers
+    M_rd = 0.56·diag(M_r(θ_0)), and a perturbed joint has B_rd/M_rd = 10 1/s, as the rig of the
+    study, and K_rd/M_rd = 100 1/s², as its elbow.
 
     Parameters
     ----------
     robot_inertia : (n, n) M_r(θ_0), kg·m²
     posture : (n,) θ_0, rad, which becomes the target posture
-    internal_model : observer, which expects encoders as fine as matters, or tde
+    law : name of the preset
+    encoder_resolution : rad per count, for the dither of locked joints and the observer
     """
     if posture.size == 2:
         inertia = np.array([0.2, 0.1])
@@ -141,15 +179,20 @@ def imbic(
     else:
         inertia = 0.56 * np.diag(robot_inertia)
         damping, stiffness = 10.0 * inertia, 100.0 * inertia
-    observes = internal_model == "observer"
+    preset = LAWS[law]
+    observes = preset.internal_model == "observer"
     return ImbicConfig(
         target_posture=posture,
         target_inertia=inertia,
         target_damping=damping,
         target_stiffness=stiffness,
-        model_inertia=(1.0 if observes else 0.6) * robot_inertia,
-        lock_frequency=120.0 if observes else 100.0,
-        observer=observer(posture.size, FINEST) if observes else None,
+        model_inertia=preset.inertia * robot_inertia,
+        lock_frequency=preset.lock_frequency,
+        lock_approach=preset.lock_approach,
+        # With encoders as coarse as can be, dither would be a motion to be felt.
+        lock_dither=preset.dither * min(encoder_resolution, _COARSEST),
+        gamma=preset.gamma,
+        observer=observer(posture.size, encoder_resolution, preset.finest) if observes else None,
     )
 
 

@@ -90,8 +90,11 @@ def test_gains_of_pd_need_inertia_and_frequency(change: dict[str, Any]) -> None:
         PdConfig(**{**good, **change})
 
 
-def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good() -> None:
-    assert presets.lock_dither(1e-3, "tde") == pytest.approx(7e-4)
-    assert presets.lock_dither(1e-3, "observer") == pytest.approx(3.5e-4)
-    for internal_model in ("observer", "tde"):
-        assert presets.lock_dither(0.5, internal_model) == presets.lock_dither(0.01, internal_model)
+@pytest.mark.parametrize(("law", "share"), [("tde", 0.7), ("observer", 0.35), ("paper", 0.0)])
+def test_dither_is_a_share_of_a_count_unless_the_encoders_are_no_good(
+    law: presets.LawName, share: float
+) -> None:
+    dither = [
+        presets.imbic(np.eye(2), POSTURE, law, count).lock_dither for count in (1e-3, 0.01, 0.5)
+    ]
+    assert dither == pytest.approx([share * 1e-3, share * 0.01, share * 0.01])

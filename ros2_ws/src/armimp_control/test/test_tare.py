@@ -49,7 +49,7 @@ def parameters(**values: Any) -> ControllerParameters:
         robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
         arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
         # Locked joints do not listen to the arm, so that commands tell what the tare does.
-        internal_model="tde",
+        law="tde",
     )
     return preset.model_copy(
         update={
