@@ -9,7 +9,6 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import ClassVar, TypeAlias
 
 import pytest
@@ -21,13 +20,14 @@ from armimp_bringup.driver_check.findings import Finding, Verdict, with_verdict
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import COMMANDS
 from armimp_sim.node import ArmSimNode
+from support import defective_driver
+from support.defective_driver import DeafStop, Gullible, Strong, Stubborn, TwoForOne
 from support.graph import PATIENCE
 
-TESTS = Path(__file__).resolve().parent
 JOINTS = ("shoulder", "elbow")
 SIMULATOR = ["-m", "armimp_sim.node"]
 TEMPLATE = ["-m", "armimp_driver_template.node"]
-DEFECTIVE = str(TESTS / "defective_driver.py")
+DEFECTIVE = str(defective_driver.__file__)
 Start: TypeAlias = Callable[..., None]
 Host: TypeAlias = Start
 Check = Callable[..., dict[str, Finding]]
@@ -94,6 +94,34 @@ def test_a_plain_node_with_another_rate_is_judged_as_well(start: Start, check: C
         expected |= {f"{topic}: {check_name}" for topic in ("joint_states", "torque_sensors")}
     assert expected <= set(names(findings))
     assert findings["joint_states: joint names"].verdict is Verdict.PASS
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("defect", "move", "expected"),
+    [
+        (TwoForOne, False, ["joint_states: rate", "torque_sensors: rate"]),
+        (Stubborn, False, ["emergency stop: reset"]),
+        (Gullible, True, ["second publisher: told"]),
+        (DeafStop, True, ["emergency stop", "emergency stop: told"]),
+    ],
+)
+def test_a_defect_that_is_planted_into_a_driver_is_named_and_nothing_else(
+    host: Host, check: Check, defect: type[ArmSimNode], move: bool, expected: list[str]
+) -> None:
+    host(defect, mode="lockstep")
+    assert names(check(move=move)) == expected
+
+
+@pytest.mark.slow
+def test_when_a_rig_moves_too_far_expect_its_emergency_stop_to_be_called_and_not_reset(
+    host: Host, check: Check
+) -> None:
+    host(Strong, mode="lockstep")
+    findings = check(move=True)
+    assert names(findings) == ["torque: motion"]
+    assert "torque taken away" in findings["torque: motion"].figure
+    assert check()["no fault at rest"].figure == "arm_sim: rig: emergency stop"
 
 
 @pytest.mark.slow

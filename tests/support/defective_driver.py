@@ -2,11 +2,9 @@
 
 import sys
 import threading
-from typing import Any, TypeAlias
+from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
@@ -20,21 +18,6 @@ from armimp_common.realtime import Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
 
-Readings: TypeAlias = NDArray[np.float64]
-
-
-class BestEffort(ArmSimNode):
-    """Angles by best effort."""
-
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        result = super().on_configure(state)
-        profile = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_EFFORT)
-        self.destroy_publisher(self.joint_states.publisher)
-        self.joint_states = JointStatePublisher(
-            self, topics.JOINT_STATES, self._settings.joints, "position", profile=profile
-        )
-        return result
-
 
 class TwoForOne(ArmSimNode):
     """Takes two steps for each command."""
@@ -44,30 +27,11 @@ class TwoForOne(ArmSimNode):
         super()._on_command(command)
 
 
-class Swapped(ArmSimNode):
-    """Commands in another order."""
-
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        super()._on_command(command[::-1])
-
-
 class Strong(ArmSimNode):
     """Takes newton metres for something far larger."""
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         super()._on_command(tuple(150.0 * value for value in command))
-
-
-class Moody(ArmSimNode):
-    """Stops by itself after some time under torque."""
-
-    _patience = 1000
-
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        self._patience -= any(command)
-        if self._patience == 0:
-            self.latch("the mood")
-        super()._on_command(command)
 
 
 class Gullible(ArmSimNode):
@@ -77,39 +41,12 @@ class Gullible(ArmSimNode):
         """Believe that it is well."""
 
 
-class Mute(ArmSimNode):
-    """Tells nobody of its faults."""
-
-    def report(self) -> None:
-        if self.limiter is not None:
-            self.told, self._told_tick = self.limiter.fault, self.limiter.tick
-
-
 class Stubborn(ArmSimNode):
     """Grants no reset."""
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success, response.message = False, "not today"
         return response
-
-
-class Faulty(ArmSimNode):
-    """Has a fault from the beginning."""
-
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        result = super().on_activate(state)
-        self.latch("a cable is missing")
-        return result
-
-
-class NoStop(ArmSimNode):
-    """Has no emergency stop."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        for service in list(self.services):
-            if service.service_name.endswith(topics.SIM_STOP_SERVICE):
-                self.destroy_service(service)
 
 
 class DeafStop(ArmSimNode):
@@ -172,8 +109,7 @@ class InUse(Slow):
         self._commander = CommandPublisher(self, topics.COMMANDS, 2)
 
 
-KINDS = (ArmSimNode, WrongType, Slow, InUse)
-DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in KINDS}
+DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in (WrongType, Slow, InUse)}
 
 if __name__ == "__main__":
     sys.exit(run_node(DEFECTS[sys.argv[1]], [sys.argv[0], *sys.argv[2:]]))
