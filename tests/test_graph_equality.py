@@ -76,13 +76,6 @@ def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None
     assert summary == composed.summary
 
 
-def test_same_seed_again_gives_the_same_bits(composed: FinishedRun, run: Run) -> None:
-    again = run()
-
-    again.assert_same_streams(composed)
-    assert again.summary.estimators == composed.summary.estimators
-
-
 def test_another_seed_gives_another_perturbation_and_motion(
     composed: FinishedRun, other_seed: FinishedRun
 ) -> None:

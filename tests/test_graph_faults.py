@@ -153,15 +153,3 @@ def test_when_the_output_is_not_empty_expect_a_refusal_before_anything_starts(
         run_experiment(config(), tmp_path)
 
     assert [path.name for path in tmp_path.iterdir()] == ["precious"]
-
-
-def test_when_the_loop_would_be_unstable_expect_a_refusal_before_anything_starts(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(orchestrator, "GraphContext", None)
-    wild = {"law.model_inertia": [9.0, 0.0, 0.0, 9.0]}
-
-    with pytest.raises(ConfigurationError, match="unstable when sampled"):
-        run_experiment(config(imbic_controller=wild), tmp_path / "out")
-
-    assert not (tmp_path / "out").exists()

@@ -148,5 +148,7 @@ def test_progress_grows_in_every_trial(account: Account) -> None:
     assert phases <= {Phase.SETTLE, Phase.PERTURB, Phase.REST}
 
 
-def test_a_bystander_changes_nothing(account: Account, composed: FinishedRun) -> None:
+def test_the_same_seed_again_and_a_bystander_change_no_bit(
+    account: Account, composed: FinishedRun
+) -> None:
     account.run.assert_same_streams(composed)

@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from armimp_bringup.offline import OfflineTrial, run_offline
 from armimp_bringup.parameters import Rig
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_common.status import Phase
 from armimp_control import presets as control_presets
-from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Action, Limit
-from armimp_control.sequence import SequenceParameters, timetable
+from armimp_control.sequence import SequenceParameters
 from armimp_sim import presets as sim_presets
-from armimp_sim.plant import IntegrationError, Plant
+from armimp_sim.plant import IntegrationError
 from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
 from support.compiled import brief_rig
 from support.safety import torque_only
@@ -60,37 +58,6 @@ def test_records_have_the_shapes_and_order_that_are_stated(joints: int) -> None:
         # The perturbed joint moves most, about the posture.
         deflection = trial.position - sim_presets.human_arm(joints).posture[:, None]
         assert np.argmax(np.std(deflection, axis=1)) == trial.joint
-
-
-def test_experiment_is_that_of_the_nodes_tick_by_tick() -> None:
-    """Sample k, command k, one period of the plant, sample k + 1; nothing else."""
-    rig = brief_rig(seed=4)
-    (trials,) = run_offline([rig])
-    plant = Plant([rig.plant])
-    controller = Controller(rig.controller, safety=rig.safety)
-    voluntary = VoluntaryTorque(rig.voluntary, joints=2, period=1e-3, seed=rig.seed)
-    for segment in timetable(rig.sequence, joints=2):
-        controller.perturb_joint(segment.joint)
-        tau_delta = np.zeros((segment.ticks, 2))
-        if segment.phase is Phase.PERTURB:
-            tau_delta[:, segment.joint] = perturbation(
-                rig.perturbation,
-                joint=segment.joint,
-                trial=segment.trial,
-                ticks=segment.ticks,
-                seed=rig.seed,
-            )
-        record = np.zeros((3, 2, segment.ticks))
-        for k in range(segment.ticks):
-            controller.tick(plant.position[0], plant.torque[0], tau_delta[k])
-            record[:, :, k] = plant.position[0], plant.torque[0], controller.command
-            plant.tick(controller.command[None, :], voluntary.take(1)[0][None, :])
-        if segment.phase is Phase.PERTURB:
-            trial = trials[segment.joint]
-            assert np.array_equal(trial.position, record[0])
-            assert np.array_equal(trial.torque, record[1])
-            assert np.array_equal(trial.command, record[2])
-            assert np.array_equal(trial.perturbation, tau_delta.T)
 
 
 def test_same_seed_gives_the_same_bits_and_another_seed_other_ones() -> None:

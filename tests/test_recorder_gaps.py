@@ -1,66 +1,91 @@
-"""Bags with gaps on the command line and through the graph: refused, or the intact parts used."""
+"""Bags of trials with gaps, or that were aborted: refused, or used as far as they go on request."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from armimp_bringup.cli import main
+from armimp_common.status import Phase
 from armimp_common.topics import PERIOD_NS, TORQUE_SENSORS
 from armimp_estimation.bags.files import BAGS
 from armimp_estimation.curves import FRF_FILE
+from armimp_estimation.problems import ProblemCode
 from armimp_estimation.recorder import TrialRecorder
-from armimp_estimation.summary import SUMMARY_FILE, read_summary
+from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary
 from support.recordings import recorded_arm
 from support.streams import record
 
 pytestmark = pytest.mark.usefixtures("environment")
 
 LOST = range(2500, 2537)
+BEFORE = 7000
+"""Samples of the second trial before it is aborted."""
+REASON = "arm_sim is dead"
+MISSING = "samples of torque_sensors are missing: 37, between 2.500 s and 2.537 s"
+Bags = dict[str, list[str]]
+
+
+def recorder(directory: Path) -> TrialRecorder:
+    names = recorded_arm().records[0].joint_names
+    return TrialRecorder(names, directory, {"joint_names": json.dumps(names)}, lambda *_: None)
 
 
 @pytest.fixture(scope="module")
-def bags(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Recordings of two trials, of which the second has a gap."""
-    directory = tmp_path_factory.mktemp("recorded")
+def bags(tmp_path_factory: pytest.TempPathFactory) -> Bags:
+    """Recordings of two trials, of which the second has a gap, or is aborted."""
     arm = recorded_arm()
     start_ns = arm.records[1].start_ns
+    gaps, aborted = tmp_path_factory.mktemp("gaps"), tmp_path_factory.mktemp("aborted")
+    recording = recorder(gaps)
     lost = {start_ns + tick * PERIOD_NS for tick in LOST}
-    names = arm.records[0].joint_names
-    metadata = {"joint_names": json.dumps(names)}
-    recording = TrialRecorder(names, directory, metadata, lambda *_: None)
     record(recording, (m for m in arm.messages if m[0] != TORQUE_SENSORS or m[1] not in lost))
     recording.stop()
-    return [str(path) for path in sorted((directory / BAGS).iterdir())]
+    recording = recorder(aborted)
+    record(recording, (m for m in arm.messages if m[1] < start_ns + BEFORE * PERIOD_NS))
+    last = recording.status
+    assert last is not None
+    assert last.phase is Phase.PERTURB
+    recording.add_status(replace(last, phase=Phase.ABORTED, valid=False, reason=REASON))
+    recording.stop()
+    return {
+        kind: [str(path) for path in sorted((directory / BAGS).iterdir())]
+        for kind, directory in (("gaps", gaps), ("aborted", aborted))
+    }
 
 
 @pytest.mark.parametrize("command", ["estimate", "replay"])
+@pytest.mark.parametrize(("kind", "reason"), [("gaps", MISSING), ("aborted", f"aborted: {REASON}")])
 def test_without_the_option_the_reason_is_one_line(
-    bags: list[str], command: str, capfd: pytest.CaptureFixture[str]
+    bags: Bags, kind: str, reason: str, command: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    assert main([command, *bags]) == 1
+    assert main([command, *bags[kind]]) == 1
     told = [line for line in capfd.readouterr().err.splitlines() if line.startswith("armimp: ")]
     assert told == [
-        f"armimp: {bags[1]}: trial 2: samples of torque_sensors are missing: 37, between 2.500 s "
-        "and 2.537 s; --allow-gaps uses the intact parts"
+        f"armimp: {bags[kind][1]}: trial 2: {reason}; --allow-gaps uses the intact parts"
     ]
+
+
+def with_the_option(bags: list[str], directory: Path, status: int) -> tuple[Summary, Summary]:
+    """Results of both commands, offline first, which must have the same curves."""
+    for command in ("estimate", "replay"):
+        assert main([command, *bags, "--allow-gaps", "--out", str(directory / command)]) == status
+    offline, replayed = (directory / command for command in ("estimate", "replay"))
+    assert (offline / FRF_FILE).read_bytes() == (replayed / FRF_FILE).read_bytes()
+    one, other = read_summary(offline / SUMMARY_FILE), read_summary(replayed / SUMMARY_FILE)
+    assert one.estimators == other.estimators
+    return one, other
 
 
 @pytest.mark.slow
 def test_with_the_option_replayed_and_offline_results_are_the_same_to_the_bit(
-    bags: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    bags: Bags, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    for command in ("estimate", "replay"):
-        assert main([command, *bags, "--allow-gaps", "--out", str(tmp_path / command)]) == 0
-        shown = capfd.readouterr().out
-        assert "excluded" in shown
-        assert "0.37 %" in shown
-        assert "duplicated" not in shown
-
-    offline, replayed = (tmp_path / command for command in ("estimate", "replay"))
-    assert (offline / FRF_FILE).read_bytes() == (replayed / FRF_FILE).read_bytes()
-    one, other = read_summary(offline / SUMMARY_FILE), read_summary(replayed / SUMMARY_FILE)
-    assert one.estimators == other.estimators
+    one, other = with_the_option(bags["gaps"], tmp_path, 0)
+    shown = capfd.readouterr().out
+    assert shown.count("excluded") == shown.count("0.37 %") == 2
+    assert "duplicated" not in shown
     for mine, theirs in zip(one.trials, other.trials, strict=True):
         assert mine.streams == theirs.streams
         assert (mine.lost, mine.excluded, mine.stretches) == (
@@ -69,6 +94,17 @@ def test_with_the_option_replayed_and_offline_results_are_the_same_to_the_bit(
             theirs.stretches,
         )
     assert (one.trials[1].lost, one.trials[1].excluded, one.trials[1].stretches) == (37, 37, 2)
-    page = (offline / "report.html").read_text(encoding="utf-8")
+    page = (tmp_path / "estimate" / "report.html").read_text(encoding="utf-8")
     assert "Left out of all estimates" in page
-    assert "samples of torque_sensors are missing: 37, between 2.500 s and 2.537 s" in page
+    assert MISSING in page
+
+
+@pytest.mark.slow
+def test_with_the_option_an_aborted_trial_is_estimated_up_to_there_but_not_valid(
+    bags: Bags, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    one, _ = with_the_option(bags["aborted"], tmp_path, 1)
+    assert capfd.readouterr().err.count(f"not valid: trial 2: aborted: {REASON}") == 2
+    assert one.problems[0].code is ProblemCode.TRIAL_ABORTED
+    assert (one.problems[0].trial, one.problems[0].values) == (2, {"reason": REASON})
+    assert BEFORE - 2 <= one.trials[1].ticks <= BEFORE

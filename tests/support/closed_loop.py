@@ -2,72 +2,75 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.parameters import NodeParameters
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_estimation.identify import Identification, identify
+from armimp_control.trial_sequencer import TrialSequencer
+from armimp_estimation.identify import identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
+from armimp_sim.simulator import SimulatedRig
 
-Samples = Sequence[NDArray[np.float64]]
 ACCURACY = {"VAF": 99.7, "M": 0.02, "B": 0.02, "K": 0.02}
 """What `lpm_full` has to reach in each element: VAF (%), relative errors."""
 
 
-def identified(
-    parameters: NodeParameters,
-    statuses: Sequence[TrialStatus],
-    *,
-    perturbation: Samples,
-    position: Samples,
-    torque: Samples,
-    command: Samples,
-) -> Identification:
-    """Identify the simulated arm by `lpm_full`.
+class ClosedLoop:
+    """Controller and rig, without anything between them but what a test puts there.
 
     Parameters
     ----------
     parameters : of the nodes
-    statuses : what the experiment announced
-    perturbation, position, torque, command : (n,) of all ticks since the start, N·m, rad, N·m, N·m
     """
-    trials = []
-    for status in statuses:
-        if status.phase is not Phase.PERTURB or status.start_ns is None:
-            continue
-        first = status.start_ns // PERIOD_NS
-        span = slice(first, first + status.ticks)
-        record = TrialRecord(
-            trial=status.trial,
-            perturbed_joint=status.joint,
-            rate=NS_PER_S / PERIOD_NS,
-            joint_names=parameters.simulator.joints,
-            perturbation=np.array(perturbation[span]).T,
-            position=np.array(position[span]).T,
-            torque=np.array(torque[span]).T,
-            command=np.array(command[span]).T,
-            start_ns=status.start_ns,
-            seed=status.seed,
-        )
-        trials.append(TrialData.from_record(record))
-    arm = parameters.simulator.human_arm()
-    truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
-    return identify(trials, ("lpm_full",), truth)
 
+    def __init__(self, parameters: NodeParameters) -> None:
+        self._parameters = parameters
+        self._statuses: list[TrialStatus] = []
+        self.controller = TrialSequencer(parameters.controller, self._statuses.append)
+        self.rig = SimulatedRig(parameters.simulator)
+        self._ticks: list[list[NDArray[np.float64]]] = []
 
-def assert_accurate(found: Identification) -> None:
-    """Check that `lpm_full` meets :data:`ACCURACY`, and that the result is valid."""
-    result, truth = found.estimators["lpm_full"], found.truth
-    assert found.valid, found.problems
-    assert truth is not None
-    assert result.vaf is not None
-    assert result.vaf.min() >= ACCURACY["VAF"]
-    for name in ("M", "B", "K"):
-        error = getattr(result.fit.mbk, name) / getattr(truth, name) - 1.0
-        assert np.abs(error).max() <= ACCURACY[name], name
+    def answer(self) -> tuple[float, ...] | None:
+        """Answer the present sample by a command (n,), N·m; None once the experiment is over."""
+        control, sample = self.controller, [self.rig.position.copy(), self.rig.torque.copy()]
+        control.answer(len(self._ticks) * PERIOD_NS, *(values.tolist() for values in sample))
+        self._ticks.append([control.tau_delta.copy(), *sample, control.command.copy()])
+        return None if control.finished else tuple(control.command.tolist())
+
+    def assert_accurate(self) -> None:
+        """Check that `lpm_full` meets :data:`ACCURACY`, and that the result is valid."""
+        assert self.controller.fault == ""
+        perturbation, position, torque, command = np.moveaxis(np.array(self._ticks), 0, 2)
+        trials = []
+        for status in self._statuses:
+            if status.phase is not Phase.PERTURB or status.start_ns is None:
+                continue
+            first = status.start_ns // PERIOD_NS
+            span = np.s_[:, first : first + status.ticks]
+            record = TrialRecord(
+                trial=status.trial,
+                perturbed_joint=status.joint,
+                rate=NS_PER_S / PERIOD_NS,
+                joint_names=self._parameters.simulator.joints,
+                perturbation=perturbation[span],
+                position=position[span],
+                torque=torque[span],
+                command=command[span],
+                start_ns=status.start_ns,
+                seed=status.seed,
+            )
+            trials.append(TrialData.from_record(record))
+        arm = self._parameters.simulator.human_arm()
+        truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
+        found = identify(trials, ("lpm_full",), truth)
+        result = found.estimators["lpm_full"]
+        assert found.valid, found.problems
+        assert result.vaf is not None
+        assert result.vaf.min() >= ACCURACY["VAF"]
+        for name in ("M", "B", "K"):
+            error = getattr(result.fit.mbk, name) / getattr(truth, name) - 1.0
+            assert np.abs(error).max() <= ACCURACY[name], name

@@ -49,10 +49,3 @@ def test_what_does_not_fit_together_is_refused_in_one_line(
     with pytest.raises(ConfigurationError, match=complaint) as caught:
         node_parameters(ExperimentConfig.model_validate(options), None)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("options", [{"mode": "soon"}, {"mode": "realtime", "priority": 100}])
-def test_values_that_do_not_exist_are_refused_in_one_line(options: dict[str, Any]) -> None:
-    with pytest.raises(ConfigurationError) as caught:
-        load_config(None, options)
-    assert "\n" not in str(caught.value)

@@ -124,16 +124,6 @@ def test_wrong_usage_exits_with_2_and_one_line_and_leaves_nothing_behind(
     assert not (tmp_path / "out").exists()
 
 
-def test_foreign_directory_exits_with_2_and_is_left_alone(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "thesis.tex").touch()
-    assert _reproduce(tmp_path) == 2
-    assert capsys.readouterr().err == (
-        f"armimp: {tmp_path}: is not empty and holds no study, nothing is overwritten\n"
-    )
-
-
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [

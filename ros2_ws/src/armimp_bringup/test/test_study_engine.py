@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import pickle
 import sys
-import threading
 import time
 from collections.abc import Generator, Sequence
 from pathlib import Path
@@ -66,12 +65,6 @@ def test_condition_gives_the_same_bits_alone_and_beside_others(
         _assert_same(alone, result)
 
 
-@pytest.mark.slow
-def test_order_in_the_batch_makes_no_difference(together: list[ConditionResult]) -> None:
-    for one, other in zip(_run(CONDITIONS[::-1]), together[::-1], strict=True):
-        _assert_same(one, other)
-
-
 def test_entry_says_what_it_was_made_of_and_survives_the_way_to_another_process(
     together: list[ConditionResult],
 ) -> None:
@@ -88,15 +81,6 @@ def test_entry_says_what_it_was_made_of_and_survives_the_way_to_another_process(
         assert list(entry.estimators) == list(BASE.estimators)
         assert entry.truth is not None
     _assert_same(pickle.loads(pickle.dumps(together[0])), together[0])
-
-
-def test_overrides_of_the_configuration_reach_every_condition(
-    together: list[ConditionResult],
-) -> None:
-    base = BASE.model_copy(update={"arm_sim": {"voluntary": {"rms": 0.3}}})
-    (result,) = _run(CONDITIONS[:1], base)
-    assert json.loads(json.dumps(result.entry.config))["arm_sim"]["voluntary.rms"] == 0.3
-    assert result.entry.estimators["lpm_full"].M != together[0].entry.estimators["lpm_full"].M
 
 
 def test_other_software_and_unknown_estimators_are_refused() -> None:
@@ -146,36 +130,6 @@ def _batches(number: int) -> list[Batch]:
 
 def _seed(batch: Batch) -> int:
     return batch.conditions[0].seed
-
-
-@pytest.mark.parametrize("workers", [1, 5])
-def test_threads_do_every_batch_once_and_no_more_at_a_time_than_there_are(workers: int) -> None:
-    seeds, threads = [], set()
-    gate = threading.Barrier(workers)
-
-    def work(batch: Batch) -> list[ConditionResult]:
-        seeds.append(_seed(batch))
-        threads.add(threading.current_thread().name)
-        gate.wait(20.0)  # all are at work at once
-        return []
-
-    assert list(Threads(workers, work).run(_batches(10))) == [[]] * 10
-    assert sorted(seeds) == list(range(10))
-    assert len(threads) == workers
-
-
-def test_results_come_as_soon_as_they_are_there() -> None:
-    slow = threading.Event()
-
-    def work(batch: Batch) -> list[ConditionResult]:
-        if _seed(batch) == 0:
-            assert slow.wait(20.0)
-        return []
-
-    running = Threads(2, work).run(_batches(3))
-    assert next(running) == next(running) == []
-    slow.set()
-    assert list(running) == [[]]
 
 
 def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:

@@ -191,26 +191,6 @@ def test_directory_of_other_software_is_refused(tmp_path: Path) -> None:
         _open(tmp_path, other)
 
 
-def test_directory_with_anything_else_in_it_is_left_as_it_is(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("ten years of work")
-    with pytest.raises(ConfigurationError, match="holds no study, nothing is overwritten"):
-        run_study(BASE, CONDITIONS, tmp_path, Recorded([]))
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
-
-
-def test_directory_that_cannot_be_made_is_named(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(DataError, match=r"file/out: cannot be used: Not a directory"):
-        run_study(BASE, CONDITIONS, tmp_path / "file" / "out", Recorded([]))
-
-
-def test_wrong_configuration_leaves_no_directory_behind(tmp_path: Path) -> None:
-    wrong = BASE.model_copy(update={"estimators": ("guess",)})
-    with pytest.raises(ConfigurationError):
-        run_study(wrong, CONDITIONS, tmp_path / "out", Recorded([]))
-    assert not (tmp_path / "out").exists()
-
-
 def test_two_processes_do_not_work_in_one_directory(tmp_path: Path) -> None:
     holder = (
         "import fcntl, sys\n"
@@ -232,13 +212,3 @@ def test_two_processes_do_not_work_in_one_directory(tmp_path: Path) -> None:
             _open(tmp_path, software())
         other.stdin.close()
     _open(tmp_path, software())
-
-
-@pytest.mark.parametrize("text", ["", "{}", '[{"schema": 1}]'])
-def test_file_that_is_no_study_is_named(tmp_path: Path, text: str) -> None:
-    path = tmp_path / "study.json"
-    path.write_text(text)
-    with pytest.raises(DataError, match=f"^{path}: not a study: "):
-        read_study(path)
-    with pytest.raises(DataError, match="nowhere: No such file"):
-        read_study(tmp_path / "nowhere")

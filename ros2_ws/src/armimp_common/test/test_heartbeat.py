@@ -115,37 +115,24 @@ def test_a_process_that_is_looked_up_in_vain_is_dead_though_its_lease_has_not_ru
     assert Presence.ALIVE.after(1, 1, lives) is after
 
 
-def test_when_a_process_is_killed_expect_its_death_to_be_heard(
-    watch: HeartbeatMonitor, spinner: Spinner, changes: list[Presence]
-) -> None:
-    assert watch.sentence == "other has never been heard of"
-    with other_process() as process:
-        eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
-        process.kill()
-        eventually(spinner, lambda: len(changes) == 2, "silence")
-
-    assert changes[1] is Presence.GONE
-    assert watch.sentence == "other is dead"
-    assert watch.ghost
-
-
 @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
 def test_when_a_process_is_killed_expect_its_death_to_be_heard_before_its_lease_runs_out(
     node: Node,
+    watch: HeartbeatMonitor,
     spinner: Spinner,
     changes: list[Presence],
-    monkeypatch: pytest.MonkeyPatch,
     clock_step: float | None,
 ) -> None:
-    monkeypatch.setattr(qos, "ALIVE_WATCHED", qos._alive(60_000))
-    watch = HeartbeatMonitor(node, "other", lambda watch: changes.append(watch.presence))
+    assert watch.sentence == "other has never been heard of"
     with other_process() as process:
         eventually(spinner, lambda: introduced(watch, changes), "a sign of life")
         if clock_step is not None:
             set_clock(node, clock_step)
         process.kill()
-        eventually(spinner, lambda: changes[-1] is Presence.GONE, "its death")
+        eventually(spinner, lambda: len(changes) == 2, "silence")
 
+    assert changes[1] is Presence.GONE
+    assert watch.sentence == "other is dead"
     assert watch.ghost
 
 

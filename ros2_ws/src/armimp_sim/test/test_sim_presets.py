@@ -8,7 +8,6 @@ import pytest
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
 from armimp_sim.model.sensors import Sampling
-from armimp_sim.plant import PlantConfig
 
 
 def test_arm_is_that_of_table_one() -> None:
@@ -58,17 +57,3 @@ def test_level_out_of_range_is_refused_with_the_offending_value(level: int) -> N
         presets.friction(level, 2)
     with pytest.raises(ConfigurationError, match=f"^resolution level .* got {level}$"):
         presets.sensors(level)
-
-
-@pytest.mark.parametrize("joints", [2, 3])
-@pytest.mark.parametrize("friction", presets.LEVELS)
-def test_every_preset_makes_a_plant_at_the_steps_of_the_design(joints: int, friction: int) -> None:
-    config = PlantConfig(
-        arm=presets.human_arm(joints),
-        robot=presets.robot(joints),
-        friction=presets.friction(friction, joints),
-        sensors=presets.sensors(3),
-    )
-    assert config.joints == joints == len(presets.JOINT_NAMES[joints])
-    assert config.step == pytest.approx(1e-5)
-    assert config.period == 1e-3
