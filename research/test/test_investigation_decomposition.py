@@ -229,7 +229,7 @@ def test_octave_errors_are_means_relative_to_the_truth() -> None:
     true = truth.impedance(f)
     estimate = ImpedanceEstimate(
         name="made", f=f, Z=true + (0.1 + 0.2j) * np.abs(true), variance=np.ones(true.shape),
-        bin_correlation=np.ones(1), averages=10.0, T=true, R=true,
+        bin_correlation=np.ones((1, f.size)), averages=10.0, T=true, R=true,
     )  # fmt: skip
     errors = octave_errors(estimate, truth)
     assert errors.shape == (2, 2, len(OCTAVES) - 1)

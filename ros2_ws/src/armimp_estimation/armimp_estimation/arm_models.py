@@ -330,7 +330,7 @@ class _Problem:
         least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)
         self.weights /= least[:, :, None]
         # Bins that are neighbours share most of what they tell.
-        self.used = np.arange(self.s.size) % max(1, estimate.bin_correlation.size // 4) == 0
+        self.used = np.arange(self.s.size) % max(1, len(estimate.bin_correlation) // 4) == 0
         self.weights *= self.used
         self.positive = np.concatenate(
             [
@@ -427,7 +427,7 @@ class _Problem:
         ratio = lack_ratio(self.estimate, fitted)
         spare = 0.5 * np.sum(free) / len(ratio) ** 2
         lack = np.sum(ratio, axis=2) / max(self.s.size - spare, 1.0)
-        limit = lack_limit(self.s.size, self.estimate.bin_correlation)
+        limit = lack_limit(self.estimate.bin_correlation)
         fits = bool((lack <= limit).all())
         return ModelFit(
             model=self.model,
@@ -456,7 +456,7 @@ class _Problem:
     def criterion(self, solution: FloatArray, free: NDArray[np.bool_]) -> float:
         """``χ² + p log N`` with N independent real numbers, less is better."""
         ratio = lack_ratio(self.estimate, self.impedance(solution))
-        rho = self.estimate.bin_correlation
+        rho = np.mean(self.estimate.bin_correlation, axis=1)
         independent = 2.0 * ratio.size / (1.0 + 2.0 * float(np.sum(np.abs(rho[1:]))))
         return independent * float(np.mean(ratio)) + np.sum(free) * math.log(independent)
 

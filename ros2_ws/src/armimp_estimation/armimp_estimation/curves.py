@@ -50,8 +50,8 @@ class ImpedanceCurve:
         Variance of each complex value of Z.
     averages : float
         Effective number of averages behind it, for confidence bands.
-    bin_correlation : ndarray, shape (lags,)
-        Of the errors at neighbouring frequencies.
+    bin_correlation : ndarray, shape (lags, n_freq)
+        Of the errors at each frequency and those above it.
     systematics : ndarray, shape (errors, n, n, n_freq)
     covariance, disturbance, inverse : ndarray or None
         As those of :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`; the first two
@@ -102,7 +102,7 @@ _STORED: Final[Mapping[str, _Stored]] = {
     "R": _Stored("R", "nnf", "c"),
     "var": _Stored("variance", "nnf", "f"),
     "averages": _Stored("averages", "", "f"),
-    "correlation": _Stored("bin_correlation", "-", "f"),
+    "correlation": _Stored("bin_correlation", "-f", "f"),
     "covariance": _Stored("covariance", "nmmf", "c", optional=True),
     "disturbance": _Stored("disturbance", "nnnf", "c", optional=True),
     "inverse": _Stored("inverse", "nnf", "c", optional=True),

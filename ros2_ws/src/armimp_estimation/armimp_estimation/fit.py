@@ -199,13 +199,14 @@ def r_squared(values: ComplexArray, fitted: ComplexArray) -> float:
     return 1.0 - float(np.sum(residual**2)) / total if total > 0.0 else math.nan
 
 
-def lack_limit(frequencies: int, correlation: FloatArray) -> float:
+def lack_limit(correlation: FloatArray) -> float:
     """Lack of fit that chance doesn't reach: 2, or 5 standard deviations where bins are few.
 
-    The mean of so many ``|e|²/variance`` scatters by ``sqrt((1 + 2 Σ ρ²)/F)``, with the
-    correlation ρ of the errors of bins that are neighbours.
+    The mean of F values of ``|e|²/variance`` scatters by ``sqrt(Σ ρ²)/F``, summed over all pairs,
+    with the correlation ρ, (lags, F), of the errors of each bin and those above it.
     """
-    spread = math.sqrt((1.0 + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies)
+    frequencies = correlation.shape[1]
+    spread = math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
     return max(LACK_LIMIT, 1.0 + _LACK_CHANCE * spread)
 
 
@@ -223,11 +224,11 @@ def fit_impedance(
 
     The real part gives M and K, the imaginary part B. Weights are inverse variances, smoothed and
     limited as :class:`FitConfig` says. Each parameter is then a sum ``Σ_f a_f y_f``, so whatever
-    the weights, its variance is the sandwich ``½ Σ_fg a_f a_g σ_f σ_g ρ(|f - g|)``: half of the
-    complex variance for either part, and the correlation ρ of neighbouring frequencies, which
-    windowing causes. The error of a correction, which is the same at all frequencies, adds the
-    square of ``Σ_f a_f s_f`` with its standard error s. Where terms with s³ and s⁴ would be
-    significant, the change of M, B and K by them is added, too.
+    the weights, its variance is the sandwich ``½ Σ_fg a_f a_g σ_f σ_g ρ_fg``: half of the complex
+    variance for either part, and the correlation ρ of the errors of neighbouring frequencies. The
+    error of a correction, which is the same at all frequencies, adds the square of ``Σ_f a_f s_f``
+    with its standard error s. Where terms with s³ and s⁴ would be significant, the change of M, B
+    and K by them is added, too.
 
     Parameters
     ----------
@@ -299,7 +300,7 @@ def fit_impedance(
         r2=np.array(quality),
         Z=fitted,
         lack=problem.lack(values).reshape(n, n),
-        lack_limit=lack_limit(estimate.f.size, estimate.bin_correlation),
+        lack_limit=lack_limit(estimate.bin_correlation),
         delay=delay,
         covariance=_parameter_covariance(estimate, problem),
     )
@@ -310,7 +311,7 @@ def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> Fl
     """Covariance of all parameters.
 
     As the sandwich of one element, with the coherency κ of two: ``½ Σ_fg a_f b_g σ_f ς_g
-    ρ(|f - g|) (κ_f + κ_g)/2``, of which errors of like parts take the real and others the
+    ρ_fg (κ_f + κ_g)/2``, of which errors of like parts take the real and others the
     imaginary part. An estimate without covariances has independent elements. The error of a
     correction is that of one transducer, so it is common to a row.
     """
@@ -319,9 +320,7 @@ def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> Fl
     coefficients = np.stack([problem.coefficients(row) for row in range(n * n)]).reshape(shape)
     deviation = np.sqrt(problem.noise).reshape(n, n, size)
     terms = coefficients * (np.sqrt(0.5) * deviation)[:, :, None]
-    rho = estimate.bin_correlation[: min(estimate.bin_correlation.size, size)]
-    kernel = np.concatenate((rho[:0:-1], rho))
-    spread = np.apply_along_axis(np.convolve, 3, terms, kernel)[..., rho.size - 1 :][..., :size]
+    spread = _with_neighbours(terms, estimate.bin_correlation)
     # Whether the parts are unlike, and the sign of the imaginary part: M and K are real, B is not.
     imaginary = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
     covariance = np.zeros((3, n, n, 3, n, n))
@@ -381,8 +380,8 @@ def fit_column(
         Frequencies, Hz.
     impedance, variance, each of systematics : ndarray, shape (n, n_freq)
         As those of an :class:`ImpedanceEstimate`.
-    correlation : ndarray, shape (lags,)
-        Of the errors of neighbouring frequencies.
+    correlation : ndarray, shape (lags, n_freq)
+        Of the errors of neighbouring frequencies, as that of an :class:`ImpedanceEstimate`.
     config : FitConfig
         Options.
     delay_uncertainty, delay_unknown : float, optional
@@ -537,7 +536,7 @@ def _with_delay(
         turn = np.exp(2j * np.pi * problem.f * total)
         trial = replace(problem, Z=problem.Z * turn)
     fitted, plain = trial.fit()[0], problem.fit()[0]
-    limit = lack_limit(problem.f.size, problem.correlation)
+    limit = lack_limit(problem.correlation)
     fits = bool((trial.lack(fitted) <= limit).all())
     sure = max(uncertainty, _SUREST)
     refuted = fits and abs(total) > _REFUTED * math.hypot(sure, told_error)
@@ -665,18 +664,24 @@ def covariance_of_sums(spread: FloatArray | ComplexArray, correlation: FloatArra
     spread : ndarray, shape (p, ..., n_freq)
         For each sum b times the standard deviations of the complex δZ; those along other axes than
         the last are independent.
-    correlation : ndarray, shape (lags,)
-        Of the errors of bins 0, 1, 2... places apart.
+    correlation : ndarray, shape (lags, n_freq)
+        Of the error of each bin and that of the one 0, 1, 2... places above it.
 
     Returns
     -------
     ndarray, shape (p, p)
     """
-    total = np.zeros((len(spread), len(spread)))
-    bins = spread.shape[-1]
-    for lag, rho in enumerate(correlation[:bins]):
-        left = spread[..., : bins - lag].reshape(len(spread), -1)
-        right = spread[..., lag:].reshape(len(spread), -1)
-        product = rho * (np.conj(left) @ right.T).real
-        total += product if lag == 0 else product + product.T
-    return 0.5 * total
+    left = np.conj(spread).reshape(len(spread), -1)
+    right = _with_neighbours(spread, correlation).reshape(len(spread), -1)
+    return np.asarray(0.5 * (left @ right.T).real)
+
+
+def _with_neighbours(values: ComplexArray, correlation: FloatArray) -> ComplexArray:
+    """Sums ``Σ_g ρ_fg values_g`` over neighbouring bins, for values (..., n_freq)."""
+    total = values * correlation[0]
+    bins = values.shape[-1]
+    for lag, of_lag in enumerate(correlation[1:bins], start=1):
+        rho = of_lag[: bins - lag]
+        total[..., : bins - lag] += rho * values[..., lag:]
+        total[..., lag:] += rho * values[..., : bins - lag]
+    return total

@@ -185,8 +185,8 @@ class CrossSpectra:
         Number of averaged segments.
     effective_averages : float
         Number of independent averages that these are worth.
-    bin_correlation : ndarray, shape (lags,)
-        Correlation of averages at neighbouring bins, beginning with 1 at lag 0.
+    bin_correlation : ndarray, shape (lags, n_freq)
+        Correlation of averages at each bin and the one 0, 1, 2... places above it.
     """
 
     f: FloatArray
@@ -306,5 +306,7 @@ class SpectralAccumulator:
             matrix=self._sum * one_sided,
             segments=self._segments,
             effective_averages=effective_averages(self._config, *runs),
-            bin_correlation=bin_correlation(self._config, *runs),
+            bin_correlation=np.repeat(
+                bin_correlation(self._config, *runs)[:, None], one_sided.size, axis=1
+            ),
         )

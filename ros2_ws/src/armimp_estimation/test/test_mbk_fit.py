@@ -14,7 +14,7 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 F: FloatArray = np.linspace(0.122, 14.884, 122)
-NO_CORRELATION = np.array([1.0])
+NO_CORRELATION = np.ones((1, F.size))
 
 
 def estimate_of(
@@ -104,7 +104,7 @@ def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
 
 def test_correlation_of_neighbours_makes_standard_errors_larger() -> None:
     Z = TWO_JOINT_ARM.impedance(F)
-    correlated = np.array([1.0, 4.0 / 9.0, 1.0 / 36.0])
+    correlated = np.outer([1.0, 4.0 / 9.0, 1.0 / 36.0], np.ones(F.size))
     ratio = errors(fit_mbk(estimate_of(Z, correlation=correlated))) / errors(
         fit_mbk(estimate_of(Z))
     )

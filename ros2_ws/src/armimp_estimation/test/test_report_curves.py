@@ -38,7 +38,7 @@ def stored(
         R=none,
         variance=np.full((1, 1, F.size), deviation**2),
         averages=averages,
-        bin_correlation=np.ones(1),
+        bin_correlation=np.ones((1, F.size)),
         covariance=None,
         disturbance=None,
         inverse=None,

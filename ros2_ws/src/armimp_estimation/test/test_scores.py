@@ -28,7 +28,7 @@ def estimate_of(Z: ComplexArray) -> ImpedanceEstimate:
         f=F,
         Z=Z,
         variance=np.ones(Z.shape),
-        bin_correlation=np.ones(1),
+        bin_correlation=np.ones((1, F.size)),
         averages=11.0,
         T=Z,
         R=Z,
@@ -41,7 +41,7 @@ def spectra_of(matrix: ComplexArray) -> CrossSpectra:
         matrix=np.repeat(matrix[:, :, None], 2, axis=2),
         segments=21,
         effective_averages=11.2,
-        bin_correlation=np.ones(1),
+        bin_correlation=np.ones((1, 2)),
     )
 
 

@@ -85,8 +85,9 @@ class ImpedanceEstimate:
         Impedance, N·m/rad.
     variance : ndarray, shape (n, n, n_freq)
         Variance of each complex value, (N·m/rad)²; real and imaginary part have half each.
-    bin_correlation : ndarray, shape (lags,)
-        Correlation of the errors at frequencies 0, 1, 2... places apart; 1 at lag 0.
+    bin_correlation : ndarray, shape (lags, n_freq)
+        Correlation of the errors at each frequency and the one 0, 1, 2... places above it; 1 at
+        lag 0.
     averages : float
         Number of independent averages behind each value and its variance.
     T, R : ndarray, shape (n, n, n_freq)

@@ -9,6 +9,7 @@ are taken as polynomials, whose coefficients follow by least squares; the residu
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ ComplexArray = NDArray[np.complex128]
 
 # Smallest ratio of the parts of the regressors that are independent of each other.
 _DEGENERATE = 1e-9
+# Degree that is enough for responses that change in proportion to the frequency.
+_SMOOTH = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +37,8 @@ class LocalPolynomialConfig:
     half_width : int
         Bins on either side that take part in the estimate at a bin. At the ends of the spectrum
         the window of ``2·half_width + 1`` bins is not centred.
+    smooth_above : float
+        Frequency from which on polynomials of degree 2 are enough, Hz.
 
     Raises
     ------
@@ -43,6 +48,7 @@ class LocalPolynomialConfig:
 
     order: int = 4
     half_width: int = 12
+    smooth_above: float = math.inf
 
     def __post_init__(self) -> None:
         if self.order < 0:
@@ -60,8 +66,12 @@ class LocalPolynomialConfig:
 
     @property
     def freedom(self) -> int:
-        """Complex degrees of freedom of the residual."""
+        """Complex degrees of freedom of the residual, where the degree is highest."""
         return self.window - 2 * (self.order + 1)
+
+    def order_at(self, f: FloatArray) -> NDArray[np.intp]:
+        """Degree at each frequency, Hz."""
+        return np.where(f < self.smooth_above, self.order, min(self.order, _SMOOTH))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,32 +125,22 @@ class LocalResponse:
         variance: FloatArray = self.gain * np.maximum(noise, np.finfo(np.float64).eps * terms)
         return variance
 
-    def followed_by(self, other: LocalResponse) -> LocalResponse:
-        """These frequencies and then those of another response, with windows as wide."""
-        return LocalResponse(
-            f=np.concatenate((self.f, other.f)),
-            response=np.concatenate((self.response, other.response), axis=1),
-            noise=np.concatenate((self.noise, other.noise), axis=2),
-            weights=np.concatenate((self.weights, other.weights)),
-            first=np.concatenate((self.first, other.first)),
-            freedom=min(self.freedom, other.freedom),
-        )
-
     def bin_correlation(self) -> FloatArray:
-        """Correlation of the errors of bins 0, 1, 2... places apart, averaged over the band.
+        """Correlation of the errors of each bin and the one 0, 1, 2... places above it.
 
         Noise of different bins is uncorrelated, so the covariance of two estimates is the sum of
         the products of their weights over the bins that both use.
 
         Returns
         -------
-        ndarray, shape (lags,)
-            From 1 at lag 0 to the largest at which windows overlap.
+        ndarray, shape (lags, n_freq)
+            From 1 at lag 0 to the largest lag at which windows overlap; 0 where there is no bin.
         """
         size, window = self.weights.shape
         deviation = np.sqrt(self.gain)
-        correlation = np.ones(min(window, size))
-        for lag in range(1, correlation.size):
+        correlation = np.zeros((min(window, size), size))
+        correlation[0] = 1.0
+        for lag in range(1, len(correlation)):
             lower, upper = self.weights[:-lag], np.conj(self.weights[lag:])
             sums = np.empty(size - lag)
             # Windows are as far apart as their bins, but for those that are shifted at the ends.
@@ -149,7 +149,7 @@ class LocalResponse:
                 rows = shift == apart
                 products = lower[rows, apart:] * upper[rows, : max(window - apart, 0)]
                 sums[rows] = np.sum(products, axis=1).real
-            correlation[lag] = np.mean(sums / (deviation[lag:] * deviation[:-lag]))
+            correlation[lag, :-lag] = sums / (deviation[lag:] * deviation[:-lag])
         return correlation
 
 
@@ -216,29 +216,38 @@ def local_response(
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2, axis=1))
     if not (scale > 0.0).all():
         raise DataError(f"no perturbation at {f[~(scale > 0.0)][0]:.4g} Hz")
-    distance = (places - centres[:, None]) / config.half_width
-    powers = distance[:, :, None] ** np.arange(config.order + 1)
-    regressors = np.concatenate(((inputs / scale[:, None])[:, :, None] * powers, powers), axis=2)
-    basis, triangle = np.linalg.qr(regressors)
-    diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
-    poor = np.min(diagonal, axis=1) < _DEGENERATE * np.max(diagonal, axis=1)
-    if poor.any():
-        raise DataError(f"perturbation has too few spectral lines around {f[poor][0]:.4g} Hz")
-
-    adjoint = np.conj(np.swapaxes(basis, 1, 2))
-    to_response = np.linalg.inv(triangle)[:, :1, :]
-    weights = (to_response @ adjoint)[:, 0, :] / scale[:, None]
     observed = np.moveaxis(_transform(outputs)[:, places], 0, 2)
-    residual = observed - basis @ (adjoint @ observed)
-    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / config.freedom
-    return LocalResponse(
+    found = LocalResponse(
         f=f,
-        response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
-        noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
-        weights=weights,
+        response=np.empty((len(outputs), f.size), dtype=np.complex128),
+        noise=np.empty((len(outputs), len(outputs), f.size), dtype=np.complex128),
+        weights=np.empty(places.shape, dtype=np.complex128),
         first=first,
         freedom=config.freedom,
     )
+    distance = (places - centres[:, None]) / config.half_width
+    orders = config.order_at(f)
+    for order in np.unique(orders):
+        rows = orders == order
+        powers = distance[rows, :, None] ** np.arange(order + 1)
+        scaled = inputs[rows] / scale[rows, None]
+        regressors = np.concatenate((scaled[:, :, None] * powers, powers), axis=2)
+        basis, triangle = np.linalg.qr(regressors)
+        diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
+        poor = np.min(diagonal, axis=1) < _DEGENERATE * np.max(diagonal, axis=1)
+        if poor.any():
+            at = f[rows][poor][0]
+            raise DataError(f"perturbation has too few spectral lines around {at:.4g} Hz")
+        adjoint = np.conj(np.swapaxes(basis, 1, 2))
+        to_response = np.linalg.inv(triangle)[:, :1, :]
+        weights = (to_response @ adjoint)[:, 0, :] / scale[rows, None]
+        of_outputs = observed[rows]
+        residual = of_outputs - basis @ (adjoint @ of_outputs)
+        noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / (window - 2 * (order + 1))
+        found.weights[rows] = weights
+        found.response[:, rows] = (weights[:, None, :] @ of_outputs)[:, 0, :].T
+        found.noise[:, :, rows] = np.moveaxis(noise, 0, 2)
+    return found
 
 
 def _transform(signal: FloatArray) -> ComplexArray:

@@ -1,6 +1,5 @@
 """Impedance by local polynomials: the whole record at once, free of leakage and of torque skew."""
 
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -41,10 +40,8 @@ class LpmConfig:
     Parameters
     ----------
     local : LocalPolynomialConfig
-        Local polynomials.
-    smooth_above : float
-        Hz from which on polynomials of degree 2 are enough, as responses mostly change in
-        proportion to the frequency there. They let two thirds of the noise through.
+        Local polynomials: of degree 2 from 5 Hz on, as responses mostly change in proportion to
+        the frequency there. They let two thirds of the noise through.
     span : float
         Hz on either side of a bin that they may span: in shorter records, where bins are wider,
         fewer take part. The responses of an arm have a resonance around 1 Hz. Over 0.25 Hz
@@ -70,8 +67,9 @@ class LpmConfig:
         see :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials.
     """
 
-    local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
-    smooth_above: float = 5.0
+    local: LocalPolynomialConfig = field(
+        default_factory=lambda: LocalPolynomialConfig(smooth_above=5.0)
+    )
     span: float = 0.25
     reading: TorqueReading = field(default_factory=TorqueReading)
     skew_uncertainty: float = 0.002
@@ -338,19 +336,15 @@ class LpmFull:
             outputs = [record.position, record.torque]
             if with_steps:
                 outputs.append(command_steps(record, record.samples))
-            respond = functools.partial(
-                local_response,
+            column = local_response(
                 record.perturbation[record.perturbed_joint],
                 np.concatenate(outputs),
                 rate,
                 self.band,
+                self.config.local_for(record.duration),
+                f,
             )
-            local = self.config.local_for(record.duration)
-            smooth = replace(local, order=min(local.order, 2))
-            low, high = f[f < self.config.smooth_above], f[f >= self.config.smooth_above]
-            parts = ((local, low), (smooth, high))
-            found = [respond(one, at) for one, at in parts if at.size or not f.size]
-            columns.append(functools.reduce(LocalResponse.followed_by, found))
+            columns.append(column)
         return columns
 
 
@@ -462,8 +456,8 @@ def _covariance(columns: Sequence[LocalResponse], combined: ComplexArray) -> Com
 
 
 def _mean(correlations: Sequence[FloatArray]) -> FloatArray:
-    """Mean of correlations, those that end earlier being 0 from there on."""
-    longest = max(one.size for one in correlations)
-    padded = [np.pad(one, (0, longest - one.size)) for one in correlations]
+    """Mean of correlations (lags, n_freq), those that end earlier being 0 from there on."""
+    longest = max(len(one) for one in correlations)
+    padded = [np.pad(one, ((0, longest - len(one)), (0, 0))) for one in correlations]
     mean: FloatArray = np.mean(padded, axis=0)
     return mean
