@@ -358,13 +358,14 @@ def unresolved(
 ) -> list[ComplexArray]:
     """What motion of locked joints within a count of their encoders may do to the impedance.
 
-    What is lost may have any phase. It is taken to be as broad a noise as the perturbation x, so a
-    motion of a is a response ``δR = a / rms(x)``, with the effect ``δZ = -Z δR R⁻¹``.
+    What is lost may have any phase, so either part has half of its variance. It is taken to be as
+    broad a noise as the perturbation x, so a motion of a is a response ``|δR| = a / rms(x)``, with
+    the effect ``δZ = -Z δR R⁻¹``.
     """
     motion = lost_motion(records)
     lost = []
     for joint, k in np.argwhere(motion > 0.0):
-        share = motion[joint, k] / float(np.std(records[k].perturbation[k]))
+        share = np.sqrt(0.5) * motion[joint, k] / float(np.std(records[k].perturbation[k]))
         effect = share * impedance[:, joint, None] * inverse[None, k]
         lost += [effect, 1j * effect]
     return lost
