@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from armimp_estimation.mbk import MBK
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Values = TypeVar("Values", FloatArray, ComplexArray)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +207,7 @@ def lack_limit(correlation: FloatArray) -> float:
     The mean of F values of ``|e|²/variance`` scatters by ``sqrt(Σ ρ²)/F``, summed over all pairs,
     with the correlation ρ, (lags, F), of the errors of each bin and those above it.
     """
-    frequencies = correlation.shape[1]
+    frequencies = int(correlation.shape[1])
     spread = math.sqrt(frequencies + 2.0 * float(np.sum(correlation[1:] ** 2))) / frequencies
     return max(LACK_LIMIT, 1.0 + _LACK_CHANCE * spread)
 
@@ -320,7 +322,7 @@ def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> Fl
     coefficients = np.stack([problem.coefficients(row) for row in range(n * n)]).reshape(shape)
     deviation = np.sqrt(problem.noise).reshape(n, n, size)
     terms = coefficients * (np.sqrt(0.5) * deviation)[:, :, None]
-    spread = _with_neighbours(terms, estimate.bin_correlation)
+    spread = with_neighbours(terms, estimate.bin_correlation)
     # Whether the parts are unlike, and the sign of the imaginary part: M and K are real, B is not.
     imaginary = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
     covariance = np.zeros((3, n, n, 3, n, n))
@@ -656,7 +658,7 @@ def _sandwich(
     return np.asarray(np.maximum(np.diag(covariance), 0.0))
 
 
-def covariance_of_sums(spread: FloatArray | ComplexArray, correlation: FloatArray) -> FloatArray:
+def covariance_of_sums(spread: Values, correlation: FloatArray) -> FloatArray:
     """Covariance of ``Re Σ conj(b) δZ`` where errors δZ of neighbouring bins are correlated.
 
     Parameters
@@ -672,13 +674,20 @@ def covariance_of_sums(spread: FloatArray | ComplexArray, correlation: FloatArra
     ndarray, shape (p, p)
     """
     left = np.conj(spread).reshape(len(spread), -1)
-    right = _with_neighbours(spread, correlation).reshape(len(spread), -1)
+    right = with_neighbours(spread, correlation).reshape(len(spread), -1)
     return np.asarray(0.5 * (left @ right.T).real)
 
 
-def _with_neighbours(values: ComplexArray, correlation: FloatArray) -> ComplexArray:
-    """Sums ``Σ_g ρ_fg values_g`` over neighbouring bins, for values (..., n_freq)."""
-    total = values * correlation[0]
+def with_neighbours(values: Values, correlation: FloatArray) -> Values:
+    """Sums ``Σ_g ρ_fg values_g`` over neighbouring bins, (..., n_freq).
+
+    Parameters
+    ----------
+    values : ndarray, shape (..., n_freq)
+    correlation : ndarray, shape (lags, n_freq)
+        Of each bin and the one 0, 1, 2... places above it.
+    """
+    total: Values = values.copy()
     bins = values.shape[-1]
     for lag, of_lag in enumerate(correlation[1:bins], start=1):
         rho = of_lag[: bins - lag]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.fit import with_neighbours
 from armimp_estimation.frf import FrfMatrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
@@ -232,12 +233,9 @@ def realisation(estimate: ImpedanceEstimate, target: MBK | None) -> FloatArray:
 
 def _variance_of_power(values: ComplexArray, noise: FloatArray, correlation: FloatArray) -> float:
     """Variance of ``Σ_f |v|²`` for values that contain circular noise of variance (n_freq,)."""
-    scaled, least, crossed = values * np.sqrt(noise), 0.0, 0.0
-    for lag, rho in enumerate(correlation[: noise.size]):
-        here, there = slice(noise.size - lag), slice(lag, None)
-        twice = 1.0 if lag == 0 else 2.0
-        least += twice * rho**2 * float(noise[here] @ noise[there])
-        crossed += twice * rho * float(np.vdot(scaled[here], scaled[there]).real)
+    scaled = values * np.sqrt(noise)
+    least = float(noise @ with_neighbours(noise, correlation**2))
+    crossed = float(np.vdot(scaled, with_neighbours(scaled, correlation)).real)
     # What values have of their own noise counts in `crossed` too; the rest can't be negative.
     return least + 2.0 * max(crossed - least, 0.0)
 
