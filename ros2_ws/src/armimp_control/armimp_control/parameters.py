@@ -232,7 +232,8 @@ class ControllerParameters(Schema):
                     f"parameter 'law.{name}_walk' needs 1 or {n} positive values: {list(values)}"
                 )
             walks[name] = np.broadcast_to(values, n).astype(np.float64)
-        return Observer(resolution=law.encoder_resolution, **walks)
+        delay = self.known.command_delay
+        return Observer(resolution=law.encoder_resolution, delay=delay, **walks)
 
     def pd_config(self) -> PdConfig:
         """The negative control, whichever was chosen; its gains follow from diag(M_r(θ_0))."""

@@ -17,6 +17,9 @@ from armimp_control.laws.base import (
     IMBIC_OBSERVER,
     INERTIA,
     INVERSE,
+    LATE,
+    MOST_DELAY,
+    NO_JOINT,
     SENSED,
     STIFFNESS,
     VELOCITY_GAIN,
@@ -29,7 +32,7 @@ LIMIT = 2.0
 WARNING_SHARE = 0.8
 """Share of the limit from which on a warning is due."""
 ARM_RANGE = 3.0
-"""Factor by which the arm may be heavier or lighter than known before a warning is due."""
+"""Factor by which the arm may be heavier or lighter than known."""
 _GROWTH = 1e-4
 """Growth per tick taken for rounding: a target without stiffness and damping has exactly none."""
 
@@ -40,9 +43,9 @@ class RigDynamics(Schema):
     command_delay: int = Field(
         default=0,
         ge=0,
-        le=20,
+        le=MOST_DELAY,
         description="control periods by which commands act later than right after the sample that "
-        "they answer",
+        "they answer; the observer and the stability check take it into account",
     )
     actuator_lag: float = Field(
         default=0.0,
@@ -177,7 +180,8 @@ class StabilityMargins:
     time_delay_estimation : largest |eigenvalue| of (M_r + M_h)⁻¹ M̄; None without such a model
     force_feedback : per joint, M̄_kk M_h,kk / (M_rd,k (M_r + M_h)_kk) while joint k is perturbed;
         empty without feedback of the measured torque
-    spectral_radius : per joint, of the sampled loop while joint k is perturbed
+    spectral_radius : of the sampled loop while each joint is perturbed and while all are locked,
+        each with an arm as known, three times as heavy and three times as light
     warnings : sentences for values near the edge
     """
 
@@ -194,12 +198,13 @@ def check_stability(
     arm_inertia: FloatArray,
     dynamics: RigDynamics | None = None,
 ) -> StabilityMargins:
-    """Check the sampled loop with every joint perturbed in turn.
+    """Check the sampled loop with every joint perturbed in turn, and with all locked.
 
-    The condition is that the loop of law and inertia returns to rest, see :func:`spectral_radius`;
+    The condition is that the loop of law and inertia returns to rest, see :func:`spectral_radius`,
+    with the arm as it is known and one that is heavier or lighter by a factor of 3;
     for time-delay estimation also λmax((M_r + M_h)⁻¹ M̄) < 2 and M̄ M_h/(M_rd (M_r + M_h)) < 2.
-    Warnings tell of changes with which the loop would be unstable: larger gains, an arm heavier or
-    lighter by a factor of 3, torques or commands one period later.
+    Warnings tell of changes with which the loop would be unstable: larger gains, torques or
+    commands one period later.
 
     Parameters
     ----------
@@ -239,28 +244,33 @@ def check_stability(
             dynamics=assumed,
         )
 
+    roles = {k: f"joint {k + 1} is perturbed" for k in range(config.joints)}
+    roles[NO_JOINT] = "all joints are locked"
+    arms = {
+        1.0: "",
+        ARM_RANGE: f" with an arm {ARM_RANGE:g} times as heavy",
+        1.0 / ARM_RANGE: f" with an arm {ARM_RANGE:g} times as light",
+    }
     radii = []
-    for k in range(config.joints):
-        radius = radius_of(k, known)
-        if not radius < 1.0 + _GROWTH:
-            raise ConfigurationError(
-                "controller: unstable when sampled: while joint "
-                f"{k + 1} is perturbed, motion grows by a factor of {radius:.4g} per tick"
-                + _with(known)
-            )
-        changes = {
-            f"{gains} larger by {1.0 / WARNING_SHARE - 1.0:.0%}": (known, 1.0 / WARNING_SHARE, 1.0),
-            f"an arm {ARM_RANGE:g} times as heavy": (known, 1.0, ARM_RANGE),
-            f"an arm {ARM_RANGE:g} times as light": (known, 1.0, 1.0 / ARM_RANGE),
-            f"torques read {1e3 * config.period:g} ms later": (later, 1.0, 1.0),
-            f"commands that act {1e3 * config.period:g} ms later": (later_command, 1.0, 1.0),
-        }
-        warnings += [
-            f"with {change} the loop would be unstable while joint {k + 1} is perturbed"
-            for change, (assumed, gain, arm) in changes.items()
-            if not radius_of(k, assumed, gain, arm) < 1.0 + _GROWTH
+    for k, role in roles.items():
+        for arm, described in arms.items():
+            radii.append(radius_of(k, known, arm=arm))
+            if not radii[-1] < 1.0 + _GROWTH:
+                raise ConfigurationError(
+                    f"controller: unstable when sampled: while {role}, motion grows by a factor of "
+                    f"{radii[-1]:.4g} per tick{described}" + _with(known)
+                )
+    changes = {
+        f"{gains} larger by {1.0 / WARNING_SHARE - 1.0:.0%}": (known, 1.0 / WARNING_SHARE),
+        f"torques read {1e3 * config.period:g} ms later": (later, 1.0),
+        f"commands that act {1e3 * config.period:g} ms later": (later_command, 1.0),
+    }
+    for change, (assumed, gain) in changes.items():
+        swings = [
+            role for k, role in roles.items() if not radius_of(k, assumed, gain) < 1.0 + _GROWTH
         ]
-        radii.append(radius)
+        if swings:
+            warnings.append(f"with {change} the loop would be unstable while {', '.join(swings)}")
     return StabilityMargins(
         time_delay_estimation=next(iter(values.values()), None),
         force_feedback=tuple(values.values())[1:],
@@ -312,7 +322,7 @@ def spectral_radius(
     Parameters
     ----------
     config : ImbicConfig or PdConfig
-    perturbed : joint that yields, 0-based
+    perturbed : joint that yields, 0-based, or NO_JOINT while all are locked
     robot_inertia, arm_inertia : (n, n) M_r(θ_0) and M_h, kg·m²
     gain : factor on M̄, or on the gains of a law without it
     dynamics : of drives and transducers; by default they are prompt
@@ -322,18 +332,21 @@ def spectral_radius(
     # A prompt reading is that of the last command, which is part of the state anyway.
     late = rig.delay + 1 if dynamics is not None and not dynamics.none else 0
     delay = 0 if dynamics is None else dynamics.command_delay
-    count = 7 + rig.states + late + delay
     role, model = config.role(perturbed), config.model(perturbed)
+    # Those that may act, and that which the observer believes to have acted.
+    observed = int(role[LATE, 0])
+    sent = max(delay, observed + 1)
+    count = 6 + sent + rig.states + late
     per_inertia = np.linalg.inv(robot_inertia + arm_inertia)
     # Everything is linear in the state: each of these (n, count·n) gives one vector of it.
     vectors = np.eye(count * n).reshape(count, n, count * n)
     # Of the past: two angles, or what the observer makes of it.
-    theta, velocity, *past, ideal, torque = vectors[:7]
-    states, readings, under_way = np.split(vectors[7:], [rig.states, rig.states + late])
-    load = arm_inertia @ per_inertia @ (readings[-1] if late else torque)
+    theta, velocity, *past, ideal = vectors[:6]
+    commands, states, readings = np.split(vectors[6:], [sent, sent + rig.states])
+    load = arm_inertia @ per_inertia @ (readings[-1] if late else commands[0])
     if config.kind == IMBIC_OBSERVER:
         angle, measured, known = past
-        acceleration = known + model[INVERSE] @ (torque - load)
+        acceleration = known + model[INVERSE] @ (commands[observed] - load)
         error = theta - angle - period * measured - 0.5 * period**2 * acceleration
         angle = theta - error + model[ANGLE_GAIN] @ error
         measured = measured + period * acceleration + model[VELOCITY_GAIN] @ error
@@ -342,7 +355,7 @@ def spectral_radius(
     else:
         angle, measured = theta, (theta - past[0]) / period
         known = (theta - 2.0 * past[0] + past[1]) / period**2
-        base, past = torque, [theta, past[0], np.zeros_like(theta)]
+        base, past = commands[0], [theta, past[0], np.zeros_like(theta)]
     if isinstance(config, ImbicConfig):
         sensed, damping, stiffness = (
             np.diag(role[row] / role[INERTIA]) for row in (SENSED, DAMPING, STIFFNESS)
@@ -356,8 +369,8 @@ def spectral_radius(
         damping, stiffness = np.diag(role[DAMPING]), np.diag(role[STIFFNESS])
         torque = -gain * (damping @ measured + stiffness @ theta)
         ideal = np.zeros_like(ideal)
-    acting = under_way[-1] if delay else torque
-    drive = states[0] if rig.drive_lags else np.zeros_like(torque)
+    acting = commands[delay - 1] if delay else torque
+    drive = states[0] if rig.drive_lags else np.zeros_like(theta)
     newest = np.tensordot(rig.reading_from_state, states, 1) + rig.reading_from_command * acting
     following = (
         theta + period * velocity + per_inertia @ (rig.way[0] * drive + rig.way[1] * acting),
@@ -365,12 +378,12 @@ def spectral_radius(
         *past,
         ideal,
         torque,
+        *commands[:-1],
         *(
             np.tensordot(row, states, 1) + share * acting
             for row, share in zip(rig.transition, rig.from_command, strict=True)
         ),
         *([newest, *readings[:-1]] if late else []),
-        *([torque, *under_way[:-1]] if delay else []),
     )
     return float(np.max(np.abs(np.linalg.eigvals(np.concatenate(following)))))
 

@@ -20,9 +20,11 @@ the place of the differences in u as well,
 
 The torque on the arm is measured, so what is left for the observer is the robot alone::
 
-    a  = M̄⁻¹ (τ_{t−L} − τ_h) + d̂
+    a  = M̄⁻¹ (τ_{t−(1+D)L} − τ_h) + d̂
     e  = θ − (θ̂ + L v̂ + L²a/2)
     θ̂ ← θ̂ + L v̂ + L²a/2 + G_θ e,    v̂ ← v̂ + L a + G_v e,    d̂ ← d̂ + G_d e
+
+with the command that acted, where they are known to act D periods late.
 
 When a joint gets locked, its target starts where the joint is and goes to θ_rd from there: a stiff
 target that jumps would ask for more torque than there is.
@@ -61,7 +63,9 @@ from armimp_control.laws.base import (
     INERTIA,
     INERTIA_MODEL,
     INVERSE,
+    LATE,
     MODEL_ROWS,
+    MOST_DELAY,
     OFFSET,
     ROLE_ROWS,
     SENSED,
@@ -93,11 +97,24 @@ class Observer:
     resolution : δ, rad
     perturbed, locked : (n,) rms change within a period of the unknown torque of each joint while it
         is perturbed and while it is locked, N·m
+    delay : D, periods by which commands act later than right after the sample that they answer
+
+    Raises
+    ------
+    ConfigurationError
+        If the delay is none that the law can remember commands for.
     """
 
     resolution: float
     perturbed: NDArray[np.float64]
     locked: NDArray[np.float64]
+    delay: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.delay <= MOST_DELAY:
+            raise ConfigurationError(
+                f"controller: commands may act 0 to {MOST_DELAY} periods late, got {self.delay}"
+            )
 
     def gains(
         self, inverse: NDArray[np.float64], locked: NDArray[np.bool_], period: float
@@ -230,12 +247,12 @@ class ImbicConfig:
         return np.asarray(every != (every if perturbed is None else perturbed))
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
-        """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
+        """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
 
         With None all joints yield, with NO_JOINT all lock. Rows: share of τ_h' sensed (1 or 0),
         M_rd (kg·m²), B_rd (N·m·s/rad), K_rd (N·m/rad), what a tick leaves of the distance between
         target and θ_rd, amplitude (rad) and angle per tick (rad) of the dither in the target, tare
-        (N·m; 0).
+        (N·m; 0), periods by which commands act late.
         """
         locked = self._locked(perturbed)
         rows = np.empty((ROLE_ROWS, self.joints))
@@ -256,6 +273,7 @@ class ImbicConfig:
         rows[DITHER] = np.where(locked, self.lock_dither * attenuation, 0.0)
         rows[DITHER_ANGLE] = turning * self.period
         rows[TARE] = 0.0
+        rows[LATE] = 0.0 if self.observer is None else self.observer.delay
         return rows
 
 
@@ -270,9 +288,11 @@ def _observe(
     command: NDArray[np.float64],
 ) -> None:
     """Let ANGLE, VELOCITY and DISTURBANCE be those of this sample; ``command`` is overwritten."""
-    n = theta.size
+    n, late = theta.size, int(role[LATE, 0])
     for i in range(n):
-        command[i] = memory[COMMAND, i] - (tau_h[i] - role[TARE, i])
+        command[i] = memory[COMMAND + late, i] - (tau_h[i] - role[TARE, i])
+        for row in range(COMMAND + late, COMMAND, -1):
+            memory[row, i] = memory[row - 1, i]
     for i in range(n):
         acceleration = memory[DISTURBANCE, i]
         for j in range(n):
@@ -308,7 +328,7 @@ def imbic(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     ----------
     observer : whether it is the internal model
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (8, n) from :meth:`ImbicConfig.role`
+    role : (ROLE_ROWS, n) from :meth:`ImbicConfig.role`
     target : (n,) θ_rd, rad
     model : (MODEL_ROWS, n, n) from :meth:`ImbicConfig.model`
     gamma, period : rad/s, s

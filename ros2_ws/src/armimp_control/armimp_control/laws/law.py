@@ -68,7 +68,7 @@ def control_tick(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     ----------
     law : `kind` of the configuration of the law
     theta, tau_h, tau_delta : (n,) rad, N·m, N·m: encoders, torque transducers, perturbation
-    role : (8, n) from the configuration of the law
+    role : (ROLE_ROWS, n) from the configuration of the law
     target, gamma, period : (n,) θ_rd, rad; Γ, rad/s; L, s
     model : (MODEL_ROWS, n, n) from the configuration of the law
     rules : (RULE_ROWS, n) from :meth:`SafetyParameters.rules`

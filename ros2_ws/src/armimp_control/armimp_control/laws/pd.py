@@ -87,7 +87,7 @@ class PdConfig:
         return self.target_posture.size
 
     def role(self, perturbed: int | None) -> NDArray[np.float64]:
-        """Law parameters (8, n) while joint ``perturbed`` (0-based) yields and the others lock.
+        """Law parameters (ROLE_ROWS, n) while joint ``perturbed`` (0-based) yields, others lock.
 
         With None all joints yield, with NO_JOINT all lock. Rows as of
         :meth:`armimp_control.laws.imbic.ImbicConfig.role`; no joint senses τ_h.
@@ -118,7 +118,7 @@ def pd(
     Parameters
     ----------
     theta, tau_delta : (n,) rad, N·m: encoders, perturbation
-    role : (8, n) from :meth:`PdConfig.role`
+    role : (ROLE_ROWS, n) from :meth:`PdConfig.role`
     target : (n,) θ_rd, rad
     period : s
     memory : (MEMORY_ROWS, n), updated; zeros before the first tick
