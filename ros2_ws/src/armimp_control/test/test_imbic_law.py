@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_control.laws.base import NO_JOINT
+from armimp_control.laws.base import NO_JOINT, ROLE_ROWS
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from support.safety import torque_only, within_torque
@@ -163,7 +163,7 @@ def test_roles_hold_the_soft_target_for_one_joint_and_the_stiff_one_for_the_othe
     assert rows[3] == pytest.approx(
         [90.0**2 * inertia[0], config.target_stiffness[1], 90.0**2 * inertia[2]]
     )
-    assert rows.shape == (8, 3)
+    assert rows.shape == (ROLE_ROWS, 3)
     everything_locked = config.role(NO_JOINT)
     assert not everything_locked[0].any()
     assert np.array_equal(everything_locked[:, [0, 2]], rows[:, [0, 2]])

@@ -13,7 +13,7 @@ from armimp_control import presets
 from armimp_control.laws.base import ANGLE_GAIN, DISTURBANCE_GAIN, INVERSE, VELOCITY_GAIN
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import Controller
-from armimp_control.stability import RigDynamics, check_stability, spectral_radius
+from armimp_control.stability import RigDynamics, StabilityMargins, check_stability, spectral_radius
 from support.safety import torque_only, within_torque
 
 Array = NDArray[np.float64]
@@ -24,11 +24,15 @@ POSTURE = np.array([1.0945, 1.3484])
 COUNT = 2.0 * np.pi / 51200
 
 
-def _config(n: int = 2) -> ImbicConfig:
-    if n == 2:
-        return presets.imbic(ROBOT, POSTURE, "observer")
-    root = np.random.default_rng(n).normal(size=(n, n))
-    return presets.imbic(0.05 * root @ root.T + 0.2 * np.eye(n), np.zeros(n), "observer")
+def _config(n: int = 2, delay: int = 0) -> ImbicConfig:
+    """Default law, which knows that commands act so many periods late."""
+    robot, posture = ROBOT, POSTURE
+    if n != 2:
+        root = np.random.default_rng(n).normal(size=(n, n))
+        robot, posture = 0.05 * root @ root.T + 0.2 * np.eye(n), np.zeros(n)
+    config = presets.imbic(robot, posture, "observer")
+    assert config.observer is not None
+    return replace(config, observer=replace(config.observer, delay=delay))
 
 
 def _plain(config: ImbicConfig, samples: Array, perturbed: int, limit: float) -> Array:
@@ -47,11 +51,13 @@ def _plain(config: ImbicConfig, samples: Array, perturbed: int, limit: float) ->
         np.zeros(config.joints),
     )
     ideal = np.zeros(config.joints)
-    sent: list[Array] = []
+    assert config.observer is not None
+    delay = config.observer.delay
+    sent: list[Array] = [np.zeros(config.joints)] * delay
     start = samples[0, 0] - config.target_posture
     for tick, (theta, tau_h, tau_delta) in enumerate(samples):
         if tick:
-            known = np.linalg.inv(inertia) @ (sent[-1] - tau_h) + unknown
+            known = np.linalg.inv(inertia) @ (sent[-1 - delay] - tau_h) + unknown
             angle = angle + PERIOD * velocity + 0.5 * PERIOD**2 * known
             velocity = velocity + PERIOD * known
             error = theta - angle
@@ -65,13 +71,17 @@ def _plain(config: ImbicConfig, samples: Array, perturbed: int, limit: float) ->
         command = inertia @ (u + config.gamma * (ideal - velocity) - unknown) + tau_h
         sent.append(within_torque(command, limit))
         ideal = ideal + PERIOD * np.linalg.inv(inertia) @ (sent[-1] - command)
-    return np.array(sent)
+    return np.array(sent[delay:])
 
 
 @pytest.mark.parametrize("limit", [1e9, 4.0])
-@pytest.mark.parametrize(("n", "perturbed"), [(1, 0), (2, 0), (2, 1), (4, 2)])
-def test_law_with_observer_is_that_of_its_equations(n: int, perturbed: int, limit: float) -> None:
-    config = _config(n)
+@pytest.mark.parametrize(
+    ("n", "perturbed", "delay"), [(1, 0, 0), (2, 0, 0), (2, 1, 1), (2, 1, 20), (4, 2, 3)]
+)
+def test_law_with_observer_is_that_of_its_equations(
+    n: int, perturbed: int, delay: int, limit: float
+) -> None:
+    config = _config(n, delay)
     random = np.random.default_rng(n)
     samples = random.uniform(-1.0, 1.0, (150, 3, n))
     samples[:, 0] = config.target_posture + 1e-4 * np.cumsum(samples[:, 0], axis=0)
@@ -205,29 +215,34 @@ def test_spectral_radius_of_the_loop_with_observer_is_its_growth(
 
 
 def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() -> None:
-    for delay in (0, 1):
-        margins = check_stability(
-            _config(),
+    def check(known: int, delay: int) -> StabilityMargins:
+        return check_stability(
+            _config(delay=known),
             robot_inertia=ROBOT,
             arm_inertia=ARM,
             dynamics=RigDynamics(command_delay=delay),
         )
+
+    for delay in (0, 1):
+        margins = check(delay, delay)
         assert max(margins.spectral_radius) < 0.9995
-        assert not any("times as" in one for one in margins.warnings)
-        assert any("commands" in one for one in margins.warnings) == (delay == 1)
+        assert margins.warnings == ()
     with pytest.raises(ConfigurationError, match=r"grows by .* act 2 periods late"):
+        check(2, 2)
+    # An observer that does not know of the delay makes a heavy arm swing.
+    with pytest.raises(ConfigurationError, match=r"locked, .* an arm 3 times as heavy, with comm"):
+        check(0, 1)
+
+
+def test_when_an_arm_three_times_as_heavy_would_swing_expect_a_refusal() -> None:
+    with pytest.raises(ConfigurationError, match="per tick with an arm 3 times as heavy"):
         check_stability(
-            _config(),
+            replace(_config(), gamma=170.0, lock_frequency=170.0),
             robot_inertia=ROBOT,
-            arm_inertia=ARM,
-            dynamics=RigDynamics(command_delay=2),
+            arm_inertia=4.0 * ARM,
         )
 
 
-def test_when_an_arm_three_times_as_heavy_would_swing_expect_a_warning() -> None:
-    margins = check_stability(
-        replace(_config(), gamma=170.0, lock_frequency=170.0),
-        robot_inertia=ROBOT,
-        arm_inertia=4.0 * ARM,
-    )
-    assert any("with an arm 3 times as heavy the loop" in one for one in margins.warnings)
+def test_when_commands_are_known_to_be_later_than_the_law_can_remember_expect_an_error() -> None:
+    with pytest.raises(ConfigurationError, match="0 to 20 periods late, got 21"):
+        _config(delay=21)
