@@ -14,7 +14,7 @@ from pydantic import JsonValue
 
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import OfflineTrial, SimulatedExperiment, run_segments
+from armimp_bringup.offline import SimulatedExperiment, run_segments
 from armimp_bringup.parameters import Rig, node_parameters
 from armimp_bringup.study.engine import as_ready
 from armimp_bringup.terminal import progress
@@ -27,6 +27,7 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.registry import make_estimator
 from armimp_estimation.fit import MBKFit, fit_mbk
 from armimp_estimation.mbk import MBK
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
 from armimp_sim.dynamics import WIDTH
@@ -102,7 +103,7 @@ def all_at_once(
     n = configs[0].joints
     trials = run_together(rigs, trials=n, mixing=mixing if correlation else None)
     return [
-        SimulatedExperiment.of(config, one, of_config)
+        SimulatedExperiment(config=config, parameters=one, records=tuple(of_config))
         for config, one, of_config in zip(free, parameters, trials, strict=True)
     ]
 
@@ -242,7 +243,7 @@ def matrices(mbk: MBK) -> FloatArray:
 
 def run_together(
     rigs: Sequence[Rig], *, trials: int = 1, mixing: Sequence[FloatArray] | None = None
-) -> list[list[OfflineTrial]]:
+) -> list[list[TrialRecord]]:
     """Run, side by side, trials in which every joint yields and is perturbed at once.
 
     The perturbation of each joint in the first trial is that of its own trial in
@@ -257,7 +258,7 @@ def run_together(
 
     Returns
     -------
-    list of list of OfflineTrial
+    list of list of TrialRecord
         For each rig, its trials in order.
     """
     n = rigs[0].plant.joints

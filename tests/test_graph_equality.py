@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import OfflineTrial, run_offline
+from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import node_parameters
 from armimp_common.status import Phase
 from armimp_common.topics import (
@@ -20,13 +20,14 @@ from armimp_common.topics import (
 )
 from armimp_estimation.bags import read_bag
 from armimp_estimation.curves import read_frf
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.result import conclude
 from support.runs import FinishedRun, Run
 
 TICKS = 2_000
 
 
-def offline(**options: Any) -> list[OfflineTrial]:
+def offline(**options: Any) -> list[TrialRecord]:
     config = ExperimentConfig.model_validate({"duration": TICKS / 1000, **options})
     return run_offline([node_parameters(config, None).rig()])[0]
 

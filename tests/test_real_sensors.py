@@ -18,6 +18,7 @@ from armimp_bringup.offline import SimulatedExperiment, run_offline, simulate
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_common.status import Phase, TrialStatus
+from armimp_common.topics import PERIOD_NS
 from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import EstimatorResult, identify
@@ -184,8 +185,10 @@ def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
         rig.step(tuple(experiment.command.tolist()))
 
     for trial in trials:
-        ticks = slice(trial.first_tick, trial.first_tick + 200)
+        first = trial.start_ns // PERIOD_NS
+        ticks = slice(first, first + 200)
         assert np.array_equal(trial.torque, np.array(torques[ticks]).T)
+        assert trial.command is not None
         assert np.array_equal(trial.command, np.array(commands[ticks]).T)
     tares = [one.tare for one in statuses if one.phase is Phase.PERTURB]
     # The readings were taken 0.7 s into the trial on average.
@@ -195,7 +198,7 @@ def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
 
 def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> None:
     case = node_parameters(chosen({"offset": [7.0, 0.0]}, duration=10.0), None)
-    with pytest.raises(DataError, match=r"the torque of joint 1 reads 7 N·m at rest, tare\.limit"):
+    with pytest.raises(DataError, match=r"the torque of shoulder reads 7 N·m at rest, tare\.limit"):
         run_offline([case.rig()])
 
 

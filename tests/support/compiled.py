@@ -19,6 +19,7 @@ def brief_rig(*, joints: int = 2, friction: int = 2, level: int = 3, seed: int =
     """A rig with an experiment of less than a second, in which everything takes part."""
     arm, robot = sim_presets.human_arm(joints), sim_presets.robot(joints)
     return Rig(
+        joint_names=sim_presets.JOINT_NAMES[joints],
         plant=PlantConfig(
             arm=arm,
             robot=robot,

@@ -10,12 +10,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.offline import OfflineTrial
 from armimp_common.cdr import CommandDecoder, JointStateDecoder, stamp_of
 from armimp_common.status import TrialStatus
 from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATION, TRIAL, VALUE_FIELD
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import Summary
 from support.bag_files import iterate_messages
 
@@ -99,12 +99,11 @@ class FinishedRun:
             for topic in DATA_STREAMS:
                 assert mine.streams[topic] == others.streams[topic], topic
 
-    def assert_same_as_offline(self, trials: list[OfflineTrial]) -> None:
+    def assert_same_as_offline(self, trials: list[TrialRecord]) -> None:
         """Check that the samples are those of the loop without ROS, to the last bit."""
         names = self.joint_names
         for mine, offline in zip(self.trials(), trials, strict=True):
-            start_ns = offline.first_tick * PERIOD_NS
-            stamps = start_ns + PERIOD_NS * np.arange(offline.position.shape[1])
+            stamps = offline.start_ns + PERIOD_NS * np.arange(offline.position.shape[1])
             for topic in VALUE_FIELD:
                 np.testing.assert_array_equal(mine.stamps(topic, names), stamps)
             expected = (offline.position, offline.torque, offline.command, offline.perturbation)

@@ -22,7 +22,7 @@ from armimp_control.laws.base import MEMORY_ROWS, NO_JOINT, TARE
 from armimp_control.laws.law import control_tick
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import FAULT, JOURNAL, LIMITER_ROWS, fault_of
-from armimp_control.sequence import Segment, TareParameters, timetable
+from armimp_control.sequence import Segment, timetable
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
@@ -39,27 +39,6 @@ from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
 
 RATE = NS_PER_S / PERIOD_NS
 """Samples per second, Hz."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OfflineTrial:
-    """What was exchanged during the perturbation of one joint.
-
-    Attributes
-    ----------
-    joint : perturbed joint, 0-based; the first one if all joints yielded
-    first_tick : tick of the first sample since the start of the experiment
-    position, torque, command, perturbation : (n, N) rad, N·m, N·m, N·m
-    clipped : number of clipped joint commands
-    """
-
-    joint: int
-    first_tick: int
-    position: NDArray[np.float64]
-    torque: NDArray[np.float64]
-    command: NDArray[np.float64]
-    perturbation: NDArray[np.float64]
-    clipped: int
 
 
 @compiled_entry
@@ -87,7 +66,6 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     voluntary: NDArray[np.float64],
     noise: NDArray[np.float64],
     record: NDArray[np.float64],
-    clipped: NDArray[np.int64],
 ) -> float:
     """Run the ticks of a segment.
 
@@ -107,7 +85,6 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     tau_delta, voluntary : (ticks, lanes, n) N·m
     noise : (ticks or 1, lanes, 2, n) of readings, rad and N·m; the last row holds on
     record : (3, lanes, n, ticks), written: positions, torques, commands
-    clipped : (lanes,) numbers of clipped joint commands, added to
 
     Returns
     -------
@@ -119,7 +96,7 @@ def _run_segment(  # noqa: PLR0913, PLR0917 (compiled code takes no objects)
     worst = 0.0
     for k in range(tau_delta.shape[0]):
         for lane in range(m):
-            clipped[lane] += control_tick(
+            control_tick(
                 laws[lane],
                 position[lane],
                 torque[lane],
@@ -165,7 +142,7 @@ Signals = Callable[[Segment], tuple[NDArray[np.float64], int | None]]
 """Gives τ_Δ (ticks, lanes, n) of a segment, N·m, and the joint that yields; None for all joints."""
 
 
-def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
+def run_offline(rigs: Sequence[Rig]) -> list[list[TrialRecord]]:
     """Run experiments side by side, with one perturbed joint in each trial.
 
     Parameters
@@ -174,7 +151,7 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
 
     Returns
     -------
-    list of list of OfflineTrial
+    list of list of TrialRecord
         For each rig, its trials in order.
 
     Raises
@@ -203,19 +180,21 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[OfflineTrial]]:
     return run_segments(rigs, timetable(first.sequence, joints=n, tare=first.tare), signals)
 
 
-def _tare(parameters: TareParameters, torque: NDArray[np.float64]) -> tuple[float, ...]:
+def _tare(rig: Rig, torque: NDArray[np.float64]) -> tuple[float, ...]:
     """Tare (n,) from the readings (n, ticks) of a rig at rest, N·m."""
-    found = parameters.of(torque)
-    names = [f"joint {joint + 1}" for joint in range(len(torque))]
-    if refusal := parameters.refusal(found, names):
+    found = rig.tare.of(torque)
+    if refusal := rig.tare.refusal(found, rig.joint_names):
         raise DataError(f"offline run: {refusal}")
     return found.offset
 
 
 def run_segments(
     rigs: Sequence[Rig], segments: Sequence[Segment], signals: Signals
-) -> list[list[OfflineTrial]]:
-    """Run a timetable side by side, as :func:`run_offline`, with any perturbation."""
+) -> list[list[TrialRecord]]:
+    """Run a timetable side by side, as :func:`run_offline`, with any perturbation.
+
+    Where all joints yield, the first one counts as the perturbed one.
+    """
     first = rigs[0]
     if any((rig.sequence, rig.tare) != (first.sequence, first.tare) for rig in rigs):
         raise DataError("offline run: all rigs must have the same trial sequence")
@@ -238,7 +217,7 @@ def run_segments(
         for rig in rigs
     ]
     noises = [ReadingNoise(rig.plant.sensors, joints=n, seed=rig.seed) for rig in rigs]
-    trials: list[list[OfflineTrial]] = [[] for _ in rigs]
+    trials: list[list[TrialRecord]] = [[] for _ in rigs]
     tares = np.zeros((lanes, n))
     for segment in segments:
         tau_delta, yielding = signals(segment)
@@ -247,7 +226,6 @@ def run_segments(
         models = np.array([law.model(role) for law in configs])
         roles[:, TARE] = tares
         record = np.empty((3, lanes, n, segment.ticks))
-        clipped = np.zeros(lanes, dtype=np.int64)
         worst = _run_segment(
             plant.batch,
             plant.joint_tag,
@@ -273,7 +251,6 @@ def run_segments(
             # An ideal rig has none in any tick.
             np.stack([one.take(segment.ticks if plant.real else 1) for one in noises], axis=1),
             record,
-            clipped,
         )
         check_ratio(worst, plant.config.step)
         for journal, rule in zip(journals, rules, strict=True):
@@ -283,19 +260,23 @@ def run_segments(
                 )
         if segment.tare:
             for lane, rig in enumerate(rigs):
-                tares[lane] = _tare(rig.tare, record[1, lane])
+                tares[lane] = _tare(rig, record[1, lane])
         if segment.phase is not Phase.PERTURB:
             continue
-        for lane in range(lanes):
+        for lane, rig in enumerate(rigs):
+            position, torque, command = record[:, lane].copy()
             trials[lane].append(
-                OfflineTrial(
-                    joint=yielding or 0,
-                    first_tick=segment.first,
-                    position=record[0, lane].copy(),
-                    torque=record[1, lane].copy(),
-                    command=record[2, lane].copy(),
-                    perturbation=np.ascontiguousarray(tau_delta[:, lane].T),
-                    clipped=int(clipped[lane]),
+                TrialRecord(
+                    trial=segment.trial,
+                    perturbed_joint=yielding or 0,
+                    rate=RATE,
+                    joint_names=rig.joint_names,
+                    perturbation=tau_delta[:, lane].T,
+                    position=position,
+                    torque=torque,
+                    command=command,
+                    start_ns=segment.first * PERIOD_NS,
+                    seed=rig.seed,
                 )
             )
     return trials
@@ -315,28 +296,6 @@ class SimulatedExperiment:
     config: ExperimentConfig
     parameters: NodeParameters
     records: tuple[TrialRecord, ...]
-
-    @classmethod
-    def of(
-        cls, config: ExperimentConfig, parameters: NodeParameters, trials: Sequence[OfflineTrial]
-    ) -> SimulatedExperiment:
-        """Make records of what the offline loop gives."""
-        records = tuple(
-            TrialRecord(
-                trial=number,
-                perturbed_joint=trial.joint,
-                rate=RATE,
-                joint_names=parameters.simulator.joints,
-                perturbation=trial.perturbation,
-                position=trial.position,
-                torque=trial.torque,
-                command=trial.command,
-                start_ns=trial.first_tick * PERIOD_NS,
-                seed=config.seed,
-            )
-            for number, trial in enumerate(trials, start=1)
-        )
-        return cls(config=config, parameters=parameters, records=records)
 
     @property
     def truth(self) -> MBK:
@@ -386,6 +345,6 @@ def simulate(configs: Sequence[ExperimentConfig]) -> list[SimulatedExperiment]:
     parameters = [node_parameters(one, None) for one in configs]
     trials = run_offline([one.rig() for one in parameters])
     return [
-        SimulatedExperiment.of(config, one, of_config)
+        SimulatedExperiment(config=config, parameters=one, records=tuple(of_config))
         for config, one, of_config in zip(configs, parameters, trials, strict=True)
     ]

@@ -38,6 +38,7 @@ class Rig:
 
     Parameters
     ----------
+    joint_names : of the n joints
     plant : arm, robot, friction and sensors
     voluntary : voluntary torque of the person
     controller : the law: target impedance, and internal model or gains
@@ -52,6 +53,7 @@ class Rig:
         If the parts disagree in the number of joints or in the period.
     """
 
+    joint_names: tuple[str, ...]
     plant: PlantConfig
     voluntary: VoluntaryParameters
     controller: LawConfig
@@ -95,6 +97,7 @@ class NodeParameters:
     def rig(self) -> Rig:
         """The same experiment for the offline loop."""
         return Rig(
+            joint_names=self.simulator.joints,
             plant=self.simulator.plant_config(),
             voluntary=self.simulator.voluntary,
             controller=self.controller.law_config(),

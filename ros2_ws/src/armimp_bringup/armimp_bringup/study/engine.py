@@ -12,12 +12,13 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import OfflineTrial, SimulatedExperiment, run_offline
+from armimp_bringup.offline import SimulatedExperiment, run_offline
 from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_bringup.study.conditions import Condition
 from armimp_bringup.study.store import ConditionResult, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.result import summarise
 from armimp_estimation.summary import TrialSummary
 from armimp_sim.dynamics import WIDTH
@@ -115,7 +116,7 @@ def condition_config(base: ExperimentConfig, condition: Condition) -> Experiment
 
 
 def estimate_condition(
-    batch: Batch, condition: Condition, parameters: NodeParameters, trials: list[OfflineTrial]
+    batch: Batch, condition: Condition, parameters: NodeParameters, trials: Sequence[TrialRecord]
 ) -> ConditionResult:
     """Identify the impedance in one condition.
 
@@ -127,7 +128,7 @@ def estimate_condition(
         Levels and seed.
     parameters : NodeParameters
         Those of the condition.
-    trials : list of OfflineTrial
+    trials : sequence of TrialRecord
         One for each joint.
 
     Raises
@@ -138,7 +139,7 @@ def estimate_condition(
         If the trials can't be estimated.
     """
     config = condition_config(batch.base, condition)
-    experiment = SimulatedExperiment.of(config, parameters, trials)
+    experiment = SimulatedExperiment(config=config, parameters=parameters, records=tuple(trials))
     try:
         identification = experiment.identify(config.estimators)
     except ConfigurationError:
