@@ -31,7 +31,7 @@ _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _share(value: object) -> object:
-    """A share that may be written in per cent, as 2%."""
+    """Return a share that may be written in per cent, as 2%."""
     if not isinstance(value, str):
         return value
     percent = value.strip().endswith("%")
@@ -143,14 +143,14 @@ class ExperimentConfig(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _separate_in_realtime(cls, values: Any) -> Any:
-        """What an estimator in the same process computes would hold the controller up."""
+        """Keep an estimator from holding up a controller in the same process."""
         if isinstance(values, Mapping) and values.get("mode") == "realtime":
             return {"processes": "separate", **values}
         return values
 
 
 class Declared(BaseModel):
-    """What a user tells of a recording, in the place of what the bags say; None: nothing."""
+    """What a user declares about a recording; it prevails over what the bags say, unless None."""
 
     model_config = _FROZEN
 
@@ -239,7 +239,7 @@ def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
 
 
 class _Loader(Loader):  # type: ignore[misc]
-    """The safe one, which lets errors of Python through where a text is not what it looks like."""
+    """The safe loader, where a value that is not what it looks like is an error of YAML."""
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         try:

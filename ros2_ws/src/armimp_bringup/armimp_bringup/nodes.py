@@ -48,7 +48,7 @@ class RemoteParameters:
 
     Parameters
     ----------
-    node, spinner : who asks, and what spins it
+    node, spinner : the node that asks, and what spins it
     name : of the node that is asked
 
     Raises
@@ -108,7 +108,7 @@ class AskedParameters:
 
     Parameters
     ----------
-    node, spinner : who asks, and what spins it
+    node, spinner : the node that asks, and what spins it
     models : parameters by the name of the node
     record : file for the parameters that are active, all of each node; written if they differ
     """
@@ -141,7 +141,7 @@ class AskedParameters:
 
 
 class NodeGroup:
-    """Nodes of the graph, wherever they run; by default little has to be done for them."""
+    """Nodes of the graph, wherever they run; the methods here suit nodes of this process."""
 
     names: Sequence[str] = NODES
     """In the order of activation."""
@@ -151,10 +151,10 @@ class NodeGroup:
         return {}  # nodes of this process die with it
 
     def prepare(self, manager: LifecycleManager) -> None:
-        """Have the nodes ready to be configured."""
+        """Make the nodes ready to be configured."""
 
     def retire(self, manager: LifecycleManager, name: str) -> None:
-        """End the life of a node that is needed no more."""
+        """Shut down a node that is no longer needed."""
         manager.shutdown(name)
 
     @property
@@ -292,7 +292,7 @@ class SeparateNodes(NodeGroup):
             Path(f"/proc/{number}/autogroup").write_text(str(niceness), encoding="ascii")
 
     def crashed(self) -> list[str]:
-        """Say which nodes died by a signal that did not come from here, at the very end too."""
+        """Say which nodes died by a signal from elsewhere, even at the very end."""
         ours = -signal.SIGINT
         return [
             sentence
@@ -331,9 +331,9 @@ class ExternalNodes(NodeGroup):
     Parameters
     ----------
     supervisor : Node
-        Who asks and watches.
+        The node that asks and watches.
     parameters : AskedParameters
-        What they are given.
+        Parameters that the nodes are given.
     """
 
     def __init__(self, supervisor: Node, parameters: AskedParameters) -> None:

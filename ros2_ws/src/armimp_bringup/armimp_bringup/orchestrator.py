@@ -231,7 +231,7 @@ class Supervisor(Node):
                 self._note_fault(status.name, status.message)
 
     def _note_fault(self, source: str, reason: str) -> None:
-        """Keep a fault that is new; one that goes on takes the place of its beginning."""
+        """Keep a new fault; one that continues a known fault replaces it."""
         new = problem(ProblemCode.NODE_FAULT, source=source, reason=reason)
         for index, known in enumerate(self.faults):
             if known.values["source"] == source:
@@ -243,7 +243,7 @@ class Supervisor(Node):
         self.faults.append(new)
 
     def _note_answers(self, status: DiagnosticStatus) -> None:
-        """Samples that are answered are news, also where a phase without recording is long."""
+        """Count answered samples as news, as phases without recording may be long."""
         if status.name == LIMITER_STATUS:
             answered = values_of(status).get("tick")
             if answered != self._answered:
@@ -287,7 +287,7 @@ class Course:
         self._problems: list[Problem] = []
 
     def run(self, drive: Callable[[], None] = lambda: None) -> list[Problem]:
-        """Go through all of it, with ``drive`` once all nodes are active; tell what went wrong."""
+        """Go through the course, with ``drive`` once all nodes are active; return the problems."""
         try:
             if self.startup():
                 drive()
@@ -335,7 +335,7 @@ class Course:
             self._problems += self._differences()
 
     def shutdown(self) -> None:
-        """Retire the nodes that live and were configured, whatever has happened to the others."""
+        """Retire all configured nodes that are alive, whatever has happened to the others."""
         for name in reversed(self._configured):
             self._problems += self._deaths()
             if name in self._dead:
@@ -357,7 +357,7 @@ class Course:
         return [problem(ProblemCode.PARAMETERS_DIFFER, reason=one) for one in self._confirm()]
 
     def _check(self) -> None:
-        """Raise a GraphError if it is vain to wait any longer, or nobody wants to."""
+        """Raise a GraphError if there is nothing to wait for any longer, or the user interrupts."""
         if self._awaited is None and self._interrupted():
             raise GraphError(_INTERRUPTED.sentence, _INTERRUPTED.code.value)
         dead = self._nodes.dead()

@@ -78,11 +78,11 @@ class FlowControl:
         self.silent = False
 
     def count_sent(self) -> None:
-        """One more sample is under way."""
+        """Take note that one more sample is under way."""
         self._sent += 1
 
     def acknowledge(self, received: int) -> None:
-        """Take what the recorder tells."""
+        """Take a count from the recorder."""
         if received == 0:
             self._base = self._sent
         elif received < self._received < topics.RECORDER_GONE:
@@ -207,10 +207,10 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
 
     @abstractmethod
     def rest(self) -> None:
-        """Leave no torque behind, and obey no commands any more; harmless if repeated."""
+        """Leave no torque behind, and obey no further commands; harmless if repeated."""
 
     def torque_was_taken(self) -> None:
-        """Tell the drives: called when a fault is latched while the node is active."""
+        """Pass the loss of torque on to the drives, when a fault is latched in an active node."""
 
     def obey_again(self) -> None:
         """Undo a fault.
@@ -243,7 +243,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
     # One command for one sample, from one publisher.
 
     def check(self) -> None:
-        """Find out whether somebody else commands, and report news; called every 20 ms."""
+        """Check whether somebody else commands, and report what is new; called every 20 ms."""
         if self.active:
             publishers = publisher_count(self, self.commands.subscription)
             if publishers > 1:
@@ -268,7 +268,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         self.report_news()
 
     def _name_publishers(self, *, last: bool = False) -> None:
-        """Go on with an accusation by the names of those who command, as they become known.
+        """Add the names of all who command to an accusation, as they become known.
 
         Torque has gone, and the middleware may learn later whose a publisher is.
         """
@@ -290,7 +290,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
                     self._names.append(name)
 
     def _conclude_accusation(self) -> None:
-        """Wait a moment for names that are on their way, now that nothing else is waited for."""
+        """Wait a moment for names that are still on their way, now that nothing else is due."""
         end = time.monotonic() + _NAMES_PATIENCE
         while self._accused and self._commanders < 2 and time.monotonic() < end:
             self._name_publishers()
@@ -299,7 +299,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         self.report_news()
 
     def _guard(self) -> dict[str, str]:
-        """Tell, for reports, by what a command of somebody else would be noticed."""
+        """Return, for reports, how a command of somebody else would be noticed."""
         if self._sequence.numbered is None:
             return {}
         by = "numbers and publishers" if self._sequence.numbered else "publishers alone"
@@ -485,7 +485,7 @@ class ProtectedDriver(DriverBase[Protection], ABC):
             self.drive(protection.applied)
 
     def torque_was_taken(self) -> None:
-        """Tell the drives."""
+        """Give the drives what is left of the torque."""
         if self.limiter is not None:
             self.drive(self.limiter.applied)
 
@@ -495,5 +495,5 @@ class ProtectedDriver(DriverBase[Protection], ABC):
         return self.active
 
     def timing(self) -> TimingFigures | None:
-        """How regular samples and commands are."""
+        """Return how regular samples and commands are, while that means anything."""
         return self._meter.figures() if self.timed else None

@@ -57,9 +57,9 @@ class Presence(Enum):
         Parameters
         ----------
         alive, silent
-            Numbers of publishers that give a sign of life and that do not any more.
+            Numbers of publishers whose lease is renewed, and of those whose lease has run out.
         process_lives
-            Whether the process of the node is there; None if that is not known.
+            Whether the process of the node exists; None if that is not known.
         """
         if alive or silent:
             if process_lives is False:
@@ -95,9 +95,9 @@ class HeartbeatMonitor:
     Parameters
     ----------
     node
-        Who listens; callbacks run in its executor.
+        The node that listens; callbacks run in its executor.
     name
-        Whom, as for `Heartbeat`.
+        Name of the other node, as for `Heartbeat`.
     on_change
         Called with the monitor when `presence` has changed.
 
@@ -147,7 +147,7 @@ class HeartbeatMonitor:
         self.check()
 
     def check(self) -> None:
-        """Find out what has become of the process, and tell if that is news."""
+        """Look up the process, and call back if its presence has changed."""
         self.checked = time.monotonic()
         alive, silent = self._alive, self._silent
         process_lives = None

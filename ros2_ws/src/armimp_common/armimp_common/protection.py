@@ -23,7 +23,7 @@ _SPAN = 5
 
 
 class CommandSequence:
-    """Tells by their numbers whether commands come from one publisher, each of them once.
+    """Checks by their numbers that commands come from one publisher, each of them once.
 
     Two publishers can't go unnoticed if one of them numbers its commands: whichever number comes
     next, the other sends another. Of a controller that never numbers them nothing can be told.
@@ -110,7 +110,7 @@ class Protection:
             self.applied = tuple(torque)
 
     def sample(self, angles: Sequence[float]) -> None:
-        """Look at angles (n,), rad, of a sample that the next command is to answer."""
+        """Check the angles (n,), rad, of a sample that the next command is to answer."""
         self._seen += 1
         self._owed += self._begun
         self._history.append(tuple(angles))
@@ -122,7 +122,7 @@ class Protection:
             self.latch(f"velocity beyond {self._limits.velocity:g} rad/s")
 
     def period(self) -> bool:
-        """One period is over; tell whether no command came in it. Only in real time."""
+        """End a period, in real time only; return whether no command came in it."""
         self._silent += self._begun
         if self._silent > WATCHDOG_PERIODS:
             self._fade(f"no command for {WATCHDOG_PERIODS} periods")
@@ -144,7 +144,7 @@ class Protection:
         self.applied, self._fading = self._zero, 0
 
     def rest(self) -> None:
-        """Forget the last command, as whoever gave it is not obeyed any more."""
+        """Forget the last command, as whoever gave it is no longer obeyed."""
         self.applied, self._fading = self._zero, 0
         self._begun, self._resting = False, True
         self._silent = self._owed = self._seen = 0

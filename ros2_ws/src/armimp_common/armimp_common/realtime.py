@@ -85,7 +85,7 @@ class Pacer:
 
 
 class Durations:
-    """Distribution of durations, in memory that does not grow with their number.
+    """Distribution of durations, in an amount of memory that does not depend on their number.
 
     Quantiles are those of a random sample of them (algorithm R of Vitter, ACM Trans. Math. Softw.
     11(1), 1985), the maximum is exact.
@@ -125,7 +125,7 @@ class TimingMeter:
         self._ticks = self._late = self._missed = 0
 
     def sent(self, deadline_ns: int, sent_ns: int) -> None:
-        """A sample that was due at a time was sent, ns."""
+        """Take note that a sample that was due at ``deadline_ns`` was sent at ``sent_ns``, ns."""
         self._ticks += 1
         self._late += sent_ns - deadline_ns > LATE_NS
         if self._last_ns is not None:
@@ -133,11 +133,11 @@ class TimingMeter:
         self._last_ns = sent_ns
 
     def answered(self, latency_ns: int) -> None:
-        """A command came so long after its sample, ns."""
+        """Take note that a command came this long after its sample, ns."""
         self._latency.add(latency_ns)
 
     def missed(self) -> None:
-        """A period began without the command that was meant for it."""
+        """Take note that a period began without the command that was meant for it."""
         self._missed += 1
 
     def figures(self) -> TimingFigures:
@@ -191,7 +191,7 @@ class SchedulingParameters(Schema):
 
 
 class RealtimeScheduling:
-    """Takes precedence for the whole process, until it is given back.
+    """Gives the whole process precedence, until :meth:`give_back`.
 
     Python's garbage collector rests meanwhile: a collection in the wrong moment takes milliseconds.
     All threads count, those of the middleware too, since each of them carries a message on.
@@ -236,7 +236,7 @@ class RealtimeScheduling:
             raise GraphError(f"parameter 'realtime.{name}' = {value}: {reason}") from None
 
     def give_back(self) -> None:
-        """Let the process be as it was."""
+        """Restore the scheduling that the process had before."""
         self._restore()
         sys.setswitchinterval(self._interval)
         if self._collecting:
@@ -252,7 +252,7 @@ class RealtimeScheduling:
 
 
 def require_precedence(priority: int) -> None:
-    """Find out beforehand whether the system permits a SCHED_FIFO priority; 0 always is.
+    """Check beforehand that the system permits a SCHED_FIFO priority; 0 is always permitted.
 
     Raises
     ------
@@ -279,9 +279,9 @@ def require_precedence(priority: int) -> None:
 
 @contextmanager
 def seldom_collecting() -> Iterator[None]:
-    """Have Python's garbage collector look at what is new only, and that seldom.
+    """Let Python's garbage collector look only at new objects, and seldom.
 
-    Of what is there already it would find nothing, but look at all of it again and again.
+    Among those that exist already it would find nothing, but search all of them again and again.
     """
     threshold = gc.get_threshold()
     gc.freeze()

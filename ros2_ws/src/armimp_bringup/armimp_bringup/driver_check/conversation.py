@@ -130,7 +130,7 @@ class Answering:
         return bool(self._script)
 
     def answer(self) -> None:
-        """Answer the newest sample; done as it comes, and again to set time going in lockstep."""
+        """Answer the newest sample, as it comes, or again to set time going in lockstep."""
         torque = self.torque
         if self._script:
             count, torque = self._script.popleft()
@@ -150,7 +150,7 @@ class Answering:
         self.last_sent = now
 
     def let_go(self) -> None:
-        """Command zero torque now, more than once, whatever else there was to be done."""
+        """Command zero torque now, several times, instead of whatever else was to be done."""
         self._script.clear()
         for _ in range(_FAREWELLS):
             self._publish(self.zero)

@@ -75,7 +75,7 @@ class Mover:
         except _GivenUpError as error:
             moves.missing, moves.values = error.reason, error.values
         finally:
-            # However this ends, and be it by Ctrl-C: nothing of what was commanded may stay.
+            # However this ends, even by Ctrl-C, no torque that was commanded may stay.
             self._node.let_go()
             self._node.guard = None
         if guard.reason:

@@ -260,7 +260,7 @@ class _Probe:
             self._manager.activate(name)
 
     def _leave(self, state: str | None) -> None:
-        """Have a driver that stays active forget the silence which begins now, as for a fault."""
+        """Reset a driver that stays active after the silence that begins now, which is a fault."""
         if self._paced and state in (None, "active"):
             self._node.torque = None
             self._node.wait(lambda: False, _LISTEN)
