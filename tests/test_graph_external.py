@@ -101,7 +101,7 @@ def test_when_a_node_of_others_was_finalized_expect_it_named_and_no_trial(
     with monkeypatch.context() as patch:
         # As an orchestrator does with nodes of its own: it finalizes them at the end.
         def finalize(_: ExternalNodes, manager: LifecycleManager, name: str) -> None:
-            manager.shutdown(name)
+            manager.change(name, "shutdown")
 
         patch.setattr(ExternalNodes, "retire", finalize)
         told: list[Progress] = []

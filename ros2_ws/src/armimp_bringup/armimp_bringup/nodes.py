@@ -155,7 +155,7 @@ class NodeGroup:
 
     def retire(self, manager: LifecycleManager, name: str) -> None:
         """Shut down a node that is no longer needed."""
-        manager.shutdown(name)
+        manager.change(name, "shutdown")
 
     @property
     def result(self) -> Result | None:
@@ -363,7 +363,7 @@ class ExternalNodes(NodeGroup):
         for name in manager.names:
             state = manager.state(name)
             if state == "inactive":
-                manager.cleanup(name)
+                manager.change(name, "cleanup")
             elif state != "unconfigured":
                 raise GraphError(
                     f"node {name} is {state}, not unconfigured: it belongs to another experiment,"
@@ -385,9 +385,9 @@ class ExternalNodes(NodeGroup):
             If it does not answer or refuses.
         """
         if manager.state(name) == "active":
-            manager.deactivate(name)
+            manager.change(name, "deactivate")
         if manager.state(name) == "inactive":
-            manager.cleanup(name)
+            manager.change(name, "cleanup")
 
 
 def _leave_to_driver(given: dict[str, list[Parameter]], known: set[str]) -> None:

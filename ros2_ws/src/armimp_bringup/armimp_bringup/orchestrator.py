@@ -306,13 +306,13 @@ class Course:
         for name in self._nodes.names:
             self._check()
             self._configured.append(name)
-            self._manager.configure(name)
+            self._manager.change(name, "configure")
         self._problems += self._differences()
         if self._problems:
             return False
         for name in self._nodes.names:
             self._check()
-            self._manager.activate(name)
+            self._manager.change(name, "activate")
         return True
 
     def watch(self) -> None:

@@ -173,26 +173,6 @@ class LifecycleManager:
         if not answer.success:
             raise GraphError(f"node {name} failed to {transition}; its log tells why")
 
-    def configure(self, name: str) -> None:
-        """Have a node take its parameters."""
-        self.change(name, "configure")
-
-    def activate(self, name: str) -> None:
-        """Have a node begin its work."""
-        self.change(name, "activate")
-
-    def deactivate(self, name: str) -> None:
-        """Have a node end its work."""
-        self.change(name, "deactivate")
-
-    def cleanup(self, name: str) -> None:
-        """Have a node forget its parameters."""
-        self.change(name, "cleanup")
-
-    def shutdown(self, name: str) -> None:
-        """Have a node end for good."""
-        self.change(name, "shutdown")
-
     def _available(self, name: str, purpose: str) -> dict[str, int]:
         request = GetAvailableTransitions.Request()
         answer = self._ask(name, "get_available_transitions", request, purpose)

@@ -83,8 +83,8 @@ class JointStatePublisher(RawPublisher):
 class CommandPublisher(RawPublisher):
     """Publisher of commands for `n` joints, numbered from 1 on."""
 
-    def __init__(self, node: Node, topic: str, n: int, profile: QoSProfile = qos.SAMPLE) -> None:
-        super().__init__(node, topic, Float64MultiArray, profile)
+    def __init__(self, node: Node, topic: str, n: int) -> None:
+        super().__init__(node, topic, Float64MultiArray)
         self._encode = cdr.CommandEncoder(n).encode
         self._number = 0
 
@@ -178,7 +178,7 @@ class JointStateSubscription(RawSubscription):
 
     Parameters
     ----------
-    node, topic, profile
+    node, topic
         Where to listen.
     names, field
         As for `armimp_common.cdr.JointStateDecoder`.
@@ -198,10 +198,9 @@ class JointStateSubscription(RawSubscription):
         callback: Callable[[int, tuple[float, ...]], None],
         *,
         on_malformed: OnMalformed | None = None,
-        profile: QoSProfile = qos.SAMPLE,
     ) -> None:
         decode = cdr.JointStateDecoder(names, field).decode
-        super().__init__(node, topic, JointState, _decoded(decode, callback, on_malformed), profile)
+        super().__init__(node, topic, JointState, _decoded(decode, callback, on_malformed))
 
 
 class CommandSubscription(RawSubscription):
@@ -222,14 +221,13 @@ class CommandSubscription(RawSubscription):
         *,
         on_number: Callable[[int], None] = lambda _: None,
         on_malformed: OnMalformed | None = None,
-        profile: QoSProfile = qos.SAMPLE,
     ) -> None:
         def on_command(number: int, values: tuple[float, ...]) -> None:
             on_number(number)
             callback(values)
 
         on_message = _decoded(cdr.CommandDecoder(n).decode_numbered, on_command, on_malformed)
-        super().__init__(node, topic, Float64MultiArray, on_message, profile)
+        super().__init__(node, topic, Float64MultiArray, on_message)
 
 
 class CountSubscription(RawSubscription):

@@ -55,15 +55,15 @@ def test_node_of_the_same_process_goes_through_all_states(manager: LifecycleMana
     manager.wait_for_nodes()
     assert manager.state("managed") == "unconfigured"
     assert manager.available("managed") == ("configure", "shutdown")
-    manager.configure("managed")
+    manager.change("managed", "configure")
     assert manager.state("managed") == "inactive"
-    manager.activate("managed")
+    manager.change("managed", "activate")
     assert manager.state("managed") == "active"
-    manager.deactivate("managed")
+    manager.change("managed", "deactivate")
     assert manager.state("managed") == "inactive"
-    manager.cleanup("managed")
+    manager.change("managed", "cleanup")
     assert manager.state("managed") == "unconfigured"
-    manager.shutdown("managed")
+    manager.change("managed", "shutdown")
     assert manager.state("managed") == "finalized"
 
 
@@ -77,7 +77,7 @@ def test_a_transition_that_there_is_not_is_refused_and_the_node_lives(
     future = client.call_async(ChangeState.Request(transition=Transition(id=number)))
     assert spinner.spin_until(future, PATIENCE)
     assert not future.result().success
-    manager.configure("managed")
+    manager.change("managed", "configure")
     assert manager.state("managed") == "inactive"
 
 
@@ -88,12 +88,12 @@ def test_shutdown_works_from_every_state(
     for transition in before:
         manager.change("managed", transition)  # type: ignore[arg-type]
 
-    manager.shutdown("managed")
+    manager.change("managed", "shutdown")
 
     assert manager.state("managed") == "finalized"
     assert manager.available("managed") == ()
     with pytest.raises(GraphError, match=r"managed cannot shutdown: it is finalized, which allows"):
-        manager.shutdown("managed")
+        manager.change("managed", "shutdown")
 
 
 def test_when_state_lacks_the_transition_expect_graph_error_and_node_alive(
@@ -104,9 +104,9 @@ def test_when_state_lacks_the_transition_expect_graph_error_and_node_alive(
         match=r"^node managed cannot activate: it is unconfigured,"
         r" which allows configure, shutdown$",
     ):
-        manager.activate("managed")
+        manager.change("managed", "activate")
 
-    manager.configure("managed")
+    manager.change("managed", "configure")
     assert manager.state("managed") == "inactive"
 
 
@@ -116,7 +116,7 @@ def test_when_transition_fails_expect_graph_error_and_the_reason_kept(
     managed.fault = ConfigurationError("rate = 0: must be positive")
 
     with pytest.raises(GraphError, match=r"^node managed failed to configure"):
-        manager.configure("managed")
+        manager.change("managed", "configure")
 
     assert manager.state("managed") == "unconfigured"
     assert managed.transition_error == "rate = 0: must be positive"
@@ -124,7 +124,7 @@ def test_when_transition_fails_expect_graph_error_and_the_reason_kept(
     assert "on_configure: rate = 0: must be positive" in log
     assert "Traceback" not in log
     managed.fault = None
-    manager.configure("managed")
+    manager.change("managed", "configure")
     assert managed.transition_error == ""
 
 
@@ -136,9 +136,9 @@ def test_when_node_is_absent_expect_graph_error_in_time(node: Node, spinner: Spi
     with pytest.raises(GraphError, match=r"^node did not appear: absent$"):
         manager.wait_for_nodes()
     with pytest.raises(GraphError, match=r"node absent is not there to configure"):
-        manager.configure("absent")
+        manager.change("absent", "configure")
     with pytest.raises(GraphError, match=r"node stranger is not managed; managed: managed, absent"):
-        manager.configure("stranger")
+        manager.change("stranger", "configure")
 
 
 def test_node_of_another_process_is_managed_and_its_death_noticed(node: Node) -> None:
@@ -155,8 +155,8 @@ raise SystemExit(run_node(lambda *, context: LifecycleNode("remote", context=con
                 node, ["remote"], spin_until=spinner.spin_until, timeout=20.0
             )
             manager.wait_for_nodes()
-            manager.configure("remote")
-            manager.activate("remote")
+            manager.change("remote", "configure")
+            manager.change("remote", "activate")
             assert manager.state("remote") == "active"
 
             process.kill()
@@ -165,7 +165,7 @@ raise SystemExit(run_node(lambda *, context: LifecycleNode("remote", context=con
                 node, ["remote"], spin_until=spinner.spin_until, timeout=0.5
             )
             with pytest.raises(GraphError, match="remote"):
-                impatient.deactivate("remote")
+                impatient.change("remote", "deactivate")
     finally:
         process.kill()
         process.wait()
@@ -186,8 +186,8 @@ def test_when_waiting_is_vain_expect_its_reason_at_once(node: Node, managed: Man
         )
         for wait in (
             manager.wait_for_nodes,
-            lambda: manager.configure("absent"),
-            lambda: manager.configure("managed"),
+            lambda: manager.change("absent", "configure"),
+            lambda: manager.change("managed", "configure"),
         ):
             asked = 0
             with pytest.raises(GraphError, match=r"^the process died$"):

@@ -537,7 +537,7 @@ class TestParameters:
         )
 
         with pytest.raises(GraphError, match="imbic_controller failed to configure"):
-            manager.configure(topics.CONTROLLER_NODE)
+            manager.change(topics.CONTROLLER_NODE, "configure")
 
         assert reason in controller.transition_error
         log = capfd.readouterr().err
@@ -546,7 +546,7 @@ class TestParameters:
         assert manager.state(topics.CONTROLLER_NODE) == "unconfigured"
         good = {parameter.name: parameter for parameter in overrides(PARAMETERS)}
         controller.set_parameters([good[name] for name in changes])
-        manager.configure(topics.CONTROLLER_NODE)
+        manager.change(topics.CONTROLLER_NODE, "configure")
         assert controller.transition_error == ""
 
 

@@ -108,8 +108,8 @@ def world(context: Context, node: Node, monkeypatch: pytest.MonkeyPatch) -> Iter
             node, [topics.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
         )
         manager.wait_for_nodes()
-        manager.configure(topics.SIM_NODE)
-        manager.activate(topics.SIM_NODE)
+        manager.change(topics.SIM_NODE, "configure")
+        manager.change(topics.SIM_NODE, "activate")
         yield world
     driver.destroy_node()
     assert device.closed

@@ -453,7 +453,7 @@ class TestParameters:
         )
 
         with pytest.raises(GraphError, match="impedance_estimator failed to configure"):
-            manager.configure(topics.ESTIMATOR_NODE)
+            manager.change(topics.ESTIMATOR_NODE, "configure")
 
         assert reason in estimator.transition_error
         log = capfd.readouterr().err
@@ -462,7 +462,7 @@ class TestParameters:
         assert manager.state(topics.ESTIMATOR_NODE) == "unconfigured"
         good = {parameter.name: parameter for parameter in overrides(EstimatorParameters())}
         estimator.set_parameters([good[name] for name in changes])
-        manager.configure(topics.ESTIMATOR_NODE)
+        manager.change(topics.ESTIMATOR_NODE, "configure")
 
 
 class TestLife:

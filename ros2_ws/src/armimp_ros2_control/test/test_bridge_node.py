@@ -135,13 +135,13 @@ def waiting(node: Node, bridge: Ros2ControlBridge) -> Iterator[World]:
             node, [topics.SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
         )
         world.manager.wait_for_nodes()
-        world.manager.configure(topics.SIM_NODE)
+        world.manager.change(topics.SIM_NODE, "configure")
         yield world
 
 
 @pytest.fixture
 def world(waiting: World, node: Node, bridge: Ros2ControlBridge) -> World:
-    waiting.manager.activate(topics.SIM_NODE)
+    waiting.manager.change(topics.SIM_NODE, "activate")
     eventually(waiting.spinner, lambda: waiting.told == [ZERO], "no torque to begin with")
     assert not wait_until_matched(node, publishers=[waiting.states], timeout_s=PATIENCE)
     assert not wait_until_matched(bridge, subscriptions=[bridge._states], timeout_s=PATIENCE)
@@ -158,7 +158,7 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
         time.sleep(0.1)
 
     monkeypatch.setattr("armimp_common.driver_base.wait_for_partners", wait)
-    waiting.manager.activate(topics.SIM_NODE)
+    waiting.manager.change(topics.SIM_NODE, "activate")
     a_moment(waiting.spinner)
     assert waiting.angles == []
 

@@ -269,7 +269,7 @@ class TestParameters:
         )
 
         with pytest.raises(GraphError, match="arm_sim failed to configure"):
-            manager.configure(SIM_NODE)
+            manager.change(SIM_NODE, "configure")
 
         assert reason in simulator.transition_error
         log = capfd.readouterr().err
@@ -278,7 +278,7 @@ class TestParameters:
         assert manager.state(SIM_NODE) == "unconfigured"
         good = {parameter.name: parameter for parameter in overrides(PARAMETERS)}
         simulator.set_parameters([good[name] for name in changes])
-        manager.configure(SIM_NODE)
+        manager.change(SIM_NODE, "configure")
 
 
 class TestLife:

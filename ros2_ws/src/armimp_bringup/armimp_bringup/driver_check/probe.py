@@ -188,7 +188,7 @@ class _Probe:
         """Have the driver active, and bring it back to where it was."""
         name, node, manager = self._options.node, self._node, self._manager
         if state == "unconfigured":
-            manager.configure(name)
+            manager.change(name, "configure")
         elif state not in (None, "inactive", "active"):
             raise GraphError(f"node {name} is {state}: it has to be started anew")
         try:
@@ -202,16 +202,16 @@ class _Probe:
                 raise GraphError(f"the driver is in use: {', '.join(sorted(others))} commands it")
             node.listen()
             if state in ("unconfigured", "inactive"):
-                manager.activate(name)
+                manager.change(name, "activate")
             try:
                 yield
             finally:
                 node.torque = None
                 if state in ("unconfigured", "inactive"):
-                    manager.deactivate(name)
+                    manager.change(name, "deactivate")
         finally:
             if state == "unconfigured" and manager.state(name) == "inactive":
-                manager.cleanup(name)
+                manager.change(name, "cleanup")
 
     def _complete(self) -> bool:
         """Whether all endpoints of a driver are known."""
@@ -252,12 +252,12 @@ class _Probe:
             return
         again = state in ("unconfigured", "inactive")
         if again:
-            self._manager.deactivate(name)
+            self._manager.change(name, "deactivate")
         # What piled up meanwhile must not be answered.
         node.wait(lambda: False, _LISTEN)
         node.torque = node.zero
         if again:
-            self._manager.activate(name)
+            self._manager.change(name, "activate")
 
     def _leave(self, state: str | None) -> None:
         """Reset a driver that stays active after the silence that begins now, which is a fault."""
