@@ -1,14 +1,14 @@
 """Experiments that several tests look at, each run once."""
 
 import fcntl
+import functools
 import os
 import shutil
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +22,9 @@ from armimp_bringup.driver_check.probe import probe
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
-from armimp_common.executor import Spinner
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.browser import Browser
-from support.graph import joined
+from support.graph import hosted
 from support.runs import FinishedRun, Run
 from support.stalls import StallWitness
 
@@ -143,33 +142,11 @@ def host(driver_domain: int) -> Iterator[Callable[..., None]]:
     with ExitStack() as stack:
 
         def run(make: Callable[..., Node], **parameters: Any) -> None:
-            stack.enter_context(_hosted(make, driver_domain, parameters))
+            overrides = [Parameter(k.replace("__", "."), value=v) for k, v in parameters.items()]
+            made = functools.partial(make, parameter_overrides=overrides)
+            stack.enter_context(hosted(lambda context: made(context=context), driver_domain))
 
         yield run
-
-
-@contextmanager
-def _hosted(
-    make: Callable[..., Node], domain_id: int, parameters: dict[str, Any]
-) -> Iterator[None]:
-    hosting = joined(domain_id)
-    overrides = [Parameter(name.replace("__", "."), value=v) for name, v in parameters.items()]
-    node = make(context=hosting, parameter_overrides=overrides)
-    ended = threading.Event()
-
-    def spin() -> None:
-        with Spinner([node]) as spinner:
-            spinner.spin(ended.is_set)
-
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join()
-        node.destroy_node()
-        hosting.try_shutdown()
 
 
 @pytest.fixture

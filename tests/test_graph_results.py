@@ -1,60 +1,37 @@
 """What a running experiment tells: progress, columns as they come, the result, diagnostics."""
 
-import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
+from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos
 from armimp_common.domain import DomainClaim
-from armimp_common.executor import Spinner
 from armimp_common.status import Level, Phase, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.messages import RESULT_NAME
-from support.graph import PATIENCE, joined
+from support.graph import PATIENCE, hosted
 from support.runs import FinishedRun
 
 SHORT = ExperimentConfig(duration=2.0)
 
 
-def free_domain() -> int:
-    with DomainClaim() as claim:
-        return claim.domain_id
-
-
-@dataclass
-class Bystander:
+class Bystander(Node):
     """Somebody in the domain of an experiment, who has no part in it."""
 
-    domain_id: int
-    heard: list[DiagnosticStatus] = field(default_factory=list)
-    done: threading.Event = field(default_factory=threading.Event)
-
-    def __post_init__(self) -> None:
-        self.context = joined(self.domain_id)
-        self.node = Node("bystander", context=self.context)
-
-    def listen(self) -> None:
+    def __init__(self, context: Context) -> None:
+        super().__init__("bystander", context=context)
+        self.heard: list[DiagnosticStatus] = []
         for topic in (TRIAL, RESULT):
-            self.node.create_subscription(
+            self.create_subscription(
                 DiagnosticStatus, topic, self.heard.append, qos.PROFILES[topic]
             )
-        self.thread = threading.Thread(target=self.spin)
-        self.thread.start()
-
-    def spin(self) -> None:
-        with Spinner([self.node]) as spinner:
-            spinner.spin(self.done.is_set, period=0.05)
-
-    def close(self) -> None:
-        self.node.destroy_node()
-        self.context.try_shutdown()
 
 
 def what(message: DiagnosticStatus) -> str:
@@ -77,11 +54,10 @@ class Account:
 @pytest.fixture(scope="module")
 def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Account:
     directory = tmp_path_factory.mktemp("run") / "out"
-    domain_id = free_domain()
-    bystander = Bystander(domain_id)
-    bystander.listen()
+    with DomainClaim() as claim:
+        domain_id = claim.domain_id
     progress: list[Progress] = []
-    try:
+    with hosted(Bystander, domain_id) as bystander:
         result = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
         # Whoever draws needs not read the bags.
         assert [len(trial.segments) for trial in result.trials] == [1, 1]
@@ -89,10 +65,6 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
         while RESULT_NAME not in [message.name for message in bystander.heard]:
             assert time.monotonic() < deadline
             time.sleep(0.05)
-    finally:
-        bystander.done.set()
-        bystander.thread.join()
-        bystander.close()
     return Account(
         run=FinishedRun(directory=directory, summary=result.summary),
         heard=bystander.heard,
