@@ -122,7 +122,7 @@ class AskedParameters:
         self._record = record
 
     def differences(self) -> list[str]:
-        """Return a sentence for each parameter that is another than was asked for."""
+        """Return a sentence for each parameter that has another value than was asked for."""
         active: dict[str, dict[str, Any]] = {}
         problems: list[str] = []
         for name, parameters in self.asked.items():
@@ -341,7 +341,7 @@ class ExternalNodes(NodeGroup):
         self._monitors = [HeartbeatMonitor(supervisor, name, lambda _: None) for name in self.names]
 
     def dead(self) -> Mapping[str, str]:
-        """Say which nodes were there and are not any more.
+        """Say which nodes were there, and are there no longer.
 
         One that is only silent may be stalled, in a place where it can't be looked up; the
         middleware declares it dead soon if it is.

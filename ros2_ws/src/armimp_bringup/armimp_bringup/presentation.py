@@ -37,7 +37,7 @@ _WORDS = ("", "element", "unit", "bag")
 
 
 class Stopwatch:
-    """Wall times of a run; started with the process, however late it is made.
+    """Wall times of a run, counted from the start of the process.
 
     The trials last from the first sample of the first one to the last sample of the last one that
     is perturbed. What is before are imports and the bringing up of the graph, what is after the

@@ -81,7 +81,7 @@ class BagPlayer(Node):
         self._wait()
 
     def finish(self, last: TrialWindow, trials: int) -> None:
-        """Say that nothing more will come."""
+        """Announce that nothing more will come."""
         self._senders[topics.TRIAL].publish(_status(Phase.DONE, last, trials))
 
     def _wait(self) -> None:

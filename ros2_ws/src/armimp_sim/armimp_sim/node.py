@@ -175,7 +175,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
             self.report()
 
     def check(self) -> None:
-        """Tell what has happened in the thread, too, which must not lose time with that."""
+        """Report also what has happened in the thread, which must not lose time on reports."""
         super().check()
         paced, rig = self._simulator, self.limiter
         if paced is None or rig is None:

@@ -155,7 +155,7 @@ class RealtimeSimulator:
             self._rig.step(self._command)
 
     def _forget_unheard(self) -> None:
-        """Do not wait for answers of somebody who was not there; they will never come.
+        """Expect no answers from a controller that was not there yet; they will never come.
 
         Who is only slow to start, or always late, answers what he has heard: that is counted.
         """

@@ -124,13 +124,13 @@ class SimulatedRig:
         self.fault = ""
 
     def rest(self) -> None:
-        """Forget the last command: whoever gave it is not obeyed any more."""
+        """Forget the last command, as whoever gave it is no longer obeyed."""
         self._fading = 0
         self._command[:] = 0.0
         self._resting = True
 
     def _compile(self, joints: int) -> None:
-        """Have the plant compiled before time matters, and leave it as it was."""
+        """Compile the plant before time matters, and leave its state as it was."""
         state = self._plant.state()
         with suppress(IntegrationError):  # it will be reported when it happens in earnest
             self._plant.tick(np.zeros((1, joints)), np.zeros((1, joints)))

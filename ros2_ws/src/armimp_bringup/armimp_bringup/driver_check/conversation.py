@@ -47,7 +47,7 @@ class Error(NamedTuple):
     message: str
 
     def __str__(self) -> str:
-        """Say it in one line."""
+        """Return it in one line."""
         return f"{self.name}: {self.message}"
 
 
@@ -66,7 +66,7 @@ class MotionGuard:
         self.values: dict[str, object] = {}
 
     def allows(self, data: bytes) -> bool:
-        """Look at a message of ``joint_states``; tell whether torque may be commanded."""
+        """Check a message of ``joint_states``; return whether torque may be commanded."""
         try:
             _, angles = self._decode(data)
         except MalformedMessageError as error:
@@ -174,7 +174,7 @@ class Answering:
         return len(self._raw[topic])
 
     def recent(self, topic: str, count: int, step: int) -> list[bytes]:
-        """Return every so many-th of the last messages."""
+        """Return every ``step``-th of the last ``count`` messages."""
         return [data for _, data in self._raw[topic][-count::step]]
 
     def recorded(self) -> tuple[dict[str, list[Message]], dict[str, int]]:

@@ -172,12 +172,12 @@ def not_checked(rule: Rule, reason: Reason, of: str = "", **values: object) -> F
 
 
 def inconclusive(rule: Rule, reason: Reason, of: str = "", **values: object) -> Finding:
-    """Return a finding for what was looked at in vain."""
+    """Return a finding for what was tried, but could not be decided."""
     return Finding(rule=rule, of=of, verdict=Verdict.INCONCLUSIVE, values=values, reason=reason)
 
 
 def with_verdict(findings: Iterable[Finding], verdict: Verdict) -> list[str]:
-    """Return the names of the checks that ended so, in their order."""
+    """Return the names of the checks with this verdict, in their order."""
     return [finding.check for finding in findings if finding.verdict is verdict]
 
 

@@ -36,7 +36,7 @@ _LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0
 
 
 class StallWitness:
-    """A thread that wants to wake up each millisecond, and notes when it could not."""
+    """A thread that is to wake up each millisecond, and notes when it did not."""
 
     def __init__(self) -> None:
         self._found: list[tuple[int, int]] = []
@@ -66,7 +66,7 @@ class StallWitness:
         return Stalls(intervals_ns=intervals, watched_ns=self._pacer.now() - self._begin_ns)
 
     def close(self) -> None:
-        """Watch no more."""
+        """End the thread."""
         self._ended.set()
         self._thread.join()
 
@@ -185,7 +185,7 @@ class _Probe:
 
     @contextmanager
     def _active(self, state: str | None) -> Iterator[None]:
-        """Have the driver active, and bring it back to where it was."""
+        """Activate the driver, and bring it back to its former state in the end."""
         name, node, manager = self._options.node, self._node, self._manager
         if state == "unconfigured":
             manager.change(name, "configure")
@@ -272,7 +272,7 @@ class _Probe:
         malformed: Mapping[str, int],
         faults: Sequence[Error],
     ) -> tuple[Reason, dict[str, object]] | None:
-        """Return why it would not be wise to command torque."""
+        """Return why no torque may be commanded; None if nothing speaks against it."""
         for topic, kept in streams.items():
             values = readings(self._options.joints, topic, kept)
             if malformed[topic] or not kept or values.shape[1] != len(kept):
