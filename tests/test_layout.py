@@ -1,6 +1,7 @@
-"""What the layout of the workspace promises: mathematics apart from ROS, and honest manifests."""
+"""The layout of the workspace: mathematics apart from ROS, imports as page and manifests say."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -13,6 +14,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = ROOT / "ros2_ws" / "src"
 PACKAGES = sorted(path.name for path in SOURCES.iterdir() if (path / "package.xml").exists())
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+ROWS = dict(re.findall(r"^\| `(armimp\w*)` \| [^|]+ \| ([^|]+) \|$", PAGE, flags=re.MULTILINE))
+ALLOWED = {package: set(re.findall(r"`(\w+)`", cell)) for package, cell in ROWS.items()}
+"""What each package may import of the others, as the architecture page says."""
 MESSAGE_PACKAGES = {
     "builtin_interfaces",
     "diagnostic_msgs",
@@ -114,18 +119,18 @@ def test_the_list_of_modules_with_ros_has_no_name_too_many() -> None:
     assert {name for name in WITH_ROS if not imported(everything[name]) & allowed} == set()
 
 
+def test_the_architecture_page_names_every_package_and_no_circle_of_them() -> None:
+    assert sorted(ALLOWED) == PACKAGES
+    assert list(TopologicalSorter(ALLOWED).static_order())
+
+
 @pytest.mark.parametrize("package", PACKAGES)
-def test_the_manifest_declares_what_the_package_imports(package: str) -> None:
+def test_a_package_imports_and_declares_what_the_architecture_page_lets_it(package: str) -> None:
     manifest = ElementTree.parse(SOURCES / package / "package.xml").getroot()
-    declared = {
-        element.text
-        for kind in ("depend", "exec_depend")
-        for element in manifest.iter(kind)
-        if element.text
-    }
-    used = set().union(*(imported(path) for _, path in modules(package)))
-    needed = (used & (ROS | set(PACKAGES))) - {package}
-    assert needed <= declared
+    declared = {one.text for kind in ("depend", "exec_depend") for one in manifest.iter(kind)}
+    used = set().union(*(imported(path) for _, path in modules(package))) - {package}
+    assert used & set(PACKAGES) == declared & set(PACKAGES) == ALLOWED[package]
+    assert used & ROS <= declared
 
 
 @pytest.mark.parametrize("package", PACKAGES)
