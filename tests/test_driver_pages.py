@@ -1,7 +1,6 @@
 """docs/drivers.md says what the driver template, the driver check and the bridge do."""
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -16,27 +15,16 @@ from armimp_bringup.driver_check.rules import judge
 from armimp_common.schema import build, dotted, flatten, leaves
 from armimp_driver_template.parameters import DriverParameters
 from armimp_ros2_control.parameters import BridgeParameters
+from support.pages import markdown_tables
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-PAGE = (DOCS / "drivers.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).resolve().parents[1]
+PAGE = (ROOT / "docs" / "drivers.md").read_text(encoding="utf-8")
 
 
-def first_cells(page: str, header: str) -> list[str]:
-    """First column of the table with such a first cell of its header, without backticks."""
-    text = (DOCS / page).read_text(encoding="utf-8")
-
-    def rows() -> Iterator[str]:
-        inside = False
-        for line in text.splitlines():
-            cells = [cell.strip() for cell in line.strip("|").split("|")]
-            if line.startswith(f"| {header} |"):
-                inside = True
-            elif not line.startswith("|"):
-                inside = False
-            elif inside and not set(line) <= set("|-: "):
-                yield cells[0].replace("`", "")
-
-    return list(rows())
+def first_cells(header: str) -> list[str]:
+    """First column of the tables with such a first cell of its header, without backticks."""
+    rows = [row for tables in markdown_tables(PAGE).values() for table in tables for row in table]
+    return [row[header].replace("`", "") for row in rows if next(iter(row)) == header]
 
 
 def record() -> Record:
@@ -47,15 +35,14 @@ def record() -> Record:
 def test_the_keys_of_the_json_object_are_those_of_the_page() -> None:
     options = CheckOptions(joints=("shoulder",))
     printed = report([judged(Rule.PAIRS, True, alone=0)]) | about(options, 5, record())
-    assert list(printed) == first_cells("drivers.md", "key")
-    text = (DOCS / "drivers.md").read_text(encoding="utf-8")
+    assert list(printed) == first_cells("key")
     for keys in (printed["driver"], printed["held_up"], {v.value: 0 for v in Verdict}):
         assert isinstance(keys, dict)
-        assert [key for key in keys if f"`{key}`" not in text] == []
+        assert [key for key in keys if f"`{key}`" not in PAGE] == []
 
 
 def test_every_check_is_in_the_table_of_the_page() -> None:
-    rows = {row.partition(",")[0] for row in first_cells("drivers.md", "check")}
+    rows = {row.partition(",")[0] for row in first_cells("check")}
     for finding in judge(record()):
         check = finding.check
         if check.startswith("service "):
@@ -66,7 +53,7 @@ def test_every_check_is_in_the_table_of_the_page() -> None:
 
 @pytest.mark.parametrize("name", leaves(BridgeParameters))
 def test_every_parameter_of_the_bridge_is_on_its_page(name: str) -> None:
-    assert first_cells("drivers.md", "parameter").count(name) == 1
+    assert first_cells("parameter").count(name) == 1
 
 
 def rows(group: str) -> dict[str, str]:

@@ -65,10 +65,8 @@ from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
 from armimp_sim.realtime_simulator import RAMP_TICKS
+from support.pages import markdown_tables
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
-
-Row = dict[str, str]
-Table = list[Row]
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 PAGE = (DOCS / "interfaces.md").read_text(encoding="utf-8")
@@ -79,33 +77,10 @@ SCHEMAS: dict[str, type[BaseModel]] = {
 }
 
 
-def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.strip().strip("|").split("|")]
+TABLES = markdown_tables(PAGE)
 
 
-def _tables(page: str) -> dict[str, list[Table]]:
-    """The tables under each heading, by its text without number and backticks."""
-    found: dict[str, list[Table]] = {}
-    heading, header = "", None
-    for line in page.splitlines():
-        if line.startswith("#"):
-            heading = re.sub(r"^#+ (\d+\. )?", "", line).replace("`", "")
-        if not line.startswith("|"):
-            header = None
-        elif header is None:
-            header = _cells(line)
-            found.setdefault(heading, []).append([])
-        elif not set(line) <= set("|-: "):
-            cells = _cells(line)
-            assert len(cells) == len(header), f"wrong number of cells: {line}"
-            found[heading][-1].append(dict(zip(header, cells, strict=True)))
-    return found
-
-
-TABLES = _tables(PAGE)
-
-
-def _table(heading: str, column: str, place: int = 0) -> dict[str, Row]:
+def _table(heading: str, column: str, place: int = 0) -> dict[str, dict[str, str]]:
     """One table under a heading by what its first column names, without backticks."""
     rows = TABLES[heading][place]
     names = [row[column].strip("`") for row in rows]

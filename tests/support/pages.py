@@ -1,6 +1,7 @@
-"""Pages as a browser would find them."""
+"""Pages as a browser would find them, and tables of pages in Markdown."""
 
 import json
+import re
 from html.parser import HTMLParser
 
 
@@ -39,3 +40,22 @@ class Page(HTMLParser):
     def plots(self) -> list[dict[str, object]]:
         kind = "application/json"
         return [json.loads(text) for given, text in self.scripts if given.get("type") == kind]
+
+
+def markdown_tables(page: str) -> dict[str, list[list[dict[str, str]]]]:
+    """The tables under each heading, by its text without number and backticks; rows by column."""
+    found: dict[str, list[list[dict[str, str]]]] = {}
+    heading, header = "", None
+    for line in page.splitlines():
+        cells = [cell.strip() for cell in line.strip().strip("|").split("|")]
+        if line.startswith("#"):
+            heading = re.sub(r"^#+ (\d+\. )?", "", line).replace("`", "")
+        if not line.startswith("|"):
+            header = None
+        elif header is None:
+            header = cells
+            found.setdefault(heading, []).append([])
+        elif not set(line) <= set("|-: "):
+            assert len(cells) == len(header), f"wrong number of cells: {line}"
+            found[heading][-1].append(dict(zip(header, cells, strict=True)))
+    return found
