@@ -270,12 +270,11 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str = "au
     from armimp_estimation.estimators.lpm import LpmConfig
     from armimp_estimation.estimators.registry import IdentifyConfig
     from armimp_estimation.identify import identify as identify_trials
-    from armimp_estimation.spectra import WelchConfig
-    from armimp_estimation.trial import TrialData
+    from armimp_estimation.trial import TrialData, segments_for
 
     if not recording.trials:
         raise DataError("there is no trial in the recording")
-    welch = WelchConfig.for_samples(min(trial.samples for trial in recording.trials))
+    welch = segments_for([[trial] for trial in recording.trials])
     data = [TrialData.from_record(one, welch, recording.reading) for one in recording.trials]
     config = IdentifyConfig(
         welch=welch,

@@ -280,7 +280,10 @@ def replay(
 
 
 @app.command()
-@options_of(ExperimentConfig, "joints", "internal_model", "as_in_paper", "duration", "estimators")
+@options_of(
+    ExperimentConfig,
+    *("joints", "perturbation_kind", "internal_model", "as_in_paper", "duration", "estimators"),
+)
 def reproduce(
     out: Annotated[
         Path | None,

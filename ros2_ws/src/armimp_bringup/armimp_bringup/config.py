@@ -78,6 +78,11 @@ class ExperimentConfig(BaseModel):
         description="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder "
         "and 1.8, 3.6, 5.4 N·m at the elbow.",
     )
+    perturbation_kind: Literal["noise", "multisine"] = Field(
+        default="noise",
+        description="Kind of the perturbing torque: noise, or multisine, periodic with the rms of "
+        "that noise and half its peak, which tells noise, distortion and change over time apart.",
+    )
     rig: Literal["paper", "realistic"] = Field(
         default="paper",
         description="Simulated rig: paper, or realistic, with drives, transducers, cuff and person "

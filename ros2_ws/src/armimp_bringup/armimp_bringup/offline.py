@@ -29,8 +29,7 @@ from armimp_estimation.identify import Identification, identify
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.trial import TrialData
+from armimp_estimation.trial import TrialData, segments_for
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
@@ -307,8 +306,7 @@ class SimulatedExperiment:
     def options(self) -> IdentifyConfig:
         """Options of an estimate that suit the shortest record and the sensors."""
         known = Metadata.of(self.parameters.estimator.bag_metadata())
-        shortest = min(record.samples for record in self.records)
-        return known.options(WelchConfig.for_samples(shortest))
+        return known.options(segments_for([[record] for record in self.records]))
 
     def identify(self, estimators: Sequence[str | Estimator]) -> Identification:
         """Estimate, compare with the truth and judge; see :func:`armimp_estimation.identify`.

@@ -153,6 +153,7 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
         robot_inertia=plant.robot.mass_matrix(plant.arm.posture),
         arm_inertia=plant.arm.inertia,
         perturbation=config.perturbation,
+        perturbation_kind=config.perturbation_kind,
         duration=config.duration,
         seed=config.seed,
         encoder_resolution=plant.sensors.position.resolution,

@@ -15,7 +15,7 @@ from armimp_control import presets
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import LawConfig
 from armimp_control.laws.pd import PdConfig
-from armimp_control.perturbation import PerturbationParameters
+from armimp_control.perturbation import PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD, SequenceParameters, TareParameters
 from armimp_control.stability import RigDynamics, StabilityMargins, check_stability
@@ -150,6 +150,7 @@ class ControllerParameters(Schema):
         robot_inertia: NDArray[np.float64],
         arm_inertia: NDArray[np.float64],
         perturbation: int = 3,
+        perturbation_kind: PerturbationKind = "noise",
         duration: float = 50.0,
         seed: int = 1,
         encoder_resolution: float = 0.0,
@@ -163,6 +164,7 @@ class ControllerParameters(Schema):
         posture : (n,) θ_0, rad
         robot_inertia, arm_inertia : (n, n) M_r(θ_0) and expected M_h, kg·m²
         perturbation : level, 1 to 3
+        perturbation_kind : noise or multisine
         duration : of every perturbation, s
         seed : of the perturbation
         encoder_resolution : rad per count, for the dither of locked joints and the observer
@@ -171,7 +173,7 @@ class ControllerParameters(Schema):
         preset = presets.LAWS[law]
         config = presets.imbic(robot_inertia, posture, law, encoder_resolution)
         observer = presets.observer(len(joints), encoder_resolution, preset.finest)
-        perturbing = presets.perturbation(perturbation, len(joints))
+        perturbing = presets.perturbation(perturbation, len(joints), perturbation_kind)
         return cls(
             joints=joints,
             seed=seed,

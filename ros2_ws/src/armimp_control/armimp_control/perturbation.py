@@ -1,6 +1,8 @@
-"""The random torque τ_Δ, known exactly, that serves as the instrument of every estimate."""
+"""The torque τ_Δ, known exactly, that serves as the instrument of every estimate."""
 
 from __future__ import annotations
+
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +15,47 @@ from armimp_common.topics import NS_PER_S, PERIOD_NS
 Array = NDArray[np.float64]
 _RATE = NS_PER_S / PERIOD_NS
 _STREAM = 1  # keeps these random streams apart from that of the voluntary torque
+_LINES = 7  # and that of the lines of a multisine, which all trials have in common
+
+PerturbationKind: TypeAlias = Literal["noise", "multisine"]
+
+CREST_OF_NOISE = 3.65
+"""Peak of the noise over its rms: mean of trials of 50 s, which have 3.2 to 4.3."""
+_FEWEST_PERIODS = 4
+_SHORTEST_PERIOD = 1.0
+_GROUP = 4
+_GRID = 16
+_ROUNDS = 300
+_CLIP = 0.85
 
 
 class PerturbationParameters(Schema):
-    """The perturbation τ_Δ: uniform noise through a Butterworth low-pass, scaled to a peak."""
+    """The perturbation τ_Δ: noise through a low-pass, or a multisine of the same rms."""
 
+    kind: PerturbationKind = Field(
+        default="noise",
+        description="kind of the perturbation: noise, uniform, through a Butterworth low-pass; or "
+        "multisine, odd harmonics with random phases and a low crest factor, of equal amplitudes "
+        "up to the cut-off frequency",
+    )
     peak: tuple[float, ...] = Field(
-        description="largest perturbation torque of each joint while it is perturbed (N·m)"
+        description="largest perturbation torque of each joint while it is perturbed (N·m); a "
+        "multisine has the rms that noise with this peak has, and half the peak"
     )
     cutoff: float = Field(
         default=15.0,
         gt=0.0,
         lt=0.5 * _RATE,
-        description="cut-off frequency of the low-pass of the perturbation (Hz)",
+        description="cut-off frequency of the perturbation (Hz)",
     )
     order: int = Field(
-        default=8, ge=1, le=20, description="order of the Butterworth low-pass of the perturbation"
+        default=8, ge=1, le=20, description="order of the Butterworth low-pass of the noise"
+    )
+    period: float = Field(
+        default=8.192,
+        ge=_SHORTEST_PERIOD,
+        le=100.0,
+        description="longest period of the multisine (s); it is halved until four fit into a trial",
     )
 
     @field_validator("peak")
@@ -44,6 +71,8 @@ def perturbation(
 ) -> Array:
     """Signal τ_Δ of one trial; the same for the same arguments.
 
+    A multisine goes on for as long as the trial lasts, from where it is nearest to zero.
+
     Parameters
     ----------
     parameters : PerturbationParameters
@@ -55,14 +84,67 @@ def perturbation(
     Returns
     -------
     (ticks,) NDArray
-        N·m, with the largest absolute value equal to the peak.
+        N·m. The largest absolute value of noise is the peak.
     """
+    if parameters.kind == "multisine":
+        period = multisine(parameters, trial=trial, ticks=ticks, seed=seed)
+        rms = parameters.peak[joint] / CREST_OF_NOISE
+        return np.resize(rms * period, ticks)
     random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
     white = random.uniform(-1.0, 1.0, ticks)
     coloured = filtered(butterworth(parameters.order, parameters.cutoff, _RATE), white)
     # In this order, the largest value is the peak exactly.
     scaled: Array = coloured / np.max(np.abs(coloured)) * parameters.peak[joint]
     return scaled
+
+
+def multisine(parameters: PerturbationParameters, *, trial: int, ticks: int, seed: int) -> Array:
+    """One period of a random-phase multisine with an rms of 1.
+
+    It has odd harmonics of equal amplitudes, but for one of each four neighbours, by chance the
+    same in all trials of an experiment. Even distortion then shows at even harmonics, odd at those
+    that are left out (Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*,
+    2nd ed., ch. 4). The phases begin at random; then, in turn, all beyond a level is clipped, and
+    the amplitudes are put right again (van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum.
+    Meas. 37(1), 1988), which leaves a crest factor of 1.5 to 1.8.
+
+    Parameters
+    ----------
+    parameters : PerturbationParameters
+    trial : trial number, chooses the phases
+    ticks : number of samples of the trial
+    seed : of the experiment, not negative
+
+    Returns
+    -------
+    (period,) NDArray
+        Begins where it is nearest to zero.
+    """
+    period = round(parameters.period * _RATE)
+    while _FEWEST_PERIODS * period > ticks and period >= 2.0 * _SHORTEST_PERIOD * _RATE:
+        period //= 2
+    count = max(int((parameters.cutoff * period / _RATE + 1.0) / 2.0), 1)
+    lines = 2 * np.arange(count) + 1
+    choice = np.random.default_rng(np.random.SeedSequence([seed, _LINES]))
+    groups = count // _GROUP
+    left_out = _GROUP * np.arange(groups) + choice.integers(_GROUP, size=groups)
+    # The slowest tells most of the stiffness.
+    lines = np.delete(lines, left_out[left_out > 0])
+    random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
+    values = np.exp(2j * np.pi * random.uniform(size=lines.size))
+    grid = _GRID * int(lines[-1] + 1)
+    spectrum = np.zeros(grid // 2 + 1, dtype=np.complex128)
+    for _ in range(_ROUNDS):
+        spectrum[lines] = values
+        signal = np.fft.irfft(spectrum, grid)
+        level = _CLIP * np.max(np.abs(signal))
+        clipped = np.fft.rfft(np.clip(signal, -level, level))[lines]
+        values = clipped / np.abs(clipped)
+    spectrum = np.zeros(period // 2 + 1, dtype=np.complex128)
+    spectrum[lines] = values * period / np.sqrt(2.0 * lines.size)
+    signal = np.fft.irfft(spectrum, period)
+    begun: Array = np.roll(signal, -int(np.argmin(np.abs(signal))))
+    return begun
 
 
 def butterworth(order: int, cutoff: float, rate: float) -> Array:

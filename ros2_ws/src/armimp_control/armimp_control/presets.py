@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
 from armimp_control.laws.imbic import ImbicConfig, Observer
-from armimp_control.perturbation import PerturbationParameters
+from armimp_control.perturbation import PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD
 
@@ -70,7 +70,9 @@ _COARSEST = 0.01  # rad per count, eighty times the coarsest encoders of the stu
 _PEAK = 3.0  # N·m of a shoulder at level 1; the levels are multiples (Table III)
 
 
-def perturbation(level: int, joints: int) -> PerturbationParameters:
+def perturbation(
+    level: int, joints: int, kind: PerturbationKind = "noise"
+) -> PerturbationParameters:
     """Perturbation at a level from 1 to 3.
 
     Shoulder and elbow have that of Table III: 3 and 1.8, 6 and 3.6, 9 and 5.4 N·m. Assumption: the
@@ -85,7 +87,8 @@ def perturbation(level: int, joints: int) -> PerturbationParameters:
         raise ConfigurationError(f"perturbation level must be one of {LEVELS}, got {level}")
     # Rounded, so that the peaks of Table III are exact.
     return PerturbationParameters(
-        peak=tuple(level * round(_PEAK * size, 6) for size in _sizes("perturbation", joints))
+        kind=kind,
+        peak=tuple(level * round(_PEAK * size, 6) for size in _sizes("perturbation", joints)),
     )
 
 

@@ -2,11 +2,13 @@
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
+from armimp_estimation.periods import Periods
 
 FloatArray = NDArray[np.float64]
 
@@ -102,3 +104,8 @@ class TrialRecord:
     def duration(self) -> float:
         """Length of the record, s."""
         return self.samples / self.rate
+
+    @cached_property
+    def periods(self) -> Periods | None:
+        """Those of the perturbation, if it repeats itself."""
+        return Periods.of(self.perturbation[self.perturbed_joint])

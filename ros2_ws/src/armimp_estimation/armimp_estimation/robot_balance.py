@@ -40,6 +40,7 @@ from armimp_estimation.fit import (
     fit_weights,
 )
 from armimp_estimation.hold_correction import HoldCorrection
+from armimp_estimation.periods import common_periods
 from armimp_estimation.plausibility import least_eigenvalue
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
@@ -439,6 +440,7 @@ def in_order(trial: TrialData, order: tuple[int, ...]) -> TrialData:
 
 
 def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
+    periodic = common_periods(record.periods for record in records) is not None
     shortest = min(records, key=lambda record: record.samples)
     f = None
     found = []
@@ -451,6 +453,7 @@ def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
             BAND,
             LpmConfig().local_for(record.duration),
             f,
+            record.periods if periodic else None,
         )
         f = response.f
         found.append((record.perturbed_joint, response))

@@ -5,7 +5,7 @@ The convention is that of :func:`scipy.signal.csd`: ``G_xy = E[conj(X) Y]``, one
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -194,6 +194,19 @@ class CrossSpectra:
     segments: int
     effective_averages: float
     bin_correlation: FloatArray
+
+    def at(self, f: FloatArray) -> "CrossSpectra":
+        """Return those at some frequencies, Hz: the lines of a periodic signal."""
+        resolution = float(self.f[1] - self.f[0]) if self.f.size > 1 else float(self.f[0])
+        wanted = np.rint(f / resolution)
+        kept = np.isin(np.rint(self.f / resolution), wanted)
+        apart = int(np.min(np.diff(wanted), initial=self.f.size))
+        return replace(
+            self,
+            f=self.f[kept],
+            matrix=np.ascontiguousarray(self.matrix[:, :, kept]),
+            bin_correlation=self.bin_correlation[::apart],
+        )
 
     def power(self, channel: int) -> FloatArray:
         """Power density of one channel, shape (n_freq,)."""

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.drift import drift_of
+from armimp_estimation.periods import common_periods
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
@@ -73,7 +74,14 @@ def channels(
 
 
 def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
-    """Choose Welch segments that suit all trials, by that with the shortest intact parts."""
+    """Choose Welch segments that suit all trials, by that with the shortest intact parts.
+
+    Where all have the same periodic perturbation, they are as long as its period.
+    """
+    longest = [max(parts, key=lambda part: part.samples) for parts in trials]
+    periods = common_periods(record.periods for record in longest)
+    if periods is not None:
+        return WelchConfig(segment=periods[0].segment, overlap=periods[0].segment * 3 // 4)
     configs = [
         WelchConfig.for_samples(*(part.samples for part in parts), rate=parts[0].rate)
         for parts in trials
@@ -151,7 +159,10 @@ class TrialData:
             accumulator.interrupt()
             accumulator.push(channels(k, stretch.perturbation, stretch.position, stretch.torque))
         try:
-            spectra = TrialSpectra(perturbed_joint=k, spectra=accumulator.result())
+            found = accumulator.result()
+            if record.periods is not None:
+                found = found.at(record.periods.frequencies(record.rate))
+            spectra = TrialSpectra(perturbed_joint=k, spectra=found)
             return cls(record=record, spectra=spectra.corrected(reading or TorqueReading()))
         except DataError as error:
             gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"

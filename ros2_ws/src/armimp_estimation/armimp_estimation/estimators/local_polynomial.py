@@ -16,13 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
+from armimp_estimation.periods import Periods
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 # Smallest ratio of the parts of the regressors that are independent of each other.
 _DEGENERATE = 1e-9
-# Degree that is enough for responses that change in proportion to the frequency.
+# Degree that is enough for responses that change in proportion to the frequency, and leakage.
 _SMOOTH = 2
 
 
@@ -171,6 +172,7 @@ def local_response(
     band: tuple[float, float],
     config: LocalPolynomialConfig,
     f: FloatArray | None = None,
+    periods: Periods | None = None,
 ) -> LocalResponse:
     """Estimate the responses of outputs to one input at every bin of a band.
 
@@ -188,12 +190,16 @@ def local_response(
         Bins and degree.
     f : ndarray, shape (n_freq,), optional
         Frequencies, Hz, in place of the bins of the band; they need not be bins of the record.
+    periods : Periods, optional
+        Those of an input that is periodic; then it is estimated at all its lines in the band.
 
     Raises
     ------
     DataError
         If the record is too short, or the input has no power or too few lines around a bin.
     """
+    if periods is not None:
+        return _periodic_response(source, outputs, rate, band, config, periods)
     samples, window = source.size, config.window
     bins = bins_in_band(samples, rate, *band)
     centres: FloatArray | NDArray[np.intp] = bins
@@ -248,6 +254,48 @@ def local_response(
         found.response[:, rows] = (weights[:, None, :] @ of_outputs)[:, 0, :].T
         found.noise[:, :, rows] = np.moveaxis(noise, 0, 2)
     return found
+
+
+def _periodic_response(
+    source: FloatArray,
+    outputs: FloatArray,
+    rate: float,
+    band: tuple[float, float],
+    config: LocalPolynomialConfig,
+    periods: Periods,
+) -> LocalResponse:
+    """As :func:`local_response`, at the lines of a periodic input.
+
+    Between the harmonics of whole periods is leakage, a polynomial in frequency, and noise: the
+    scatter of the periods. Without that leakage, the response at a line is output over input.
+    """
+    window, used = config.window, periods.used
+    centres = periods.lines_in(rate, band) * periods.count
+    if centres.size == 0 or (used - 1) // 2 < window:
+        raise DataError(f"no line of the perturbation between {band[0]:.4g} and {band[1]:.4g} Hz")
+    first = np.clip(centres - config.half_width, 1, (used - 1) // 2 - window + 1)
+    places = first[:, None] + np.arange(window)
+    at_line = (places == centres[:, None]).astype(np.float64)
+    between = (places % periods.count != 0).astype(np.float64)
+    distance = (places - centres[:, None]) / config.half_width
+    powers = between[:, :, None] * distance[:, :, None] ** np.arange(_SMOOTH + 1)
+    basis, triangle = np.linalg.qr(powers)
+    adjoint = np.swapaxes(basis, 1, 2)
+    leakage = (np.linalg.inv(triangle)[:, :1, :] @ adjoint)[:, 0, :]
+    inputs = _transform(source[-used:])[centres]
+    weights = (at_line - leakage) / inputs[:, None]
+    observed = np.moveaxis(_transform(outputs[:, -used:])[:, places], 0, 2)
+    residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
+    freedom = np.sum(between, axis=1) - (_SMOOTH + 1)
+    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
+    return LocalResponse(
+        f=np.asarray(centres * float(rate / used), dtype=np.float64),
+        response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
+        noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
+        weights=weights.astype(np.complex128),
+        first=first,
+        freedom=int(np.min(freedom)),
+    )
 
 
 def _transform(signal: FloatArray) -> ComplexArray:

@@ -19,6 +19,7 @@ from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import FitConfig, fit_column, fit_mbk
 from armimp_estimation.frf import order_trials
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, update_jump
+from armimp_estimation.periods import common_periods
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion
 from armimp_estimation.spectra import WelchConfig
@@ -329,6 +330,7 @@ class LpmFull:
         """Responses of angles, torques and, if wanted, steps of the commands, by trial."""
         shortest = min(record.samples for record in records)
         rate = records[0].rate
+        periodic = common_periods(record.periods for record in records) is not None
         bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
         f = bins * float(rate / shortest)
         columns = []
@@ -343,6 +345,7 @@ class LpmFull:
                 self.band,
                 self.config.local_for(record.duration),
                 f,
+                record.periods if periodic else None,
             )
             columns.append(column)
         return columns

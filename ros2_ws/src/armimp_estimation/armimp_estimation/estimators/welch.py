@@ -21,6 +21,7 @@ from armimp_estimation.frf import (
     order_trials,
     unexplained_power,
 )
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData, TrialSpectra
 
 FloatArray = NDArray[np.float64]
@@ -79,7 +80,7 @@ class WelchSiso:
         estimate = with_disturbance(
             estimate, np.einsum("ikf,kl->klif", -estimate.Z, np.eye(n)), inverse
         )
-        biases = known_biases(estimate, still, inverse, trials[0].record.rate)
+        biases = known_biases(estimate, still, inverse, trials[0].record)
         return with_biases(estimate, (*biases, multiply(multiply(estimate.Z, locked), inverse)))
 
 
@@ -114,7 +115,7 @@ class WelchFull:
         estimate = matrix_estimate(self.name, spectra, frf, impedance, variance)
         taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
         estimate = with_disturbance(estimate, taken, inverse)
-        return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record.rate))
+        return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record))
 
 
 def impedance_column(
@@ -133,7 +134,7 @@ def impedance_column(
 
 
 def known_biases(
-    estimate: ImpedanceEstimate, R: ComplexArray, inverse: ComplexArray, rate: float
+    estimate: ImpedanceEstimate, R: ComplexArray, inverse: ComplexArray, record: TrialRecord
 ) -> tuple[ComplexArray, ...]:
     """Biases that averaged spectra are known to have, as standard errors of the impedance.
 
@@ -147,14 +148,17 @@ def known_biases(
         Impedance and its T.
     R, inverse : ndarray, shape (n, n, n_freq)
         Responses of the angles that it takes into account, and their inverse.
-    rate : float
-        Samples per second, Hz.
+    record : TrialRecord
+        A trial. Where its perturbation is periodic, nothing leaks.
     """
     if estimate.f.size < 3:
         return ()
+    skew = 1j * np.pi * estimate.f / record.rate * estimate.Z
+    if record.periods is not None:
+        return (skew,)
     change = _second_difference(estimate.T) - multiply(estimate.Z, _second_difference(R))
     leakage = multiply(change, inverse) / 6.0
-    return leakage, 1j * np.pi * estimate.f / rate * estimate.Z
+    return leakage, skew
 
 
 def with_biases(estimate: ImpedanceEstimate, biases: tuple[ComplexArray, ...]) -> ImpedanceEstimate:

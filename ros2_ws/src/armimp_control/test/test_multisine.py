@@ -1,0 +1,68 @@
+"""The multisine: whole periods, odd lines with some left out, a low crest factor, the rms asked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_control import presets
+from armimp_control.perturbation import CREST_OF_NOISE, perturbation
+
+Array = NDArray[np.float64]
+NOISE, MULTISINE = (presets.perturbation(3, 2, kind) for kind in ("noise", "multisine"))
+
+
+def _signal(*, joint: int = 0, trial: int = 1, ticks: int = 50_000, seed: int = 1) -> Array:
+    return perturbation(MULTISINE, joint=joint, trial=trial, ticks=ticks, seed=seed)
+
+
+def _lines(period: Array) -> NDArray[np.intp]:
+    amplitudes = np.abs(np.fft.rfft(period))
+    return np.flatnonzero(amplitudes > 1e-9 * np.max(amplitudes))
+
+
+@pytest.mark.parametrize(("ticks", "period"), [(50_000, 8192), (12_000, 2048), (2000, 1024)])
+def test_it_repeats_itself_to_the_bit_and_begins_near_zero(ticks: int, period: int) -> None:
+    signal = _signal(ticks=ticks)
+    assert np.array_equal(signal[period:], signal[:-period])
+    assert abs(signal[0]) == np.min(np.abs(signal))
+
+
+@pytest.mark.parametrize("ticks", [50_000, 12_000, 2000])
+def test_crest_factor_is_below_1_8_at_the_rms_of_the_noise(ticks: int) -> None:
+    for seed in range(10):
+        for joint in range(2):
+            signal = _signal(joint=joint, trial=joint + 1, ticks=ticks, seed=seed)
+            period = signal[: 8192 if ticks == 50_000 else 1024]
+            rms = float(np.sqrt(np.mean(period**2)))
+            assert np.max(np.abs(signal)) < 1.8 * rms
+            assert rms == pytest.approx(MULTISINE.peak[joint] / CREST_OF_NOISE, rel=0.01)
+
+
+def test_noise_of_the_same_level_has_that_rms_on_average() -> None:
+    noises = [perturbation(NOISE, joint=0, trial=1, ticks=50_000, seed=s) for s in range(40)]
+    assert np.sqrt(np.mean(np.square(noises))) == pytest.approx(9.0 / CREST_OF_NOISE, rel=0.02)
+
+
+def test_lines_are_odd_of_equal_amplitude_and_one_of_four_is_left_out() -> None:
+    period = _signal()[:8192]
+    lines = _lines(period)
+    assert (lines % 2 == 1).all()
+    amplitudes = np.abs(np.fft.rfft(period))[lines]
+    assert np.allclose(amplitudes, amplitudes[0])
+    frequencies = lines * 1000.0 / 8192
+    assert frequencies[0] == pytest.approx(0.122, abs=1e-3)
+    assert 14.0 < frequencies[-1] <= 15.0
+    left_out = np.setdiff1d(np.arange(1, lines[-1], 2), lines)
+    groups, counts = np.unique((left_out - 1) // 8, return_counts=True)
+    assert (counts == 1).all()
+    assert groups.size >= 13
+
+
+def test_trials_have_their_own_phases_and_the_same_lines_and_seeds_have_other_ones() -> None:
+    first, second = (_signal(trial=trial)[:8192] for trial in (1, 2))
+    assert np.array_equal(_lines(first), _lines(second))
+    assert abs(np.corrcoef(first, second)[0, 1]) < 0.5
+    assert not np.array_equal(_lines(first), _lines(_signal(seed=2)[:8192]))
+    assert np.array_equal(first, _signal(trial=1)[:8192])

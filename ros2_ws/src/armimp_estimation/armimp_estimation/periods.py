@@ -1,0 +1,117 @@
+"""Periods of a perturbation that repeats itself, found in the perturbation as it was recorded.
+
+A multisine of period P has power at some multiples of 1/P only, its lines. Of an arm that is linear
+and doesn't change, whole periods then show answers at these lines alone. What is between the
+multiples of 1/P differs from period to period: noise, and change over time. What is at multiples
+without a line comes back in every period: distortion, at even ones by what is even in the angle, at
+odd ones by what is odd (Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*,
+2nd ed., ch. 3 and 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+_SAME = 1e-9
+"""Power of the difference of two periods, relative to that of the signal, that rounding explains.
+
+Perturbations that are recorded with six digits are within it.
+"""
+_LINE = 1e-3
+"""Amplitude relative to the largest from which on a harmonic is a line."""
+_FEWEST_LINES = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Periods:
+    """How a perturbation repeats itself.
+
+    Attributes
+    ----------
+    samples : int
+        In a period.
+    count : int
+        Whole periods in the record, which has them at its end; 2 or more.
+    lines : ndarray of int, shape (n_lines,)
+        Harmonics that have power.
+    """
+
+    samples: int
+    count: int
+    lines: NDArray[np.intp]
+
+    @property
+    def used(self) -> int:
+        """Samples of all whole periods."""
+        return self.samples * self.count
+
+    @property
+    def segment(self) -> int:
+        """Samples of a segment with a Hann window in which no line reaches the bin of another."""
+        return self.samples if np.min(np.diff(self.lines)) > 1 else 2 * self.samples
+
+    def frequencies(self, rate: float) -> FloatArray:
+        """Those of the lines, Hz."""
+        return np.asarray(self.lines * float(rate / self.samples), dtype=np.float64)
+
+    def lines_in(self, rate: float, band: tuple[float, float]) -> NDArray[np.intp]:
+        """Lines in a band, both ends included, Hz."""
+        f = self.frequencies(rate)
+        inside = (f >= band[0] * (1.0 - 1e-12)) & (f <= band[1] * (1.0 + 1e-12))
+        return np.asarray(self.lines[inside])
+
+    @classmethod
+    def of(cls, signal: FloatArray) -> Periods | None:
+        """Find those of a signal, (N,).
+
+        Returns
+        -------
+        Periods or None
+            None if fewer than two are there, or fewer than three lines.
+        """
+        total = float(np.sum(signal**2))
+        if not total > 0.0:
+            return None
+        # Σ (x(n) - x(n - lag))², from the sums of squares and the correlation.
+        size = signal.size
+        spectrum = np.fft.rfft(signal, 2 * size)
+        correlation = np.fft.irfft(np.abs(spectrum) ** 2, 2 * size)[: size // 2 + 1]
+        squares = np.concatenate(([0.0], np.cumsum(signal**2)))
+        lags = np.arange(size // 2 + 1)
+        common = (squares[-1] - squares[lags]) + squares[size - lags]
+        # A smooth signal hardly changes within a sample or two.
+        differs = np.flatnonzero(common - 2.0 * correlation > 0.01 * total)
+        if differs.size == 0:
+            return None
+        same = np.flatnonzero(common - 2.0 * correlation < _SAME * total)
+        same = same[same > differs[0]]
+        if same.size == 0:
+            return None
+        samples = int(same[0])
+        count = size // samples
+        amplitudes = np.abs(np.fft.rfft(signal[size - samples :]))
+        lines = 1 + np.flatnonzero(amplitudes[1:] > _LINE * np.max(amplitudes[1:]))
+        if lines.size < _FEWEST_LINES:
+            return None
+        found = cls(samples=samples, count=count, lines=lines)
+        return found if 2 * found.segment <= size else None
+
+
+def common_periods(found: Iterable[Periods | None]) -> list[Periods] | None:
+    """Those of several trials if all have the same period and lines, else None."""
+    all_of_them = []
+    for one in found:
+        if one is None:
+            return None
+        all_of_them.append(one)
+    same = all(
+        one.samples == all_of_them[0].samples and np.array_equal(one.lines, all_of_them[0].lines)
+        for one in all_of_them
+    )
+    return all_of_them if same and all_of_them else None

@@ -1,0 +1,111 @@
+"""Perturbations that repeat themselves: found as recorded, and estimated from whole periods."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
+from armimp_estimation.periods import Periods, common_periods
+from armimp_estimation.spectra import WelchConfig
+from armimp_estimation.trial import segments_for
+from support.synthetic_trials import LOOP, TWO_JOINT_ARM, synthetic_trial
+
+Array = NDArray[np.float64]
+PERIOD = 4096
+LINES = np.array([1, 3, 5, 9, 11, 15, 17, 19, 21, 25, 31])
+
+
+def multisine(count: float, lines: NDArray[np.intp] = LINES, period: int = PERIOD) -> Array:
+    phases = np.random.default_rng(4).uniform(0.0, 2.0 * np.pi, (lines.size, 1))
+    t = np.arange(period) / period
+    one = np.sum(np.cos(2.0 * np.pi * lines[:, None] * t + phases), axis=0)
+    return np.resize(one, round(count * period))
+
+
+def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
+    found = Periods.of(multisine(5.3))
+    assert found is not None
+    assert (found.samples, found.count, found.used) == (PERIOD, 5, 5 * PERIOD)
+    assert np.array_equal(found.lines, LINES)
+    assert found.segment == PERIOD
+    full = Periods.of(multisine(5.3, np.arange(1, 20)))
+    assert full is not None
+    assert full.segment == 2 * PERIOD
+
+
+@pytest.mark.parametrize("digits", [6, 4])
+def test_a_signal_that_was_rounded_on_its_way_still_repeats_itself(digits: int) -> None:
+    assert Periods.of(np.round(multisine(3.1), digits)) is not None
+
+
+@pytest.mark.parametrize(
+    "signal",
+    [
+        synthetic_trial(TWO_JOINT_ARM, 0, LOOP, 3).perturbation[0],
+        multisine(1.9),
+        multisine(3.0) + 1e-3 * np.random.default_rng(1).standard_normal(3 * PERIOD),
+        np.zeros(5000),
+        np.sin(np.arange(5000) / 100.0),
+    ],
+    ids=["noise", "not twice", "disturbed", "nothing", "one sine"],
+)
+def test_what_does_not_repeat_itself_or_has_too_few_lines_has_no_periods(signal: Array) -> None:
+    assert Periods.of(signal) is None
+
+
+def test_trials_with_other_lines_have_no_periods_in_common() -> None:
+    one, other = (Periods.of(multisine(3.0, lines)) for lines in (LINES, LINES[:-1]))
+    assert common_periods([one, one]) == [one, one]
+    assert common_periods([one, other]) is None
+    assert common_periods([one, None]) is None
+
+
+def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:
+    record = synthetic_trial(TWO_JOINT_ARM, 0, dataclasses.replace(LOOP, samples=50_000), 3)
+    periodic = dataclasses.replace(record, perturbation=np.stack([multisine(12.3)[:50_000]] * 2))
+    assert segments_for([[periodic], [periodic]]) == WelchConfig(segment=4096, overlap=3072)
+    assert segments_for([[periodic], [record]]) == WelchConfig()
+
+
+def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_error() -> None:
+    """A first-order system that starts from rest, behind it noise that differs by period."""
+    source = multisine(6.2)
+    periods = Periods.of(source)
+    assert periods is not None
+    pole = np.exp(-1e-3 / 0.4)
+    output = np.empty_like(source)
+    state = 0.0
+    for k, value in enumerate(source):
+        state = pole * state + (1.0 - pole) * value
+        output[k] = state
+
+    def response(disturbance: Array) -> tuple[NDArray[np.complex128], Array, Array]:
+        found = local_response(
+            source,
+            (output + disturbance)[None],
+            1000.0,
+            (0.0, 15.0),
+            LocalPolynomialConfig(),
+            periods=periods,
+        )
+        return (
+            found.response[0],
+            found.combined_variance(np.ones((1, found.f.size), complex)),
+            found.f,
+        )
+
+    clean, _, f = response(np.zeros_like(source))
+    assert np.allclose(f, LINES * 1000.0 / PERIOD)
+    true = (1.0 - pole) / (1.0 - pole * np.exp(-2j * np.pi * f / 1000.0))
+    assert np.max(np.abs(clean / true - 1.0)) < 2e-4
+    random = np.random.default_rng(5)
+    ratios = []
+    for _ in range(40):
+        noisy, variance, _ = response(0.05 * random.standard_normal(source.size))
+        ratios.append(np.abs(noisy - clean) ** 2 / variance)
+    # 440 values of mean 1, with one standard deviation each and a little more.
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.25)
