@@ -14,14 +14,21 @@ pytestmark = pytest.mark.slow
 HARDEST = ["friction=0+3,resolution=0+3,perturbation=1", "friction=1,resolution=2,perturbation=2"]
 """The weakest perturbation beside most friction, coarsest sensors, both or none; and the middle."""
 
+COARSEST = "friction=3,resolution=3,perturbation=3"
+
 
 @pytest.mark.parametrize(
-    ("joints", "only"), [(2, HARDEST), (3, ["friction=3,resolution=3,perturbation=3"])]
+    ("base", "only", "seeds"),
+    [
+        ({}, HARDEST, "0"),
+        ({"joints": 3}, [COARSEST], "0"),
+        ({"perturbation_kind": "multisine"}, [COARSEST], "0:4"),
+    ],
 )
 def test_every_target_is_met_by_both_estimators(
-    joints: int, only: list[str], tmp_path: Path
+    base: dict[str, object], only: list[str], seeds: str, tmp_path: Path
 ) -> None:
-    conditions = select_conditions(only, "0")
-    config = ExperimentConfig.model_validate({"joints": joints})
+    conditions = select_conditions(only, seeds)
+    config = ExperimentConfig.model_validate(base)
     verdict = run_study(config, conditions, tmp_path / "study", Threads(2), figures=False)
     assert verdict.failures() == []

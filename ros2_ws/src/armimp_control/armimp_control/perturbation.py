@@ -25,8 +25,8 @@ _FEWEST_PERIODS = 4
 _SHORTEST_PERIOD = 1.0
 _GROUP = 4
 _GRID = 16
-_ROUNDS = 300
-_CLIP = 0.85
+_ROUNDS = 600
+_CLIP = 0.9
 
 
 class PerturbationParameters(Schema):

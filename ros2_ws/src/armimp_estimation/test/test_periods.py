@@ -65,7 +65,9 @@ def test_trials_with_other_lines_have_no_periods_in_common() -> None:
 
 
 def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:
-    record = synthetic_trial(TWO_JOINT_ARM, 0, dataclasses.replace(LOOP, samples=50_000), 3)
+    record = synthetic_trial(
+        TWO_JOINT_ARM, 0, dataclasses.replace(LOOP, samples=50_000, rate=1000.0), 3
+    )
     periodic = dataclasses.replace(record, perturbation=np.stack([multisine(12.3)[:50_000]] * 2))
     assert segments_for([[periodic], [periodic]]) == WelchConfig(segment=4096, overlap=3072)
     assert segments_for([[periodic], [record]]) == WelchConfig()
