@@ -198,14 +198,17 @@ class CrossSpectra:
     def at(self, f: FloatArray) -> "CrossSpectra":
         """Return those at some frequencies, Hz: the lines of a periodic signal."""
         resolution = float(self.f[1] - self.f[0]) if self.f.size > 1 else float(self.f[0])
-        wanted = np.rint(f / resolution)
-        kept = np.isin(np.rint(self.f / resolution), wanted)
-        apart = int(np.min(np.diff(wanted), initial=self.f.size))
+        kept = np.flatnonzero(np.isin(np.rint(self.f / resolution), np.rint(f / resolution)))
+        correlation = np.zeros((len(self.bin_correlation), kept.size))
+        for lag in range(min(correlation.shape)):
+            lower, upper = kept[: kept.size - lag], kept[lag:]
+            near = np.flatnonzero(upper - lower < len(correlation))
+            correlation[lag, near] = self.bin_correlation[(upper - lower)[near], lower[near]]
         return replace(
             self,
             f=self.f[kept],
             matrix=np.ascontiguousarray(self.matrix[:, :, kept]),
-            bin_correlation=self.bin_correlation[::apart],
+            bin_correlation=correlation,
         )
 
     def power(self, channel: int) -> FloatArray:
