@@ -60,6 +60,9 @@ ASYMMETRY = 0.25
 
 Friction that holds a locked joint takes up to a fifth of its element.
 """
+_TERMS = 7
+_HOLDING = 4
+"""Place of κ among the terms."""
 _ERRORS = 5.0
 _NEGATIVE = 4.0
 _MOST_ORDERS = 4
@@ -82,10 +85,10 @@ class RobotBalance:
 
     Attributes
     ----------
-    terms : ndarray, shape (5, n, n)
-        Inertia, viscosity and stiffness of the robot, and of the friction of locked joints β and κ,
-        which are 0 on the diagonal; SI units.
-    covariance : ndarray, shape (5, 5, n, n)
+    terms : ndarray, shape (7, n, n)
+        Inertia, viscosity and stiffness of the robot; β and κ of the friction of locked joints, and
+        of their drives the lag and its second order, which are 0 on the diagonal; SI units.
+    covariance : ndarray, shape (7, 7, n, n)
         Of the terms of each element, with their lack of fit.
     friction : ndarray, shape (n, n)
         Share of what moves the robot that the friction of locked joints takes.
@@ -133,6 +136,15 @@ class RobotBalance:
         return np.asarray(self._errors[2])
 
     @property
+    def impossible(self) -> bool:
+        """Whether no robot has this inertia, as it is uneven or has a negative eigenvalue."""
+        M = self.M
+        value, error = least_eigenvalue(M, self.M_se)
+        size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
+        uneven = np.abs(M - M.T) > ASYMMETRY * size + _ERRORS * np.hypot(self.M_se, self.M_se.T)
+        return bool(value < -_ERRORS * error or uneven.any())
+
+    @property
     def _errors(self) -> FloatArray:
         return np.asarray(np.sqrt(np.einsum("aaij->aij", self.covariance)))
 
@@ -171,13 +183,17 @@ class RobotResponses:
     def order(self) -> tuple[int, ...]:
         """Row of the commands that belongs to each joint.
 
-        The right order leaves a robot with hardly any stiffness; friction leaves some of it.
+        The right order leaves a robot with hardly any stiffness; friction leaves some of it. The
+        given one stays unless it leaves what can't be chance, and another one a possible robot.
         """
         n = len(self.records)
         orders = list(itertools.permutations(range(n))) if n <= _MOST_ORDERS else [tuple(range(n))]
-        stiffness = [float(np.linalg.norm(self.balance(one).K)) for one in orders]
-        best = int(np.argmin(stiffness))
-        return orders[best] if stiffness[best] < _CLEARLY * stiffness[0] else orders[0]
+        balances = [self.balance(one) for one in orders]
+        stiffness = [float(np.linalg.norm(one.K)) for one in balances]
+        given, best = balances[0], balances[int(np.argmin(stiffness))]
+        refuted = (np.abs(given.K) > _ERRORS * given.K_se).any()
+        clearly = min(stiffness) < _CLEARLY * stiffness[0]
+        return best.order if refuted and clearly and not best.impossible else given.order
 
     def balance(
         self,
@@ -238,33 +254,36 @@ class RobotResponses:
             R=stacked[:n],
         )
         locked = stacked[:n] * np.einsum("jjf->jf", self.inverse)
-        return _fit_robot(estimate, locked, order, unseen_share(self.records))
+        driven = multiply(multiply(mixed[:, 2 * n :], stacked[2 * n :]), self.inverse)
+        return _fit_robot(estimate, locked, driven, order, unseen_share(self.records))
 
 
 def _fit_robot(
     estimate: ImpedanceEstimate,
     locked: ComplexArray,
+    driven: ComplexArray,
     order: tuple[int, ...],
     unseen: FloatArray,
 ) -> RobotBalance:
-    """Fit what the commands move by that of the robot and of the friction of locked joints."""
+    """Fit what the commands move by robot, friction of locked joints and lag of their drives."""
     n, s = estimate.joints, 2j * np.pi * estimate.f
-    terms, covariance = np.zeros((5, n, n)), np.zeros((5, 5, n, n))
+    terms, covariance = np.zeros((_TERMS, n, n)), np.zeros((_TERMS, _TERMS, n, n))
     friction = np.zeros((n, n))
-    robot = [s**2, s, np.ones_like(s)]
     for i, j in np.ndindex(n, n):
-        beside = [] if i == j else [s * locked[i, j], locked[i, j]]
-        # Friction resists: where it would have to push, there is none that holds the joint.
-        for regressors in ([*robot, *beside], [*robot, *beside[:1]]):
-            values, errors = _least_squares(estimate, i, j, np.stack(regressors))
-            if values.size < 5 or values[4] > 0.0:
-                break
-        size = values.size
-        terms[:size, i, j], covariance[:size, :size, i, j] = values, errors
-        if beside:
-            taken = terms[3, i, j] * beside[0] + terms[4, i, j] * beside[1]
-            whole = float(np.linalg.norm(estimate.Z[i, j] / s))
-            friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, np.finfo(float).tiny)
+        beside = [locked[i, j] * s, locked[i, j], driven[i, j] * s, driven[i, j] * s**2]
+        regressors = np.stack([s**2, s, np.ones_like(s), *beside])
+        used = list(range(3 if i == j else _TERMS))
+        values, errors = _least_squares(estimate, i, j, regressors[used])
+        if i != j and values[_HOLDING] <= 0.0:
+            # Friction resists: where it would have to push, there is none that holds the joint.
+            used.remove(_HOLDING)
+            values, errors = _least_squares(estimate, i, j, regressors[used])
+        terms[used, i, j] = values
+        rows, columns = np.ix_(used, used)
+        covariance[rows, columns, i, j] = errors
+        taken = terms[3:5, i, j] @ regressors[3:5]
+        whole = float(np.linalg.norm(estimate.Z[i, j] / s))
+        friction[i, j] = float(np.linalg.norm(taken / s)) / max(whole, np.finfo(float).tiny)
     return RobotBalance(
         terms=terms, covariance=covariance, friction=friction, unseen=unseen, order=order
     )
@@ -301,23 +320,27 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
     shares, errors = np.zeros(n), np.zeros(n)
     for i in range(n):
         mixed, square = 0.0, np.finfo(np.float64).tiny
-        doubt, held, own = 0.0, 0.0, 0.0
+        doubt, held, own, left = 0.0, 0.0, 0.0, 0.0
         for j in range(n) if n == 1 else np.delete(np.arange(n), i):
             arms = np.array([arm.mbk.M[i, j], arm.mbk.B[i, j], arm.mbk.K[i, j]])[used]
             arms_se = np.array([arm.M_se[i, j], arm.B_se[i, j], arm.K_se[i, j]])[used]
             information = np.linalg.pinv(robot.covariance[np.ix_(used, used)][:, :, i, j])
             part = float(arms @ information @ arms)
-            mixed += float(arms @ information @ robot.terms[used, i, j])
+            residual = robot.terms[used, i, j]
+            mixed += float(arms @ information @ residual)
+            left += float(residual @ information @ residual)
             square += part
             doubt += part * robot.friction[i, j]
             held += part * robot.unseen[i, j]
             # Where the arm hardly couples the joints its own errors count.
             own += float(arms_se @ information @ arms_se)
         shares[i] = mixed / square
+        # One share has to explain all of the row.
+        spread = max(1.0, (left - mixed * shares[i]) / max(len(used) * max(n - 1, 1) - 1, 1))
         own_error = shares[i] * np.sqrt(own / square)
         # Friction that holds a joint takes torque: to the transducer it is a gain above 1.
         doubt = (_HELD * max(doubt, held) if mixed < 0.0 else _TAKEN * doubt) / square
-        errors[i] = np.linalg.norm((1.0 / np.sqrt(square), doubt, own_error))
+        errors[i] = np.linalg.norm((np.sqrt(spread / square), doubt, own_error))
     return shares, errors
 
 
@@ -384,7 +407,8 @@ def judge_balance(
             )
         )
     wrong = []
-    if (np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors).any():
+    nothing = np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors
+    if (nothing & (np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors)).any():
         return problems, np.zeros(len(names))
     for name, share, error in zip(names, shares, errors, strict=True):
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
@@ -401,11 +425,8 @@ def judge_balance(
                 "error": 0.0,
             }
             problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=values))
-    M = balance.M
-    value, error = least_eigenvalue(M, balance.M_se)
-    size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
-    uneven = np.abs(M - M.T) > ASYMMETRY * size + _ERRORS * np.hypot(balance.M_se, balance.M_se.T)
-    if value < -_ERRORS * error or uneven.any():
+    if balance.impossible:
+        M = balance.M
         inertia = "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in M) + "] kg·m²"
         problems.append(
             Problem(
