@@ -276,6 +276,11 @@ def fit_impedance(
     delay = None
     if estimate.delay_uncertainty is not None:
         problem, delay = _with_delay(problem, estimate.delay_uncertainty, estimate.delay_unknown)
+        if estimate.friction_skew is not None and delay.delay:
+            # What is late against the angles jumps otherwise, too, as behind drives that lag.
+            share = min(abs(delay.delay) / estimate.delay_unknown, 1.0)
+            doubt = (share * estimate.friction_skew).reshape(n * n, -1)
+            problem = replace(problem, systematics=(*problem.systematics, doubt))
         estimate = replace(
             estimate,
             Z=problem.Z.reshape(estimate.Z.shape),

@@ -269,14 +269,14 @@ def identify(
         results = {name: one.with_doubts(doubts) for name, one in results.items()}
     trusted = first if best is None else best
     realised = scores.realisation(trusted.estimate, options.target)
+    fit = (best if best is not None else first).fit
     balance = None
     if responses is not None:
-        fit = trusted.fit
         balance = responses.balance(order, hold, reading, fit.delay)
-        unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
-        problems += unbalanced
-        if gains.any():
-            results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
+    unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
+    problems += unbalanced
+    if gains.any():
+        results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
     return Identification(
         joint_names=names,
         trials=tuple(

@@ -2,8 +2,9 @@
 
 A passive arm has a kinetic energy ``½ q̇ᵀ M q̇ > 0`` for any motion, so the symmetric part of M has
 positive eigenvalues. Torques or angles in the wrong order make the elements off the diagonal
-larger than those on it, and a wrong sign makes one on it negative; both show there. What all joints
-have in common, such as a unit, shows in the size alone.
+larger than those on it, and a wrong sign makes one on it negative; both show there. And ``M = Mᵀ``,
+unless torques and angles belong to other coordinates, as where one of two angles is absolute, or
+one of two gains is wrong. What all joints have in common, such as a unit, shows in the size alone.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ LARGEST_POSTURE = 2.0 * np.pi
 """Angle beyond which a posture isn't in radians, rad."""
 LARGEST_MOTION = 1.5
 """Peak to peak motion beyond which it isn't, rad: linear models end far below."""
+ASYMMETRY = 0.2
+"""Share of ``√(M_ii M_jj)`` by which elements of an inertia off the diagonal may differ."""
 _ERRORS = 5.0
 
 
@@ -85,7 +88,24 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
                 suspect="torques or angles of two joints may be swapped",
             )
         )
+    M, M_se = matrices["M"]
+    for i, j in np.argwhere(np.triu(uneven(M, M_se, ASYMMETRY))):
+        problems.append(
+            _problem(
+                ProblemCode.UNEVEN_INERTIA,
+                estimator,
+                name=f"{names[i]} and {names[j]}",
+                value=float(M[i, j]),
+                other=float(M[j, i]),
+            )
+        )
     return problems
+
+
+def uneven(M: FloatArray, errors: FloatArray, share: float) -> NDArray[np.bool_]:
+    """Elements of an inertia that differ from those across by more than a share of √(M_ii M_jj)."""
+    size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
+    return np.asarray(np.abs(M - M.T) > share * size + _ERRORS * np.hypot(errors, errors.T))
 
 
 def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, float]:

@@ -41,7 +41,7 @@ from armimp_estimation.fit import (
 )
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.periods import common_periods
-from armimp_estimation.plausibility import least_eigenvalue
+from armimp_estimation.plausibility import least_eigenvalue, uneven
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import unseen_share
@@ -75,6 +75,8 @@ _HELD = 0.8
 It is not as linear as the terms that stand for it. The second is where friction that holds the
 joint would explain what is left.
 """
+_UNCONFIRMED = 0.1
+"""Assumption: relative error of a gain that nobody has declared and no command confirms."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 
@@ -140,9 +142,7 @@ class RobotBalance:
         """Whether no robot has this inertia, as it is uneven or has a negative eigenvalue."""
         M = self.M
         value, error = least_eigenvalue(M, self.M_se)
-        size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
-        uneven = np.abs(M - M.T) > ASYMMETRY * size + _ERRORS * np.hypot(self.M_se, self.M_se.T)
-        return bool(value < -_ERRORS * error or uneven.any())
+        return bool(value < -_ERRORS * error or uneven(M, self.M_se, ASYMMETRY).any())
 
     @property
     def _errors(self) -> FloatArray:
@@ -191,7 +191,7 @@ class RobotResponses:
         balances = [self.balance(one) for one in orders]
         stiffness = [float(np.linalg.norm(one.K)) for one in balances]
         given, best = balances[0], balances[int(np.argmin(stiffness))]
-        refuted = (np.abs(given.K) > _ERRORS * given.K_se).any()
+        refuted = (np.abs(given.K) > 2.0 * _ERRORS * given.K_se).any()
         clearly = min(stiffness) < _CLEARLY * stiffness[0]
         return best.order if refuted and clearly and not best.impossible else given.order
 
@@ -348,7 +348,8 @@ def gains_in_doubt(shares: FloatArray, errors: FloatArray, calibration: Calibrat
     """Relative standard errors of gains, (n,), that the balance leaves possible.
 
     A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
-    what is assumed. A calibration that was declared holds until ρ refutes it.
+    what is assumed; so does what they could not have told, up to `_UNCONFIRMED`. A calibration that
+    was declared holds until ρ refutes it.
 
     Parameters
     ----------
@@ -357,8 +358,16 @@ def gains_in_doubt(shares: FloatArray, errors: FloatArray, calibration: Calibrat
     calibration : Calibration
         What is known of the transducers.
     """
-    least = 0.0 if calibration.assumed else _REFUTED
-    return np.asarray(np.where(np.abs(shares) > least * errors, np.abs(shares), 0.0))
+    told = np.where(np.abs(shares) > _REFUTED * errors, np.abs(shares), 0.0)
+    if not calibration.assumed:
+        return np.asarray(told)
+    untold = np.minimum(np.hypot(shares, errors), _UNCONFIRMED)
+    return np.asarray(np.maximum(told, untold))
+
+
+def _unconfirmed(name: str, doubt: float) -> Problem:
+    values: dict[str, float | int | str] = {"name": name, "doubt": 100.0 * doubt}
+    return Problem(code=ProblemCode.GAIN_UNCONFIRMED, severity=Severity.NOTE, values=values)
 
 
 def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
@@ -374,7 +383,7 @@ def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
 
 
 def judge_balance(
-    names: Sequence[str], balance: RobotBalance, arm: MBKFit, calibration: Calibration
+    names: Sequence[str], balance: RobotBalance | None, arm: MBKFit, calibration: Calibration
 ) -> tuple[list[Problem], FloatArray]:
     """Find what doesn't balance.
 
@@ -382,8 +391,8 @@ def judge_balance(
     ----------
     names : sequence of str
         Joint names.
-    balance : RobotBalance
-        What the commands move.
+    balance : RobotBalance or None
+        What the commands move; without any they can't confirm a gain.
     arm : MBKFit
         What was estimated of the arm from the same trials.
     calibration : Calibration
@@ -396,6 +405,10 @@ def judge_balance(
         Relative standard errors of the gains of transducers that are not refused.
     """
     problems = []
+    if balance is None:
+        doubt = max(_UNCONFIRMED, calibration.gain) if calibration.assumed else 0.0
+        problems = [_unconfirmed(name, doubt) for name in names if doubt > 0.0]
+        return problems, np.full(len(names), doubt)
     shares, errors = imbalance(balance, arm)
     if balance.permuted:
         order = ", ".join(names[row] for row in np.argsort(balance.order))
@@ -443,6 +456,8 @@ def judge_balance(
             problems.append(
                 Problem(code=ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, values=about)
             )
+        elif calibration.assumed and doubt > calibration.gain:
+            problems.append(_unconfirmed(name, float(doubt)))
     return problems, doubts
 
 

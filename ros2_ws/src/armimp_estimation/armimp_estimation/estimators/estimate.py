@@ -106,6 +106,8 @@ class ImpedanceEstimate:
     weight_floor : float or None
         Relative error beside the variance that the M-B-K fit should allow for in its weights, see
         :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit.
+    friction_skew : ndarray, shape (n, n, n_freq), or None
+        What was added for torques of friction that jump with the commands, N·m/rad.
     delay_uncertainty : float or None
         Standard error with which torques and angles are known to be of the same instant, s: the
         fit then has a common delay as a parameter. None: they are taken as they are.
@@ -131,6 +133,7 @@ class ImpedanceEstimate:
     disturbance: ComplexArray | None = None
     inverse: ComplexArray | None = None
     weight_floor: float | None = None
+    friction_skew: ComplexArray | None = None
     delay_uncertainty: float | None = None
     delay_unknown: float = 0.0
     unbiased: bool = False

@@ -171,7 +171,8 @@ class LpmFull:
         impedance = multiply(torque, inverse)
         uncorrected = self._without_skew(stacked[n : 2 * n], f, records[0].rate)
         reversing = _reversals(records, jump, impedance, f)
-        skewed = self._doubts(multiply(torque - uncorrected, inverse), reversing[:, None])
+        added = multiply(torque - uncorrected, inverse)
+        skewed = self._doubts(added, reversing[:, None])
 
         coefficients = np.concatenate((-impedance, skew), axis=1)
         systematics = (*skewed, *unresolved(records, impedance, inverse))
@@ -195,6 +196,7 @@ class LpmFull:
             R=R,
             systematics=systematics,
             weight_floor=options.weight_floor,
+            friction_skew=added.real.astype(np.complex128),
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
             unbiased=True,
