@@ -140,7 +140,7 @@ def test_levels_and_overridden_parameters_reach_the_nodes(run: Run) -> None:
         "resolution": 1,
         "perturbation": 2,
         "arm_sim": {"voluntary": {"rms": 0.1}},
-        "imbic_controller": {"safety.torque_limit": 10.0},
+        "imbic_controller": {"safety.torque_limit": 5.0},
     }
 
     finished = run(**options)
@@ -149,4 +149,4 @@ def test_levels_and_overridden_parameters_reach_the_nodes(run: Run) -> None:
     commands = np.array(
         [trial.values(COMMANDS, finished.joint_names) for trial in finished.trials()]
     )
-    assert np.abs(commands).max() == 10.0
+    assert np.abs(commands).max() == 5.0

@@ -87,9 +87,9 @@ def test_four_times_the_count_is_four_times_the_bound_of_a_relaxed_arm() -> None
 
 
 def test_friction_hardly_changes_the_bound() -> None:
-    """It shapes the motion, which the controller keeps the same, and is no noise."""
+    """It takes a little of the motion, which the controller keeps up, and is no noise."""
     ratio = bound(0.3, friction=3) / bound(0.3, friction=0)
-    np.testing.assert_allclose(ratio, 1.0, rtol=0.05)
+    np.testing.assert_allclose(ratio, 1.0, rtol=0.1)
 
 
 def test_with_exact_readings_the_bound_is_proportional_to_the_voluntary_torque() -> None:

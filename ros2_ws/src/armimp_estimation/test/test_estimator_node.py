@@ -595,7 +595,7 @@ class TestController:
         self.heard(desk, alive=0, silent=0)
 
         desk.conclude()
-        assert not any("imbic_controller" in str(one) for one in desk.summary.problems)
+        assert ProblemCode.NODE_FAILED not in {one.code for one in desk.summary.problems}
 
     def test_its_statuses_of_the_last_experiment_count_no_more_after_a_new_configuration(
         self, desk: Desk
