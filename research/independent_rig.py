@@ -61,6 +61,8 @@ class Mismatch:
     """Time constant of the torque readings."""
     angle_low_pass: float = 0.0
     command_delay: float = 0.0
+    drive_lag: float = 0.0
+    """Time constant with which torques of the drives follow their commands."""
     torque_noise: float = 0.003
     angle_step: float = 6.136e-5
     torque_step: float = 0.01
@@ -154,6 +156,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     step,
     substeps,
     command_steps,
+    drive_pole,
     states,
     mean,
     torque_pole,
@@ -201,7 +204,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 whole += 1
             for i in range(n):
                 old = active[i]
-                active[i] = sent[i, whole]
+                active[i] += drive_pole * (sent[i, whole] - active[i])
                 speed = x[n + i]
                 if bristle > 0.0:
                     # Bristles bend at the speed of the joint, until they carry all of the friction.
@@ -316,6 +319,7 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
         step,
         SUBSTEPS,
         round(mismatch.command_delay / step),
+        1.0 - np.exp(-step / mismatch.drive_lag) if mismatch.drive_lag else 1.0,
         states,
         mismatch.mean,
         torque_pole,

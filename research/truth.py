@@ -418,6 +418,18 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(RIGHT, "short trial", (f"{seconds:g} s", {"duration": seconds}))
     for edge in (3.0, 6.0, 10.0):
         add(RIGHT, "narrow perturbation", (f"{edge:g} Hz", {"cutoff": edge}))
+    for slow in (0.5, 1.0, 2.0):
+        for rub in (0.1, 1.0, 2.0):
+            lagging: dict[str, Any] = {"drive_lag": slow * MILLI, "friction": rub, "level": 2.0}
+            lagging |= {"stick": 2e-3, "bristle": 2e3, "lock": 80.0}
+            add(RIGHT, "drive lag", (f"{slow:g} ms, friction {rub:g} N·m", lagging))
+    rubbing: dict[str, Any] = {"friction": 1.0, "stick": 2e-3, "bristle": 2e3, "drive_lag": 5e-4}
+    rubbing |= undeclared | {"level": 2.0}
+    for factor in (0.8, 0.9, 1.1, 1.3):
+        scaled = {"readings": changed(torque=_times(factor))} | rubbing
+        add(MUST, "friction and lag, torque gain", (f"{factor:g}", scaled))
+    summed = {"readings": changed(position=lambda values: np.cumsum(values, axis=0))}
+    add(MUST, "absolute angles", ("", summed), ("with friction and lag", summed | rubbing))
     for share in (0.01, 0.02, 0.03, 0.1):
         crossed = {"readings": changed(torque=_cross(share))} | undeclared
         add(MUST, "cross-talk", (f"{100 * share:g} %", crossed))

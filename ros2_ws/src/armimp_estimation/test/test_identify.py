@@ -7,6 +7,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.estimators.welch import WelchSiso
+from armimp_estimation.fit import Calibration
 from armimp_estimation.frf import frf_matrix
 from armimp_estimation.identify import identify
 from armimp_estimation.mbk import MBK
@@ -47,6 +48,26 @@ def test_a_good_experiment_is_valid_and_close_to_the_truth() -> None:
     assert [trial.trial for trial in result.trials] == [1, 2]
     assert result.trials[1].lock_ratio[1] == 1.0
     assert result.trials[1].lock_ratio[0] < 1e-6
+
+
+def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the_errors() -> None:
+    undeclared = dataclasses.replace(CONFIG, calibration=Calibration.undeclared())
+    result = identify(trials(), ("welch_full",), config=undeclared)
+    assert result.valid
+    noted = [one for one in result.problems if one.code is ProblemCode.GAIN_UNCONFIRMED]
+    assert [one.values["doubt"] for one in noted] == [10.0, 10.0]
+    fit = result.estimators["welch_full"].fit
+    assert (fit.K_se > 0.1 * np.abs(fit.mbk.K)).all()
+
+
+def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
+    across = TWO_JOINT_ARM.M * [[1.0, 1.5], [1.0, 1.0]]
+    arm = dataclasses.replace(TWO_JOINT_ARM, M=across)
+    result = identify(trials(arm=arm), ("welch_full",), config=CONFIG)
+    assert not result.impedance_valid
+    (uneven,) = [one for one in result.problems if one.code is ProblemCode.UNEVEN_INERTIA]
+    assert uneven.values["value"] == pytest.approx(across[0, 1], rel=0.02)
+    assert uneven.values["other"] == pytest.approx(across[1, 0], rel=0.02)
 
 
 def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is_high() -> None:
