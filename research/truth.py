@@ -94,6 +94,21 @@ def _backlash(gap: float) -> Change:
     return follow
 
 
+def _uneven(share: float) -> Change:
+    """A transducer that shows more in one direction."""
+    return lambda torque: torque + share * np.maximum(torque, 0.0)
+
+
+def _yielding(share: float) -> Change:
+    """One that shows less, by a share at the peak."""
+
+    def compress(torque: FloatArray) -> FloatArray:
+        peak = np.max(np.abs(torque), axis=1, keepdims=True)
+        return torque * (1.0 - share * (torque / peak) ** 2)
+
+    return compress
+
+
 def _waning(share: float) -> Change:
     return lambda torque: torque * (1.0 - share * np.linspace(-0.5, 0.5, torque.shape[1]))
 
@@ -307,6 +322,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
             add(MUST, "reflex", (label, {"reflex": gain, "reflex_delay": delay}))
     for stiff in (1e5, 3e4, 1e4, 3e3, 1e3):
         add(MUST, "cuff", (f"{stiff / 1e3:g} kN·m/rad", {"cuff": stiff}))
+    for stiff in (3e5, 1e5):
+        moved = {"cuff": stiff, "voluntary": 0.3}
+        add(MUST, "cuff, voluntary 0.3 N·m", (f"{stiff / 1e3:g} kN·m/rad", moved))
     for extra in (1.0, 5.0, 20.0):
         add(MUST, "short-range stiffness", (f"{extra:g}", {"short_range": extra}))
     for share in (0.1, 0.3):
@@ -357,6 +375,14 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for gap in (1e-4, 1e-3, 5e-3):
         loose = changed(position=_backlash(gap))
         add(MUST, "angle backlash", (f"{gap:g} rad", {"readings": loose}))
+    for share in (0.03, 0.1, 0.3):
+        uneven = {"readings": changed(torque=_uneven(share))}
+        add(MUST, "torque larger in one direction", (f"{share:g}", uneven))
+        add(
+            MUST,
+            "torque compressed",
+            (f"{share:g}", {"readings": changed(torque=_yielding(share))}),
+        )
     for share in (0.02, 0.1):
         add(MUST, "gain that drifts", (f"{share:g}", {"readings": changed(torque=_waning(share))}))
     mixed = {

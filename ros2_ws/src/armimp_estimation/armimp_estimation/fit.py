@@ -17,6 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -178,6 +179,7 @@ _LACK_CHANCE = 5.0
 _REFUTED = 4.0
 _SUREST = 20e-6
 _NOTICED = 2.0
+_CHANCE = 0.01
 _ITERATIONS = 3
 _ROUNDING = 1e-9
 _EXACT = 1e-3
@@ -330,6 +332,7 @@ def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> Fl
     spread = with_neighbours(terms, estimate.bin_correlation)
     # Whether the parts are unlike, and the sign of the imaginary part: M and K are real, B is not.
     imaginary = np.array([[0, -1, 0], [1, 0, 1], [0, -1, 0]])
+    more = problem.change_by_more_terms()
     covariance = np.zeros((3, n, n, 3, n, n))
     for i, j, m, l in np.ndindex(n, n, n, n):
         if (i, j) > (m, l):
@@ -344,7 +347,7 @@ def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> Fl
                 shift, other = _apply(coefficients[i, j], one[i * n + j]), one[m * n + l]
                 block = block + np.outer(shift, _apply(coefficients[m, l], other))
         if (i, j) == (m, l):
-            block = block + np.diag(problem.change_by_more_terms(i * n + j))
+            block = block + np.diag(more[:, i * n + j])
         covariance[:, i, j, :, m, l] = block
         covariance[:, m, l, :, i, j] = block.T
     return covariance.reshape(3 * n * n, 3 * n * n)
@@ -450,7 +453,7 @@ class _Elements:
         errors = np.zeros((3, len(self.Z)))
         for row in range(len(self.Z)):
             values[:, row], errors[:, row] = self._fit_element(row)
-        return values, errors
+        return values, np.sqrt(errors**2 + self.change_by_more_terms())
 
     def coefficients(self, row: int) -> FloatArray:
         """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f`` for one element."""
@@ -462,25 +465,39 @@ class _Elements:
         squares = _sandwich(coefficients, self.noise[row], self.correlation)
         for systematic in (*self.systematics, *self.calibration):
             squares += _apply(coefficients, systematic[row]) ** 2
-        return values, np.sqrt(squares + self.change_by_more_terms(row))
+        return values, np.sqrt(squares)
 
-    def change_by_more_terms(self, row: int) -> FloatArray:
-        """Squared change of M, B, K by ``c s³`` and ``c s⁴``, where c is significant."""
-        weights = self.weights(row)
-        coefficients = mbk_coefficients(self.omega, weights)
+    def change_by_more_terms(self) -> FloatArray:
+        """Squared change of M, B, K, (3, elements), by ``c s³`` and ``c s⁴`` where they count.
+
+        An arm that isn't of the form has them in all elements: where those of all elements together
+        are beyond chance, each counts with its own error, else one alone that is significant.
+        """
+        squares = np.zeros((3, len(self.Z)))
         relative = self.omega / self.omega[-1]
-        squares = np.zeros(3)
+        coefficients = [self.coefficients(row) for row in range(len(self.Z))]
         for term in (-1j * relative**3, relative**4 + 0j):
-            left = term - _of_mbk(_apply(coefficients, term), self.omega)
-            if not 0.0 < (total := float(np.sum(weights * np.abs(left) ** 2))) < math.inf:
-                continue  # nothing was measured: the values are no numbers either
-            functional = weights * left / total
-            value = _functional(functional, self.Z[row])
-            error = self.functional_error(row, functional)
-            if abs(value) > _NOTICED * error:
-                squares += (value * _apply(coefficients, term)) ** 2
+            values, errors = np.zeros(len(self.Z)), np.zeros(len(self.Z))
+            for row, of_mbk in enumerate(coefficients):
+                weights = self.weights(row)
+                left = term - _of_mbk(_apply(of_mbk, term), self.omega)
+                total = float(np.sum(weights * np.abs(left) ** 2))
+                if not 0.0 < total < math.inf:
+                    continue  # nothing was measured: the values are no numbers either
+                functional = weights * left / total
+                values[row] = _functional(functional, self.Z[row])
+                errors[row] = self.functional_error(row, functional)
+            ratio = np.divide(values, errors, out=np.zeros_like(values), where=errors > 0.0) ** 2
+            everywhere = float(np.sum(ratio)) > float(chdtri(ratio.size, _CHANCE))
+            size = (
+                values**2 + errors**2
+                if everywhere
+                else np.where(np.abs(values) > _NOTICED * errors, values**2, 0.0)
+            )
+            squares += size * np.stack([_apply(one, term) for one in coefficients], axis=1) ** 2
         # What rounding leaves is no change.
-        least = _ROUNDING * np.abs(_apply(coefficients, self.Z[row]))
+        plain = [_apply(one, Z) for one, Z in zip(coefficients, self.Z, strict=True)]
+        least = _ROUNDING * np.abs(np.stack(plain, axis=1))
         return np.where(squares > least**2, squares, 0.0)
 
     def functional_error(self, row: int, functional: ComplexArray) -> float:

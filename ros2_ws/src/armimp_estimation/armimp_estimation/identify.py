@@ -314,6 +314,6 @@ def _judge_motion(
         problems += found
         if shift.any():
             doubt = np.zeros((3, len(records), len(records)))
-            doubt[:, k, k] = shift
+            doubt[:, k] = shift
             doubts.append(doubt)
     return problems, doubts

@@ -1,10 +1,12 @@
-"""Torque that no linear arm makes: stiffness that changes, hysteresis, from what the fit leaves.
+"""Torque of no linear arm or transducer: changing stiffness, hysteresis, in what the fit leaves.
 
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
 perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
 spring of short range yields, a play operator of the angle (the spring's stretch:
 Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign
-of ``θ̇``; if stiffness changes over the trial, ``θ t``. Regressors and e are taken without all that
+of ``θ̇``; if stiffness changes over the trial, ``θ t``. If the transducer is not linear, e follows
+the fitted torque τ̂: ``|τ̂|`` if it shows more in one direction, ``τ̂³`` if its gain changes with the
+torque. Regressors and e are taken without all that
 any linear filter makes of the angle: so a linear arm gives zero on average, whatever the person
 does beside, although that moves the arm, too. What M, B and K are alike of the regressor, times the
 coefficient, is what the term does to them. What readings lack because torques jump with commands is
@@ -38,7 +40,14 @@ They are not sharp, so that the ends of the record soon die away.
 """
 SIGNIFICANT = 4.5
 _ALL, _SIGNIFICANT_OF_ALL = 1.0, 3.5
-LARGE = {"amplitude": 0.03, "hysteresis": 0.05, "time": 0.05, "friction": np.inf}
+LARGE = {
+    "amplitude": 0.03,
+    "hysteresis": 0.05,
+    "time": 0.05,
+    "friction": np.inf,
+    "direction": 0.1,
+    "gain": 0.1,
+}
 """Shares of the stiffness, or of M, B or K, beyond which these are of this motion, or time, alone.
 
 Smaller ones are in the standard errors, and so is what friction of the robot leaves in the torques
@@ -55,18 +64,24 @@ _MOST_ENDS = 0.2
 _PARTS = 20
 _NEGLIGIBLE = 0.003
 _LEAST = 10.0
-_BENT: Mapping[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
-    "amplitude": lambda x, _: x**3,
-    "hysteresis": lambda x, _: play(x, PLAY),
-    "friction": lambda _, v: np.tanh(v / SLOW),
-    "time": lambda x, _: x * np.linspace(-0.5, 0.5, x.size),
+_BENT: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] = {
+    "amplitude": lambda x, *_: x**3,
+    "hysteresis": lambda x, *_: play(x, PLAY),
+    "friction": lambda _, v, __: np.tanh(v / SLOW),
+    "time": lambda x, *_: x * np.linspace(-0.5, 0.5, x.size),
+    "direction": lambda *signals: np.abs(signals[2]),
+    "gain": lambda *signals: signals[2] ** 3,
 }
-"""What follows from angle and speed, in units of their rms."""
+"""What follows from angle, speed and torque, in units of their rms."""
+_SLOPES = {"amplitude": 3.0, "time": 1.0, "direction": 1.0, "gain": 3.0}
+"""Of these terms over their argument at one rms, or between both directions: 3 x² of a cube."""
 _CODES = {
     "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
     "hysteresis": ProblemCode.HYSTERESIS,
     "friction": ProblemCode.FRICTION_LEFT,
     "time": ProblemCode.CHANGES_OVER_TIME,
+    "direction": ProblemCode.TORQUE_NOT_LINEAR,
+    "gain": ProblemCode.TORQUE_NOT_LINEAR,
 }
 
 
@@ -78,9 +93,10 @@ class Deviation:
     ----------
     share, error : float
         Change of the stiffness from rest to the rms angle, or from begin to end, relative to it;
-        of hysteresis and friction its share in the largest of M, B and K. And its standard error.
-    shift : ndarray, shape (3,)
-        What it adds to M, B and K of the joint itself, SI units.
+        of hysteresis and friction its share in the largest of M, B and K; of a transducer the
+        change of its gain. And its standard error.
+    shift : ndarray, shape (3, n)
+        What it adds to the joint's row of M, B and K, SI units.
     """
 
     share: float
@@ -138,7 +154,7 @@ def unexplained_torque(
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
 
     Parameters
@@ -158,6 +174,8 @@ def unexplained_torque(
         Angle, rad, and its first two derivatives; 200 samples per second at most.
     torque : ndarray, shape (N,)
         N·m.
+    fitted : ndarray, shape (N,)
+        Torque that the arm explains, N·m.
     """
     k, band = record.perturbed_joint, _Band(record)
     angle, torque = band.of(record.position), band.of(record.torque[k])
@@ -166,8 +184,8 @@ def unexplained_torque(
         torque = torque + np.sum(lacking * band.of(command_steps(record, record.samples)), axis=0)
         torque = torque / (reading or TorqueReading()).response(band.f)
     motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
-    left = torque - np.sum(arm.impedance(band.f)[k] * angle, axis=0)
-    return band.signal(motion), band.signal(left)
+    fitted = np.sum(arm.impedance(band.f)[k] * angle, axis=0)
+    return band.signal(motion), band.signal(torque - fitted), band.signal(fitted)
 
 
 def deviations(
@@ -183,16 +201,18 @@ def deviations(
     Returns
     -------
     dict of str to Deviation
-        ``"amplitude"``, ``"hysteresis"``, ``"friction"`` and ``"time"``; empty for trials of less
-        than 10 s.
+        ``"amplitude"``, ``"hysteresis"``, ``"friction"``, ``"time"``, and of the transducer
+        ``"direction"`` and ``"gain"``; empty for trials of less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
     band, k = _Band(record), record.perturbed_joint
-    motion, rest = unexplained_torque(record, arm, jump, reading)
-    sizes = np.std(motion, axis=1)
-    own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
-    if not (sizes[0] > 0.0 and own[2] > 0.0):
+    motion, rest, fitted = unexplained_torque(record, arm, jump, reading)
+    signals = np.stack([*motion[:2], fitted])
+    sizes = np.std(signals, axis=1)
+    row = np.stack([arm.M[k], arm.B[k], arm.K[k]])
+    own = row[:, k]
+    if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
     kept = band.kept
     filtered = band.filters(record.position[k])[:, kept]
@@ -204,21 +224,25 @@ def deviations(
     rest = without_linear(rest[kept])
     found = {}
     for name, bend in _BENT.items():
-        signal = band.signal(band.of(bend(*(motion[:2] / sizes[:2, None]))))[kept]
+        signal = band.signal(band.of(bend(*(signals / sizes[:, None]))))[kept]
         regressor = without_linear(signal)
         parts = [np.array_split(one, _PARTS) for one in (regressor, rest)]
         products = np.array([np.sum(p * q) for p, q in zip(*parts, strict=True)])
         squares = np.array([np.sum(p * p) for p in parts[0]])
         slope = float(np.sum(products) / np.sum(squares))
         error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / np.sum(squares))
-        # What M, B and K are alike of it: the derivatives 2, 1, 0.
-        of_linear = np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
-        shift = slope * of_linear
-        if name in {"hysteresis", "friction"}:
-            share = float(np.max(np.abs(shift / own)))
+        shift = np.zeros(row.shape)
+        if name in {"direction", "gain"}:
+            share = _SLOPES[name] * slope / float(sizes[2])
+            shift = share * row
         else:
-            # The slope of the torque over the angle: 3 x² of a cube, which is 3 at one rms.
-            share = (3.0 if name == "amplitude" else 1.0) * slope / (own[2] * sizes[0])
+            # What M, B and K are alike of it: the derivatives 2, 1, 0.
+            of_linear = np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
+            shift[:, k] = slope * of_linear
+            if name in {"hysteresis", "friction"}:
+                share = float(np.max(np.abs(shift[:, k] / own)))
+            else:
+                share = _SLOPES[name] * slope / (own[2] * float(sizes[0]))
         found[name] = Deviation(
             share=share, error=abs(share * error / slope) if slope else 0.0, shift=shift
         )
@@ -240,11 +264,11 @@ def judge_linearity(
     Returns
     -------
     problems : list of Problem
-    shift : ndarray, shape (3,)
-        Standard errors of M, B and K of the joint itself that come of it.
+    shift : ndarray, shape (3, n)
+        Standard errors of the joint's row of M, B and K that come of it.
     """
     problems = []
-    shift = np.zeros(3)
+    shift = np.zeros((3, record.joints))
     for name, one in deviations(record, arm, jump, reading).items():
         # By chance, no stiffness seems to change by all of it, unless the trial tells nothing.
         least = SIGNIFICANT if abs(one.share) < _ALL else _SIGNIFICANT_OF_ALL
