@@ -104,7 +104,7 @@ def _yielding(share: float) -> Change:
 
     def compress(torque: FloatArray) -> FloatArray:
         peak = np.max(np.abs(torque), axis=1, keepdims=True)
-        return torque * (1.0 - share * (torque / peak) ** 2)
+        return np.asarray(torque * (1.0 - share * (torque / peak) ** 2))
 
     return compress
 

@@ -21,7 +21,6 @@ QUICK = (
     "command late 0.5 ms",
     "torque sign",
     "torque gain of joint 2 0.9",
-    "cuff, voluntary 0.3 N·m 100 kN·m/rad",
     "torque larger in one direction 0.1",
     "torque compressed 0.1",
     "short-range stiffness 1",
@@ -56,6 +55,10 @@ def test_what_the_balance_leaves_of_a_gain_is_in_the_intervals(name: str) -> Non
     assert valid
     assert worst <= 3.5
     assert percent > 3.5, "one per cent, as assumed of any transducer, would not hold it"
+
+
+def test_a_soft_cuff_that_noise_hides_in_some_elements_is_in_the_intervals_of_all() -> None:
+    judge("cuff, voluntary 0.3 N·m 100 kN·m/rad", seed=2)
 
 
 READINGS: dict[str, dict[str, bool]] = {
