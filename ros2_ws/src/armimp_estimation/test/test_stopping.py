@@ -1,11 +1,20 @@
 """When trials may end: never too early, at fixed numbers of samples, only for known errors."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from armimp_common.status import NOTICE_TICKS, StoppingDecision
-from armimp_estimation.estimators.lpm import FittedColumn
+from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
+from armimp_estimation.fit import FitConfig, fit_mbk
+from armimp_estimation.record import TrialRecord
+from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.stopping import PrecisionGoal, StoppingRule, largest_error
+from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
+from armimp_estimation.trial import TrialData
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 GOAL = PrecisionGoal(bound=0.02, least=20.0)
 LEAST = 20_000 - NOTICE_TICKS
@@ -113,3 +122,50 @@ def test_when_nothing_is_known_expect_not_enough() -> None:
 def test_a_trial_no_longer_than_the_least_is_announced_and_left_alone(planned: int) -> None:
     (only,) = decisions(rule(planned), planned, 0.0)
     assert (only.samples, only.due) == (0, None)
+
+
+LPM = LpmFull(config=LpmConfig(reading=TorqueReading(timing=TorqueTiming.SIMULTANEOUS)))
+
+
+def ended(record: TrialRecord, others: Sequence[TrialRecord]) -> TrialRecord:
+    """The part of a trial of 100 s that it has with a bound of 15 %."""
+
+    def first(samples: int) -> TrialRecord:
+        parts = {
+            name: getattr(record, name)[:, :samples]
+            for name in ("perturbation", "position", "torque")
+        }
+        return replace(record, **parts)
+
+    rule = StoppingRule(
+        PrecisionGoal(bound=0.15, least=20.0), trial=1, planned=record.samples, rate=record.rate
+    )
+    decision = rule.decide(0, lambda _: None)
+    while decision is not None and decision.due is not None:
+        decision = rule.decide(decision.due, lambda count: LPM.column(first(count), others))
+    assert decision is not None
+    return first(decision.samples + NOTICE_TICKS) if decision.enough else record
+
+
+@pytest.mark.slow
+def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not_biased() -> None:
+    """With a voluntary torque, which makes lengths differ by chance."""
+    loop = SyntheticConfig(rate=200.0, samples=20_000, voluntary=0.3, torque_noise=0.005)
+    truth = np.stack([TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K])
+    off, lengths = [], []
+    for seed in range(40):
+        trials: list[TrialRecord] = []
+        for joint in (0, 1):
+            trials.append(ended(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), trials))
+        data = [
+            TrialData.from_record(one, WelchConfig(segment=1024, overlap=768)) for one in trials
+        ]
+        options = FitConfig(weight_floor=LPM.config.weight_floor)
+        fit = fit_mbk(LPM.estimate(data), options)
+        values = np.stack([fit.mbk.M, fit.mbk.B, fit.mbk.K])
+        off.append((values - truth) / np.stack([fit.M_se, fit.B_se, fit.K_se]))
+        lengths += [one.duration for one in trials]
+    assert np.percentile(lengths, 90) > 2.0 * np.percentile(lengths, 10)
+    assert 0.9 < np.mean(np.abs(off) < 1.96) < 0.985
+    # None of the twelve means may be off by 3.5 of its standard errors.
+    assert np.max(np.abs(np.mean(off, axis=0))) < 3.5 / np.sqrt(40)
