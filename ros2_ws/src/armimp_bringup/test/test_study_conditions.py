@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import assume, given
+from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_bringup.study.conditions import (
@@ -84,16 +84,8 @@ def test_selection_that_makes_no_sense_is_refused_with_its_text(text: str, compl
     assert complaint in str(caught.value)
 
 
-@given(st.integers(0, 10**6), st.integers(0, 200), st.integers(1, 50))
-def test_range_of_seeds_is_that_of_python(start: int, length: int, step: int) -> None:
-    assume(length > 0)
-    stop = start + length
-    assert parse_seeds(f"{start}:{stop}") == tuple(range(start, stop))
-    assert parse_seeds(f"{start}:{stop}:{step}") == tuple(range(start, stop, step))
-
-
 def test_numbers_and_ranges_of_seeds_may_be_joined() -> None:
-    assert parse_seeds("5,0:3,10:20:5") == (5, 0, 1, 2, 10, 15)
+    assert parse_seeds("5, 0:3,10 : 12 ") == (5, 0, 1, 2, 10, 11)
     assert parse_seeds(str(2**63 - 1)) == (2**63 - 1,)
 
 
@@ -102,10 +94,9 @@ def test_numbers_and_ranges_of_seeds_may_be_joined() -> None:
     [
         ("", "'' is neither a number nor a range"),
         ("-1", "'-1' is neither"),
-        ("1:2:3:4", "'1:2:3:4' is neither"),
+        ("0:10:2", "'0:10:2' is neither"),
         ("0:", "'0:' is neither"),
         ("3:3", "there is no number in '3:3'"),
-        ("0:5:0", "'0:5:0' is a range without a step"),
         ("0:5,4", "4 is there twice"),
         (str(2**63), "is too large"),
         ("99999999999999999999", "is neither"),

@@ -99,40 +99,34 @@ def _parse_only(text: str) -> dict[str, tuple[int, ...]]:
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """Seeds from numbers and Python ranges, joined by commas: ``77``, ``0:10``, ``1,5,10:20:2``.
+    """Seeds from numbers and half-open ranges, joined by commas: ``77``, ``0:10``, ``1,5,10:20``.
 
     Raises
     ------
     ConfigurationError
         If it is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
     """
+
+    def refusal(words: str) -> ConfigurationError:
+        return ConfigurationError(f"--seeds {text!r}: {words}")
+
     found: list[int] = []
     for part in text.split(","):
-        numbers = part.split(":")
-        if len(numbers) > 3 or not all(re.fullmatch("[0-9]{1,19}", n.strip()) for n in numbers):
-            raise ConfigurationError(
-                f"--seeds {text!r}: {part!r} is neither a number nor a range such as 0:10"
-            )
-        values = [int(number) for number in numbers]
-        if len(values) == 3 and values[2] == 0:
-            raise ConfigurationError(f"--seeds {text!r}: {part!r} is a range without a step")
-        seeds = range(*values) if len(values) > 1 else range(values[0], values[0] + 1)
-        if not seeds:
-            raise ConfigurationError(f"--seeds {text!r}: there is no number in {part!r}")
-        if seeds[-1] > _LARGEST_SEED:
-            raise ConfigurationError(
-                f"--seeds {text!r}: {seeds[-1]} is too large, {_LARGEST_SEED} is the largest seed"
-            )
-        # len() of a range fails beyond what an array could hold.
-        many = (seeds[-1] - seeds[0]) // seeds.step + 1 + len(found)
-        if many > MOST_SEEDS:
-            raise ConfigurationError(
-                f"--seeds {text!r}: {many} seeds are too many, {MOST_SEEDS} are allowed"
-            )
-        found += seeds
+        numbers = re.fullmatch(r"\s*([0-9]{1,19})\s*(?::\s*([0-9]{1,19})\s*)?", part)
+        if numbers is None:
+            raise refusal(f"{part!r} is neither a number nor a range such as 0:10")
+        first = int(numbers[1])
+        end = int(numbers[2]) if numbers[2] else first + 1
+        if end <= first:
+            raise refusal(f"there is no number in {part!r}")
+        if end - 1 > _LARGEST_SEED:
+            raise refusal(f"{end - 1} is too large, {_LARGEST_SEED} is the largest seed")
+        if (many := end - first + len(found)) > MOST_SEEDS:
+            raise refusal(f"{many} seeds are too many, {MOST_SEEDS} are allowed")
+        found += range(first, end)
     repeated = [seed for seed, times in Counter(found).items() if times > 1]
     if repeated:
-        raise ConfigurationError(f"--seeds {text!r}: {repeated[0]} is there twice")
+        raise refusal(f"{repeated[0]} is there twice")
     return tuple(found)
 
 
