@@ -5,11 +5,14 @@ they are full. Here messages are packed directly, and chunks are closed by count
 well, so that a killed process loses little. All other records are those of the mcap package.
 """
 
+from __future__ import annotations
+
 import fcntl
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import lru_cache
 from itertools import repeat
 from pathlib import Path
 from typing import Any, Final, Protocol
@@ -52,8 +55,8 @@ _CHUNK_HEAD: Final = struct.Struct(f"<BQQQQII{len(_COMPRESSION)}sQ")
 without compression; compression, and size with it."""
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 """Head of a message index: opcode, length (of which 6 bytes here), channel, bytes of entries."""
-_ENTRY: Final = struct.Struct("<QQ")
-"""Entry of a message index: log time, offset in the chunk."""
+_ENTRY_BYTES: Final = 16
+"""Of an entry of a message index: log time and offset in the chunk, 64 bits each."""
 _SAME: Final = 15
 """Bytes of the head before the times, which all messages of a stream share."""
 
@@ -103,7 +106,6 @@ class McapFile:
         self._compress: Callable[[bytearray], bytes] = zstandard.ZstdCompressor(
             level=_LEVEL
         ).compress
-        self._pack = MESSAGE_HEAD.pack
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []
@@ -117,7 +119,6 @@ class McapFile:
         self._start_ns = self._end_ns = 0
         # Log time and offset of each message of the chunk, by channel, as they are written.
         self._index: dict[int, bytearray] = {}
-        self._ticks = _TickRecords(())
         try:
             self._write(HEAD)
         except OSError:
@@ -165,28 +166,6 @@ class McapFile:
         self._write(record)
         self._metadata.append(entry)
 
-    def add_message(self, channel: int, log_time_ns: int, data: bytes) -> None:
-        """Append a message to the current chunk, and flush the chunk when it is due.
-
-        Raises
-        ------
-        struct.error
-            If the log time is negative or beyond 64 bits; nothing is written then.
-        """
-        head = self._pack(MESSAGE, BEYOND_LENGTH + len(data), channel, 0, log_time_ns, log_time_ns)
-        entry = _ENTRY.pack(log_time_ns, len(self._chunk))
-        self._span(log_time_ns, log_time_ns)
-        self._chunk += head
-        self._chunk += data
-        self._index[channel] += entry
-        self._pending += 1
-        if (
-            log_time_ns >= self._deadline_ns
-            or self._pending >= FLUSH_MESSAGES
-            or len(self._chunk) > FLUSH_BYTES
-        ):
-            self.flush()
-
     def add_block(self, log_times: Sequence[int], channels: Mapping[int, Sequence[bytes]]) -> None:
         """Append messages of several channels for each of some times, and flush as is due.
 
@@ -202,22 +181,23 @@ class McapFile:
         ------
         BagError
             If they are not; nothing is appended then.
+        struct.error
+            If a log time is negative or beyond 64 bits; nothing is appended then either.
         """
-        lengths = tuple((channel, len(raws[0])) for channel, raws in channels.items())
-        if lengths != self._ticks.lengths:
-            self._ticks = _TickRecords(lengths)
-        records = self._ticks.encode(log_times, channels)
+        ticks = _ticks_of(*((channel, len(raws[0])) for channel, raws in channels.items()))
+        records = ticks.encode(log_times, channels)
         start = len(self._chunk)
         first_ns, last_ns = log_times[0], log_times[-1]
         self._span(first_ns, last_ns)
         self._chunk += records
-        for channel, entries in self._ticks.index(log_times, start):
+        for channel, entries in ticks.index(log_times, start):
             self._index[channel] += entries
-        self._pending += len(channels) * len(log_times)
+        added = len(channels) * len(log_times)
+        self._pending += added
         # Another block like this must not lead beyond what may be lost.
         if (
             2 * last_ns - first_ns >= self._deadline_ns
-            or 2 * self._pending >= FLUSH_MESSAGES
+            or self._pending + added > FLUSH_MESSAGES
             or len(self._chunk) > FLUSH_BYTES
         ):
             self.flush()
@@ -276,7 +256,7 @@ class McapFile:
         self._write(output)
         self._chunks.append(chunk)
         for channel, entries in self._index.items():
-            self._counts[channel] += len(entries) // _ENTRY.size
+            self._counts[channel] += len(entries) // _ENTRY_BYTES
         first_ns = self._start_ns if self._first_ns is None else self._first_ns
         self._first_ns = min(first_ns, self._start_ns)
         self._last_ns = max(self._last_ns, self._end_ns)
@@ -337,6 +317,11 @@ class McapFile:
                 self._file.close()
             self._position = start
             raise
+
+
+@lru_cache(maxsize=64)
+def _ticks_of(*lengths: tuple[int, int]) -> _TickRecords:
+    return _TickRecords(lengths)
 
 
 class _TickRecords:

@@ -95,13 +95,7 @@ class BagWriter:
         BagError
             If the message cannot be written: disk full, bag closed, unknown topic, bad time.
         """
-        with self._one_line():
-            try:
-                self._file.add_message(self._channel(topic), log_time_ns, raw)
-            except struct.error:
-                raise BagError(
-                    f"{self._path}: log time of {topic} is out of range: {log_time_ns}"
-                ) from None
+        self.write_block((log_time_ns,), {topic: (raw,)})
 
     def write_block(
         self, log_times: Sequence[int], messages: Mapping[str, Sequence[bytes]]
@@ -123,7 +117,11 @@ class BagWriter:
         """
         with self._one_line():
             channels = {self._channel(topic): raws for topic, raws in messages.items()}
-            self._file.add_block(log_times, channels)
+            try:
+                self._file.add_block(log_times, channels)
+            except struct.error:
+                times = f"{log_times[0]} to {log_times[-1]}"
+                raise BagError(f"{self._path}: log times are out of range: {times}") from None
 
     def add_metadata(self, values: Mapping[str, str]) -> None:
         """Add to the metadata what is known only after recording.
