@@ -1,4 +1,4 @@
-"""Writing files so that nobody ever sees a part of one, and reading regular files alone."""
+"""Writing files that are never seen half written, and reading only regular files."""
 
 import os
 import re
@@ -14,7 +14,7 @@ _PART_BYTES: Final = 8
 _MOST_BYTES: Final = 256 << 20
 _NEVER_SPARSE: Final = 64 << 20
 _SPARSEST: Final = 20
-"""Size of a large file relative to what was ever written of it."""
+"""Largest ratio of the size of a large file to the bytes that were written to it."""
 
 
 def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
@@ -45,12 +45,12 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def is_part(path: Path) -> bool:
-    """Whether a file is named like those of `replace_atomically`, which an end may leave behind."""
+    """Whether a file is one that `replace_atomically` had not finished when its process ended."""
     return re.fullmatch(rf"\.[0-9a-f]{{{2 * _PART_BYTES}}}", path.stem) is not None
 
 
 def open_lock(path: Path) -> BinaryIO:
-    """Open a file, new or not, that serves as a lock; no link to one is followed.
+    """Open or create a file that serves as a lock, without following a link.
 
     Raises
     ------
@@ -103,8 +103,8 @@ def write_text(path: Path, content: str) -> None:
 def open_regular(path: Path) -> BinaryIO:
     """Open a regular file for reading; a link to one is followed.
 
-    Pipes and devices are refused before anything is read: they may have no end, or never begin;
-    and files that are hardly more than a hole, which could be read for years.
+    Pipes and devices are refused before anything is read, as reading them may never begin or never
+    end. So are sparse files that consist almost entirely of a hole, which could take years to read.
 
     Raises
     ------

@@ -68,8 +68,8 @@ class RunningTrial:
         Returns
         -------
         (motion, torque) or None
-            None until there are two segments, and after a sample that cannot be used (which the
-            final account will name).
+            None until there are two segments, and after a sample that cannot be used, which becomes
+            a problem of the trial.
         """
         try:
             self._take()

@@ -86,11 +86,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the topics."""
         self._settings = load(self, EstimatorParameters)
-        # Judgements are made from what is recorded.
+        # The stopping rule sees only what has been recorded.
         self._together = topics.RECEIVED_EVERY if self._settings.goal().bound else TOGETHER
         self._metadata = self._settings.bag_metadata()
         try:
-            # Now, and not after the last trial.
+            # A mistake is reported now rather than after the last trial.
             self._known = Metadata.of(self._metadata, len(self._settings.joints))
         except DataError as error:
             raise ConfigurationError(f"parameter 'metadata': {error}") from None
@@ -140,7 +140,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         )
         self._active = True
         self.result = None
-        # What has come so far goes with what the synchronizer does not take either.
+        # Messages that came before do not count; the synchronizer discards its own.
         take_all(self._leading.subscription)
         self._synchronizer.open()
         self._acknowledged = self._recorded = self._flushed = 0
@@ -382,7 +382,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
 
     def _on_timer(self) -> None:
         if self._active and self._acknowledged == self._seen:
-            # Nothing has come that would see to it, or not from all.
+            # Without complete samples nothing else records what has come.
             self._record()
             self._flush()
         self._seen = self._acknowledged

@@ -43,21 +43,21 @@ _COLUMN_PERIOD = 1.0
 _ORDER = (JOINT_STATES, TORQUE_SENSORS, PERTURBATION, COMMANDS)
 """Messages of a tick in the order in which they are recorded."""
 _KEPT_BETWEEN = 3000
-"""Messages of each stream that wait for the next trial: more than queues hold, in which its status
-may be late."""
+"""Messages of each stream that are kept between trials, in case the status of the next one is late;
+queues hold fewer."""
 _DRIFT, _MOST_DRIFT_NS = 2e-4, 250_000_000
-"""By how much the clock of a driver may go slow relative to the nominal period, in all at most."""
+"""By how much the clock of a driver may be slow: as a share of the time, and in all (ns)."""
 _STEP_BACK_NS = 1_000_000_000
-"""Stamps that step back so far (ns) are of another run."""
+"""Stamps that step back by more than this (ns) belong to another run."""
 _OVERDUE_NS = 2_000_000_000
-"""So long after the planned end (ns), whatever is missing is lost: queues hold no more."""
+"""What is missing this long after the planned end (ns) is lost: queues do not hold more."""
 
 
 class TrialRecorder:
     """Records each trial into its own bag and hands it over when it is complete.
 
-    A bag gets everything that came from up to three seconds before the trial until its end. Which
-    of it are the samples of the trial, `assemble_trials` finds out, now as when the bag is read.
+    A bag gets everything that came from up to three seconds before the trial until its end.
+    `assemble_trials` finds the samples of the trial in it, live and when the bag is read.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ class TrialRecorder:
         if running is not None:
             self._column = running.column(samples)
             if self._column is not None:
-                # From its end on, so that a slow machine does not do nothing else.
+                # Counted from the end of the estimate, which leaves a slow machine time for others.
                 self._column_at = time.monotonic()
         return self._column
 
@@ -382,7 +382,7 @@ class TrialRecorder:
                 return
             self._count((topic,), (stamp_ns,))
         self._streams.add(topic, (message,))
-        # Readers sort by this time, and shall find every stream in the order of its arrival.
+        # Readers sort by this time, so it must not fall within a stream.
         self._log_ns[topic] = max(stamp_ns, self._log_ns[topic])
         self._write_statuses(self._log_ns[topic])
         if self._writer is not None:

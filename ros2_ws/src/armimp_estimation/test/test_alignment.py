@@ -27,7 +27,6 @@ from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     TrialWindow,
     infer_windows,
-    tick_numbers,
     windows_from_statuses,
 )
 from armimp_estimation.bags.statuses import decode_trial_statuses
@@ -187,11 +186,6 @@ def test_a_pause_of_a_quarter_of_a_second_or_another_joint_divides_what_is_infer
 def test_what_cannot_be_inferred_is_refused(values: list[float], reason: str) -> None:
     with pytest.raises(DataError, match=reason):
         infer_windows(np.array([START], np.int64), np.array(values)[:, None])
-
-
-def test_slow_clock_does_not_add_up_to_a_gap() -> None:
-    stamps = START + np.arange(5000, dtype=np.int64) * 1_000_300
-    assert tick_numbers(stamps).tolist() == list(range(5000))
 
 
 # --- trials without a fault -------------------------------------------------------------------

@@ -52,6 +52,8 @@ def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
     count = len(MESSAGES) - LOST
     assert note == f"{path}: its recorder did not finish it: finished now, with {count} messages"
     assert content_of(path) == content_of(finished(tmp_path / "b" / "bag"))
+    assert finish_bag(path) == ""
+    assert content_of(path) == content_of(finished(tmp_path / "c" / "bag"))
 
 
 def test_bag_written_by_the_block_is_finished_with_all_of_its_messages(tmp_path: Path) -> None:
@@ -77,26 +79,6 @@ def test_other_readers_open_it_only_then(tmp_path: Path) -> None:
     finish_bag(path)
     with AnyReader([path]) as reader:
         assert [data for _, _, data in reader.messages()] == [m[2] for m in MESSAGES[:-LOST]]
-
-
-def test_finishing_twice_changes_nothing_more(tmp_path: Path) -> None:
-    path = unfinished(tmp_path / "bag")
-    assert finish_bag(path)
-    once = content_of(path)
-    assert finish_bag(path) == ""
-    assert content_of(path) == once
-
-
-def test_metadata_and_trials_are_kept(tmp_path: Path) -> None:
-    path = unfinished(tmp_path / "bag")
-    before = read_bag(path)
-    finish_bag(path)
-    after = read_bag(path)
-    assert after.metadata == before.metadata == METADATA
-    assert list(after.messages()) == list(before.messages())
-    assert after.trials[0].statistics == before.trials[0].statistics
-    assert any("cut within" in note or "without the end" in note for note in before.notes)
-    assert [note for note in before.notes if "cut short" in note] == list(after.notes)
 
 
 def test_killed_just_before_the_metadata_file_was_replaced(tmp_path: Path) -> None:
@@ -191,8 +173,11 @@ def cut_at(whole: bytes, size: int, path: Path) -> int:
     return len(after)
 
 
-def sweep(tmp_path: Path, step: int) -> int:
-    """Cut an unfinished bag every so many bytes: how often."""
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize("step", [997, pytest.param(13, marks=pytest.mark.slow)])
+def test_file_cut_anywhere_is_finished_up_to_the_cut(
+    tmp_path: Path, figures: Figures, step: int
+) -> None:
     path = unfinished(tmp_path / "bag", MESSAGES[:300])
     whole = (path / "bag_0.mcap").read_bytes()
     counts = [cut_at(whole, size, path) for size in [*range(0, len(whole), step), len(whole)]]
@@ -200,19 +185,8 @@ def sweep(tmp_path: Path, step: int) -> int:
     assert counts[0] == -1
     assert counts[-1] == 300 - LOST
     assert len(set(counts)) == 4  # no header; no message; one chunk; both
-    return len(counts)
-
-
-def test_file_cut_anywhere_is_finished_up_to_the_cut(tmp_path: Path) -> None:
-    sweep(tmp_path, 997)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(1200)
-def test_file_cut_at_many_more_places_is_finished_up_to_the_cut(
-    tmp_path: Path, figures: Figures
-) -> None:
-    figures.add("bag of a killed recorder cut, then finished", sweep(tmp_path, 13))
+    if step == 13:
+        figures.add("bag of a killed recorder cut, then finished", len(counts))
 
 
 def test_damaged_bag_is_left_for_the_reader_to_refuse(tmp_path: Path) -> None:

@@ -43,7 +43,6 @@ from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_t
 RECORDING = recorded_arm()
 NAMES = RECORDING.records[0].joint_names
 SAMPLES = RECORDING.records[0].samples
-SETTLE = 60
 ESTIMATORS = ("welch_siso", "lpm_full")
 METADATA = {
     "config": json.dumps({"friction": 0}),
@@ -302,18 +301,6 @@ def test_a_result_from_too_little_of_a_trial_is_not_valid() -> None:
     assert [one.code for one in result.summary.faults] == [ProblemCode.MUCH_EXCLUDED]
     assert result.curves
     assert result_of(trials, allow_gaps=True, most_excluded=0.06).summary.valid
-
-
-def test_duplicates_and_disorder_are_put_right_when_gaps_are_allowed() -> None:
-    messages = list(RECORDING.messages)
-    torque = [i for i, m in enumerate(messages) if m[0] == TORQUE_SENSORS]
-    i, j = torque[SETTLE + 50], torque[SETTLE + 51]
-    messages[i], messages[j] = messages[j], messages[i]
-    messages.insert(torque[SETTLE + 90], messages[torque[SETTLE + 80]])
-    healed = result_of(recorded(messages), allow_gaps=True)
-    assert codes(healed) == [ProblemCode.SAMPLES_REPEATED, ProblemCode.SAMPLES_REORDERED]
-    assert healed.summary.valid
-    assert bits(healed) == bits(COMPLETE)
 
 
 def part(record: TrialRecord, start: int, stop: int) -> TrialRecord:

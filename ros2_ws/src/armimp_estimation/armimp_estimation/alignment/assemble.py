@@ -100,7 +100,7 @@ class StreamCount(JsonModel):
 
 
 class StreamStatistics(JsonModel):
-    """The account of the samples of a trial: what should be there, and what is."""
+    """How many samples of a trial there should be, and how many there are."""
 
     streams: dict[str, StreamCount] = Field(default_factory=dict)
     """By topic of the contract. Commands carry no stamp, so neither repetitions nor order show."""
@@ -149,7 +149,7 @@ class Trial:
     statistics : StreamStatistics
         The account of the samples.
     problems : tuple of Problem
-        What speaks against estimating the trial.
+        Problems that were found in the trial.
     source : str
         Where the trial comes from, for messages.
     bag : str or None
@@ -188,7 +188,7 @@ class Trial:
 
     @property
     def note(self) -> str:
-        """What a user should know of a trial that is estimated all the same; mostly empty."""
+        """What a user should know of a trial that can be estimated; empty if it is complete."""
         if not self.shortfall:
             return ""
         ticks = self.window.ticks

@@ -190,7 +190,7 @@ class Streams:
                     stream.append(np.array([stamp]), np.array(values)[:, None])
 
     def _decode_commands(self, messages: Sequence[bytes]) -> None:
-        """Decode all commands or none, as a missing one would shift those after it."""
+        """Decode all commands or none, since a missing one would shift all those after it."""
         commands = self.commands
         numbers = np.fromiter(map(command_number, messages), np.int64, len(messages))
         try:
@@ -219,8 +219,8 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
 def stamps_in_step(messages: Mapping[str, Sequence[bytes]], after_ns: int = -1) -> list[int]:
     """Stamps (ns) of messages of the four streams that are those of ticks one after the other.
 
-    Plain Python on purpose. Once in fifty ticks nothing of numpy is in the processor's caches, and
-    a few of its operations take longer than a loop of the interpreter, which is.
+    This is plain Python on purpose: it is called once in fifty ticks, when the code of numpy has
+    left the caches of the processor, and a few of its operations take longer than this loop.
 
     Returns
     -------

@@ -9,12 +9,12 @@ from armimp_common.errors import MalformedMessageError
 from armimp_common.topics import DATA_STREAMS, PERTURBATION, RECEIVED_EVERY
 
 TOGETHER = 50
-"""Samples that are recorded at a time; those that wait for it are lost if the process is killed."""
+"""Samples that are recorded at a time; those that still wait are lost if the process is killed."""
 _PATIENCE = 20
-"""A perturbation waits for the other messages of its sample until so many more have come."""
+"""A perturbation waits for the other messages of its sample until this many more have come."""
 _KEPT = 2000
-"""The perturbation may be late, as it is handed in when its turn comes and the others are fetched:
-their messages wait for it until so many more have come."""
+"""Messages of the other streams wait for their perturbation until this many more have come: it may
+be late, since its callback has to wait for its turn while the others are fetched."""
 
 FETCHED = tuple(topic for topic in DATA_STREAMS if topic != PERTURBATION)
 """Streams that are fetched. The perturbation, mostly the last message of its sample, leads."""

@@ -28,7 +28,7 @@ _PIECE: Final = 1 << 20
 
 
 class Budget:
-    """What is left to be spent on one bag, in bytes of memory or as much work.
+    """How much reading one bag may still cost, in bytes of memory or as much work.
 
     It grows with the bag, so that recordings of any length can be read, but not files that hold
     thousands of times their size.
@@ -40,7 +40,7 @@ class Budget:
     size : int
         Bytes of all of its files.
     trust : bool
-        Whether there is no limit, as the file comes from a friend.
+        Whether the limits are lifted, for files whose origin is known.
 
     Attributes
     ----------
@@ -55,12 +55,12 @@ class Budget:
         self.trust = trust
 
     def spend(self, cost: int) -> None:
-        """Take something from what is left.
+        """Charge a cost.
 
         Raises
         ------
         BagError
-            If there is not as much.
+            If it exceeds what is left.
         """
         self._left -= cost
         if self._left < 0:

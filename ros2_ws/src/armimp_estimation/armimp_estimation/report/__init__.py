@@ -1,6 +1,5 @@
 """Reports: one self-contained HTML file for a result, from templates that other reports can use."""
 
 from armimp_estimation.report.run import REPORT_FILE, report_page, write_report
-from armimp_estimation.result import Result, load_result
 
-__all__ = ["REPORT_FILE", "Result", "load_result", "report_page", "write_report"]
+__all__ = ["REPORT_FILE", "report_page", "write_report"]
