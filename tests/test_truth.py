@@ -58,7 +58,7 @@ def test_what_the_balance_leaves_of_a_gain_is_in_the_intervals(name: str) -> Non
 
 
 def test_a_soft_cuff_that_noise_hides_in_some_elements_is_in_the_intervals_of_all() -> None:
-    judge("cuff, voluntary 0.3 N·m 100 kN·m/rad", seed=2)
+    judge("cuff, voluntary 0.3 N·m 100 kN·m/rad", seed=5)
 
 
 READINGS: dict[str, dict[str, bool]] = {

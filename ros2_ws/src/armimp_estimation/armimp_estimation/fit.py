@@ -17,7 +17,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -179,7 +178,7 @@ _LACK_CHANCE = 5.0
 _REFUTED = 4.0
 _SUREST = 20e-6
 _NOTICED = 2.0
-_CHANCE = 0.01
+_YIELDS = 1.5
 _ITERATIONS = 3
 _ROUNDING = 1e-9
 _EXACT = 1e-3
@@ -271,6 +270,7 @@ def fit_impedance(
         correlation=estimate.bin_correlation,
         freedom=estimate.averages - 1.0,
         options=options,
+        whole=True,
     )
     if calibration is not None:
         effects = calibration.effects(estimate.Z)
@@ -437,6 +437,8 @@ class _Elements:
     freedom: float
     options: FitConfig
     calibration: tuple[ComplexArray, ...] = ()
+    whole: bool = False
+    """Whether these are the n² elements of a matrix, row by row."""
 
     @property
     def omega(self) -> FloatArray:
@@ -468,37 +470,59 @@ class _Elements:
         return values, np.sqrt(squares)
 
     def change_by_more_terms(self) -> FloatArray:
-        """Squared change of M, B, K, (3, elements), by ``c s³`` and ``c s⁴`` where they count.
+        """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴`` and soft cuffs, if found.
 
-        An arm that isn't of the form has them in all elements: where those of all elements together
-        are beyond chance, each counts with its own error, else one alone that is significant.
+        Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off. It is
+        the same in all elements, so it counts in those, too, where noise hides it, and as there is
+        no less than none, it counts from 1.5 standard errors on, together with that error.
         """
         squares = np.zeros((3, len(self.Z)))
-        relative = self.omega / self.omega[-1]
         coefficients = [self.coefficients(row) for row in range(len(self.Z))]
-        for term in (-1j * relative**3, relative**4 + 0j):
-            values, errors = np.zeros(len(self.Z)), np.zeros(len(self.Z))
-            for row, of_mbk in enumerate(coefficients):
-                weights = self.weights(row)
-                left = term - _of_mbk(_apply(of_mbk, term), self.omega)
-                total = float(np.sum(weights * np.abs(left) ** 2))
-                if not 0.0 < total < math.inf:
-                    continue  # nothing was measured: the values are no numbers either
-                functional = weights * left / total
-                values[row] = _functional(functional, self.Z[row])
-                errors[row] = self.functional_error(row, functional)
-            ratio = np.divide(values, errors, out=np.zeros_like(values), where=errors > 0.0) ** 2
-            everywhere = float(np.sum(ratio)) > float(chdtri(ratio.size, _CHANCE))
-            size = (
-                values**2 + errors**2
-                if everywhere
-                else np.where(np.abs(values) > _NOTICED * errors, values**2, 0.0)
-            )
-            squares += size * np.stack([_apply(one, term) for one in coefficients], axis=1) ** 2
-        # What rounding leaves is no change.
         plain = [_apply(one, Z) for one, Z in zip(coefficients, self.Z, strict=True)]
+        relative = self.omega / self.omega[-1]
+        for term in (-1j * relative**3, relative**4 + 0j):
+            for row, of_mbk in enumerate(coefficients):
+                value, error = self.coefficient_of(term, row)
+                if abs(value) > _NOTICED * error:
+                    squares[:, row] += (value * _apply(of_mbk, term)) ** 2
+        if self.whole:
+            n = math.isqrt(len(self.Z))
+            Z = np.stack([_of_mbk(one, self.omega) for one in plain]).reshape(n, n, -1)
+            for joint in range(n):
+                yielding = -(Z[:, joint, None] * Z[None, joint]).reshape(self.Z.shape)
+                value, error = self.common_coefficient(yielding)
+                if value > _YIELDS * error:
+                    size = math.hypot(value, error)
+                    for row, of_mbk in enumerate(coefficients):
+                        squares[:, row] += (size * _apply(of_mbk, yielding[row])) ** 2
+        # What rounding leaves is no change.
         least = _ROUNDING * np.abs(np.stack(plain, axis=1))
         return np.where(squares > least**2, squares, 0.0)
+
+    def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
+        """Coefficient of a term (n_freq,) beside M, B and K of an element, and its error."""
+        weights = self.weights(row)
+        left = term - _of_mbk(_apply(self.coefficients(row), term), self.omega)
+        total = float(np.sum(weights * np.abs(left) ** 2))
+        if not 0.0 < total < math.inf:
+            return 0.0, math.inf  # nothing was measured: the values are no numbers either
+        functional = weights * left / total
+        return _functional(functional, self.Z[row]), self.functional_error(row, functional)
+
+    def common_coefficient(self, terms: ComplexArray) -> tuple[float, float]:
+        """Coefficient that terms (elements, n_freq) have in common, and its standard error.
+
+        The mean of those of all elements, weighted by their inverse variances, the error of which
+        covers their scatter.
+        """
+        found = np.array([self.coefficient_of(term, row) for row, term in enumerate(terms)])
+        values, errors = found[np.isfinite(found[:, 1]) & (found[:, 1] > 0.0)].T
+        if not values.size:
+            return 0.0, math.inf
+        precision = 1.0 / errors**2
+        mean = float(np.sum(precision * values) / np.sum(precision))
+        scatter = float(np.sum(precision * (values - mean) ** 2)) / max(values.size - 1, 1)
+        return mean, math.sqrt(max(1.0, scatter) / float(np.sum(precision)))
 
     def functional_error(self, row: int, functional: ComplexArray) -> float:
         """Standard error of ``Re Σ_f conj(b_f) Z_f``."""
@@ -597,30 +621,10 @@ def _with_delay(
 def _delay_of(problem: _Elements) -> tuple[float, float]:
     """Delay that all elements have in common, and its standard error, s.
 
-    For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares; of these the
-    mean, weighted by their inverse variances, the error of which covers their scatter.
+    For each element ``Z = fit - d·jω·fit`` is solved for d by weighted least squares.
     """
-    delays, precisions = [], []
-    values = problem.fit()[0]
-    for row in range(len(problem.Z)):
-        weights = problem.weights(row)
-        coefficients = mbk_coefficients(problem.omega, weights)
-        late = -1j * problem.omega * _of_mbk(values[:, row], problem.omega)
-        left = late - _of_mbk(_apply(coefficients, late), problem.omega)
-        square = float(np.sum(weights * np.abs(left) ** 2))
-        if not square > 0.0:
-            continue
-        functional = weights * left / square
-        error = problem.functional_error(row, functional)
-        if error > 0.0:
-            delays.append(_functional(functional, problem.Z[row]))
-            precisions.append(1.0 / error**2)
-    if not delays:
-        return 0.0, math.inf
-    weight = np.array(precisions)
-    mean = float(np.sum(weight * np.array(delays)) / np.sum(weight))
-    scatter = float(np.sum(weight * (np.array(delays) - mean) ** 2)) / max(len(delays) - 1, 1)
-    return mean, math.sqrt(max(1.0, scatter) / float(np.sum(weight)))
+    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.fit()[0].T])
+    return problem.common_coefficient(-1j * problem.omega * fitted)
 
 
 def mbk_coefficients(omega: FloatArray, weights: FloatArray) -> FloatArray:
