@@ -178,7 +178,6 @@ _LACK_CHANCE = 5.0
 _REFUTED = 4.0
 _SUREST = 20e-6
 _NOTICED = 2.0
-_YIELDS = 1.5
 _ITERATIONS = 3
 _ROUNDING = 1e-9
 _EXACT = 1e-3
@@ -473,8 +472,7 @@ class _Elements:
         """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴`` and soft cuffs, if found.
 
         Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off. It is
-        the same in all elements, so it counts in those, too, where noise hides it, and as there is
-        no less than none, it counts from 1.5 standard errors on, together with that error.
+        the same in all elements, so it counts in those, too, where noise hides it.
         """
         squares = np.zeros((3, len(self.Z)))
         coefficients = [self.coefficients(row) for row in range(len(self.Z))]
@@ -491,10 +489,9 @@ class _Elements:
             for joint in range(n):
                 yielding = -(Z[:, joint, None] * Z[None, joint]).reshape(self.Z.shape)
                 value, error = self.common_coefficient(yielding)
-                if value > _YIELDS * error:
-                    size = math.hypot(value, error)
+                if value > _NOTICED * error:
                     for row, of_mbk in enumerate(coefficients):
-                        squares[:, row] += (size * _apply(of_mbk, yielding[row])) ** 2
+                        squares[:, row] += (value * _apply(of_mbk, yielding[row])) ** 2
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(np.stack(plain, axis=1))
         return np.where(squares > least**2, squares, 0.0)
