@@ -92,6 +92,7 @@ def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) ->
     """
     config = local or LOCAL
     places = np.arange(1, config.window + 1)
+    record = record.whole_periods
     samples, n = record.samples, record.joints
     if (samples - 1) // 2 < config.window or places[-1] * record.rate / samples > HIGHEST:
         return None
@@ -99,12 +100,17 @@ def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) ->
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2))
     if not scale > 0.0:
         return None
+    if record.periods is not None:
+        # Between its harmonics a periodic perturbation does nothing.
+        places = places[places % record.periods.count != 0]
     ramp = np.fft.rfft(np.arange(samples) / record.rate)[places]
     size = np.sqrt(np.mean(np.abs(ramp) ** 2))
     powers = ((places - places.mean()) / config.half_width)[:, None] ** np.arange(config.order + 1)
-    columns = [(inputs / scale)[:, None] * powers, powers, (ramp / size)[:, None]]
+    columns = [powers, (ramp / size)[:, None]]
+    if record.periods is None:
+        columns.insert(0, (inputs / scale)[:, None] * powers)
     basis, triangle = np.linalg.qr(np.concatenate(columns, axis=1))
-    freedom = config.window - triangle.shape[0]
+    freedom = places.size - triangle.shape[0]
     if freedom < 1 or np.min(np.abs(np.diag(triangle))) < 1e-9 * np.max(np.abs(triangle)):
         return None
     outputs = np.concatenate([record.position, record.torque])

@@ -120,16 +120,24 @@ class _Band:
         self.passed = passed[self.bins]
         ends = int(self.samples * min(_ENDS / record.duration, _MOST_ENDS))
         self.kept = slice(ends, self.samples - ends)
+        self._parts = np.floor((self.f - self.f[0]) / _WIDTH).astype(int)
+        if record.periods is not None:
+            bins = np.arange(self.bins.start, self.bins.stop)
+            lines = record.periods.lines * record.periods.count
+            self._parts = np.where(np.isin(bins, lines), np.searchsorted(lines, bins), -1)
 
     def of(self, signal: FloatArray) -> ComplexArray:
         spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
         return np.asarray(spectrum[..., self.bins] * self.passed / signal.shape[-1])
 
     def filters(self, signal: FloatArray) -> FloatArray:
-        """A signal cut into bands, each as it is and turned by 90 degrees, (2 bands, N)."""
+        """A signal cut into bands, each as it is and turned by 90 degrees, (2 bands, N).
+
+        Under a periodic perturbation each line is a band, and what is elsewhere is in none.
+        """
         values = self.of(signal)
-        which = np.floor((self.f - self.f[0]) / _WIDTH).astype(int)
-        cut = np.where(which == np.arange(which[-1] + 1)[:, None], values, 0.0)
+        parts = np.unique(self._parts[self._parts >= 0])
+        cut = np.where(self._parts == parts[:, None], values, 0.0)
         return self.signal(np.concatenate((cut, 1j * cut)))
 
     def signal(self, values: ComplexArray) -> FloatArray:
@@ -206,6 +214,7 @@ def deviations(
     """
     if record.duration < _LEAST:
         return {}
+    record = record.whole_periods
     band, k = _Band(record), record.perturbed_joint
     motion, rest, fitted = unexplained_torque(record, arm, jump, reading)
     signals = np.stack([*motion[:2], fitted])

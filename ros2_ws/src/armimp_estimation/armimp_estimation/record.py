@@ -1,7 +1,7 @@
 """The record of one trial as arrays: what every estimator starts from."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -104,6 +104,21 @@ class TrialRecord:
     def duration(self) -> float:
         """Length of the record, s."""
         return self.samples / self.rate
+
+    @property
+    def whole_periods(self) -> "TrialRecord":
+        """The same without what is before the first whole period; as it is without periods."""
+        if self.periods is None or self.periods.used == self.samples:
+            return self
+        first = self.samples - self.periods.used
+        return replace(
+            self,
+            perturbation=self.perturbation[:, first:],
+            position=self.position[:, first:],
+            torque=self.torque[:, first:],
+            command=None if self.command is None else self.command[:, first:],
+            start_ns=self.start_ns + round(1e9 * first / self.rate),
+        )
 
     @cached_property
     def periods(self) -> Periods | None:

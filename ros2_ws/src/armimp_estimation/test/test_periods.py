@@ -8,8 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from armimp_estimation.drift import drift_of
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
+from armimp_estimation.mbk import MBK
+from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.periods import Periods, common_periods
+from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import segments_for
 from support.synthetic_trials import LOOP, TWO_JOINT_ARM, synthetic_trial
@@ -111,3 +115,78 @@ def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_er
         ratios.append(np.abs(noisy - clean) ** 2 / variance)
     # 440 values of mean 1, with one standard deviation each and a little more.
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.02])
+def test_a_drift_beside_a_periodic_perturbation_is_found_and_none_where_there_is_none(
+    slope: float,
+) -> None:
+    source = multisine(6.2)
+    pole = np.exp(-1e-3 / 0.2)
+    answer = np.empty_like(source)
+    state = 0.0
+    for k, value in enumerate(source):
+        state = pole * state + (1.0 - pole) * value
+        answer[k] = state
+    random = np.random.default_rng(6)
+    t = np.arange(source.size) / 1000.0
+    record = TrialRecord(
+        trial=1,
+        perturbed_joint=0,
+        rate=1000.0,
+        joint_names=("elbow",),
+        perturbation=source[None],
+        position=(0.05 * answer + 1e-4 * random.standard_normal(t.size))[None],
+        torque=(answer + slope * t + 0.02 * random.standard_normal(t.size))[None],
+        start_ns=0,
+        seed=None,
+    )
+    drift = drift_of(record)
+    assert drift is not None
+    assert drift.significant is (slope > 0.0)
+    assert abs(drift.torque[0] - slope) < 4.0 * drift.torque_error[0]
+    assert drift.torque_error[0] < 0.004
+
+
+@pytest.mark.parametrize(
+    ("cubic", "stiffening", "found"),
+    [(0.0, 0.0, set()), (8.0, 0.0, {"amplitude"}), (0.0, 0.05, {"time"})],
+    ids=["linear", "cubic", "stiffening"],
+)
+def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_describe(
+    cubic: float, stiffening: float, found: set[str]
+) -> None:
+    """A torque with a lag, so that the fitted arm is wrong at every line."""
+    source = multisine(12.2, np.delete(np.arange(1, 60, 2), [3, 6, 9, 14, 17, 21, 26]))
+    pole = np.exp(-1e-3 / 0.05)
+    angle, lagging = np.empty_like(source), np.empty_like(source)
+    state = late = 0.0
+    for k, value in enumerate(source):
+        state = pole * state + (1.0 - pole) * value
+        late = 0.9 * late + 0.1 * state
+        angle[k], lagging[k] = state, late
+    scale = 0.045 / np.std(angle)
+    angle, lagging = scale * angle, scale * lagging
+    t = np.linspace(0.0, 1.0, source.size)
+    K = 8.0
+    torque = K * (lagging + cubic * angle**3 + stiffening * t * angle)
+    random = np.random.default_rng(7)
+    record = TrialRecord(
+        trial=1,
+        perturbed_joint=0,
+        rate=1000.0,
+        joint_names=("elbow",),
+        perturbation=source[None],
+        position=angle[None] + 1e-5 * random.standard_normal((1, t.size)),
+        torque=torque[None] + 0.005 * random.standard_normal((1, t.size)),
+        start_ns=0,
+        seed=None,
+    )
+    arm = MBK(M=np.array([[0.01]]), B=np.array([[0.01]]), K=np.array([[K]]))
+    shown = {
+        name
+        for name, one in deviations(record, arm).items()
+        if abs(one.share) > 4.5 * one.error and abs(one.share) > 0.02
+    }
+    assert shown >= found
+    assert found or not shown

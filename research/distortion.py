@@ -1,0 +1,64 @@
+"""Whether a multisine tells arms that bend or change over time from those that do neither.
+
+Runs of the project's own rig at levels 3/3/3 with a multisine: a constant linear arm, one with a
+cubic spring that changes the shoulder's stiffness by 5 % from rest to the rms angle, and one whose
+stiffness changes by 5 % over each trial.
+"""
+
+from __future__ import annotations
+
+import collections
+from collections.abc import Mapping
+
+from pydantic import JsonValue
+
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.offline import simulate
+from armimp_bringup.study.conditions import parse_seeds
+from armimp_estimation.problems import ProblemCode
+from research.options import InvestigationOptions
+
+CODES = {
+    ProblemCode.DEPENDS_ON_AMPLITUDE,
+    ProblemCode.TORQUE_NOT_LINEAR,
+    ProblemCode.HYSTERESIS,
+    ProblemCode.CHANGES_OVER_TIME,
+}
+RMS_ANGLE = 0.045
+CUBIC = 0.05 / (3.0 * RMS_ANGLE**2)
+"""Of K c x³, whose slope is 3 K c x², 1/rad²."""
+ARMS: dict[str, tuple[Mapping[str, JsonValue], ProblemCode | None]] = {
+    "linear": ({}, None),
+    "cubic": ({"muscle.cubic": CUBIC}, ProblemCode.DEPENDS_ON_AMPLITUDE),
+    "drift": ({"muscle.stiffening": 0.05 / 50.0}, ProblemCode.CHANGES_OVER_TIME),
+}
+_SIDE_BY_SIDE = 8
+
+
+def investigate(options: InvestigationOptions) -> int:
+    """Print how many runs of each arm are flagged, and as what; returns exit status 0."""
+    seeds = parse_seeds(options.seeds or "0:40")
+    for name, (changes, code) in ARMS.items():
+        if options.only not in name:
+            continue
+        flagged, valid = 0, 0
+        found: collections.Counter[str] = collections.Counter()
+        for first in range(0, len(seeds), _SIDE_BY_SIDE):
+            configs = [
+                ExperimentConfig(perturbation_kind="multisine", seed=seed, arm_sim=dict(changes))
+                for seed in seeds[first : first + _SIDE_BY_SIDE]
+            ]
+            for experiment in simulate(configs):
+                result = experiment.identify(["lpm_full"])
+                codes = {problem.code for problem in result.problems} & CODES
+                flagged += bool(codes) if code is None else code in codes
+                valid += result.valid
+                found.update(
+                    f"{one.severity.value} {one.sentence}"
+                    for one in result.problems
+                    if options.json
+                )
+                found.update(one.value for one in codes)
+        what = "anything" if code is None else code.value
+        print(f"{name}: {flagged} of {len(seeds)} show {what}, {valid} valid; {dict(found)}")
+    return 0
