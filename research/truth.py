@@ -444,6 +444,12 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(RIGHT, "short trial", (f"{seconds:g} s", {"duration": seconds}))
     for edge in (3.0, 6.0, 10.0):
         add(RIGHT, "narrow perturbation", (f"{edge:g} Hz", {"cutoff": edge}))
+    for hiding in (0.3, 1.0):
+        for arc in (0.08, 0.2):
+            noisy: dict[str, Any] = {"reflex": arc, "voluntary": hiding, "tremor": 0.1 * hiding}
+            add(MUST, "reflex under voluntary", (f"{arc:g}, {hiding:g} N·m", noisy))
+    restless: dict[str, Any] = {"voluntary": 1.0, "tremor": 0.1, "duration": 30.0}
+    add(NOISE, "voluntary and tremor", ("1 N·m", restless))
     for slow in (0.5, 1.0, 2.0):
         for rub in (0.1, 1.0, 2.0):
             lagging: dict[str, Any] = {"drive_lag": slow * MILLI, "friction": rub, "level": 2.0}

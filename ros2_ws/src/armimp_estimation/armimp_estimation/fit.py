@@ -178,6 +178,10 @@ _LACK_CHANCE = 5.0
 _REFUTED = 4.0
 _SUREST = 20e-6
 _NOTICED = 2.0
+_REFLEX, _REFLEX_DELAY, _MUSCLE, _SHOWN = 0.5, 0.04, 30.0, 0.2
+"""Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
+the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997); and the share of that
+gain that the lack of fit shows."""
 _ITERATIONS = 3
 _ROUNDING = 1e-9
 _EXACT = 1e-3
@@ -261,16 +265,8 @@ def fit_impedance(
     if estimate.weight_floor is not None:
         options = replace(options, weight_floor=estimate.weight_floor)
     n = estimate.joints
-    problem = _Elements(
-        f=estimate.f,
-        Z=estimate.Z.reshape(n * n, -1),
-        noise=estimate.without_systematics().variance.reshape(n * n, -1),
-        systematics=tuple(common.reshape(n * n, -1) for common in estimate.systematics),
-        correlation=estimate.bin_correlation,
-        freedom=estimate.averages - 1.0,
-        options=options,
-        whole=True,
-    )
+    estimate = estimate.with_noise_at(_first_fit(estimate, options))
+    problem = _Elements.of(estimate, options)
     if calibration is not None:
         effects = calibration.effects(estimate.Z)
         problem = replace(problem, calibration=tuple(one.reshape(n * n, -1) for one in effects))
@@ -313,6 +309,17 @@ def fit_impedance(
         covariance=_parameter_covariance(estimate, problem),
     )
     return estimate, fit
+
+
+def _first_fit(estimate: ImpedanceEstimate, options: FitConfig) -> ComplexArray:
+    """Impedance of M, B, K and a delay, as they follow from the noise at the estimated one."""
+    problem, late = _Elements.of(estimate, options), 0.0
+    if estimate.delay_uncertainty is not None:
+        problem, delay = _with_delay(problem, estimate.delay_uncertainty, estimate.delay_unknown)
+        late = delay.delay
+    values, _ = problem.fit()
+    fitted = np.stack([_of_mbk(one, problem.omega) for one in values.T])
+    return np.asarray(fitted.reshape(estimate.Z.shape) * np.exp(-1j * problem.omega * late))
 
 
 def _parameter_covariance(estimate: ImpedanceEstimate, problem: _Elements) -> FloatArray:
@@ -439,6 +446,21 @@ class _Elements:
     whole: bool = False
     """Whether these are the n² elements of a matrix, row by row."""
 
+    @classmethod
+    def of(cls, estimate: ImpedanceEstimate, options: FitConfig) -> _Elements:
+        """Those of a whole matrix."""
+        elements = estimate.joints**2
+        return cls(
+            f=estimate.f,
+            Z=estimate.Z.reshape(elements, -1),
+            noise=estimate.without_systematics().variance.reshape(elements, -1),
+            systematics=tuple(common.reshape(elements, -1) for common in estimate.systematics),
+            correlation=estimate.bin_correlation,
+            freedom=estimate.averages - 1.0,
+            options=options,
+            whole=True,
+        )
+
     @property
     def omega(self) -> FloatArray:
         return 2.0 * np.pi * self.f
@@ -469,7 +491,7 @@ class _Elements:
         return values, np.sqrt(squares)
 
     def change_by_more_terms(self) -> FloatArray:
-        """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴`` and soft cuffs, if found.
+        """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, soft cuffs and reflexes.
 
         Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off. It is
         the same in all elements, so it counts in those, too, where noise hides it.
@@ -492,9 +514,31 @@ class _Elements:
                 if value > _NOTICED * error:
                     for row, of_mbk in enumerate(coefficients):
                         squares[:, row] += (value * _apply(of_mbk, yielding[row])) ** 2
+            for row in range(0, n * n, n + 1):
+                squares[:, row] += self._change_by_hidden_reflex(row)
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(np.stack(plain, axis=1))
         return np.where(squares > least**2, squares, 0.0)
+
+    def _change_by_hidden_reflex(self, row: int) -> FloatArray:
+        """Squared change of M, B, K, (3,), by a reflex of the joint that the noise may hide.
+
+        Before the trial, its velocity gain may be anything of the size ``p = _REFLEX B``. After
+        data that tell it as g with the standard error e, its mean square is ``m² + v``, with
+        ``v = p² e²/(p² + e²)`` and ``m = g v/e²``. Where e is small, the lack of fit shows a
+        reflex, and this counts by ``e²/(_SHOWN p)²`` only.
+        """
+        s = 1j * self.omega
+        arc = s * np.exp(-s * _REFLEX_DELAY) / (1.0 + s / _MUSCLE) ** 2
+        told, error = self.coefficient_of(arc, row)
+        coefficients = self.coefficients(row)
+        prior = (_REFLEX * float(_apply(coefficients, self.Z[row])[1])) ** 2
+        if not (prior > 0.0 and 0.0 < error < math.inf):
+            return np.zeros(3)
+        left = prior * error**2 / (prior + error**2)
+        hidden = min(error**2 / (_SHOWN**2 * prior), 1.0)
+        square = hidden * ((told * left / error**2) ** 2 + left)
+        return np.asarray(square * _apply(coefficients, arc) ** 2)
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
         """Coefficient of a term (n_freq,) beside M, B and K of an element, and its error."""

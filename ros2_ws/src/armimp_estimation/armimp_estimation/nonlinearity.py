@@ -224,7 +224,7 @@ def deviations(
     if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
     kept = band.kept
-    filtered = band.filters(record.position[k])[:, kept]
+    filtered = np.concatenate([band.filters(angle) for angle in record.position])[:, kept]
     inverse = np.linalg.pinv(filtered @ filtered.T, hermitian=True)
 
     def without_linear(signal: FloatArray) -> FloatArray:

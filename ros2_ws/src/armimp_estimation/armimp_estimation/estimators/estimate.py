@@ -151,6 +151,31 @@ class ImpedanceEstimate:
             variance -= np.abs(common) ** 2
         return replace(self, variance=np.maximum(variance, 0.0), systematics=())
 
+    def with_noise_at(self, impedance: ComplexArray) -> "ImpedanceEstimate":
+        """Return the same with the noise of ``T - Z R`` at another impedance than the estimated.
+
+        Noise that moves the joints pulls ``Ẑ = T R⁻¹`` to where ``T - Ẑ R`` has least of it, so its
+        variance there is too small, the more so the more of the motion is noise. It is returned as
+        it is without the covariance of T and R.
+
+        Parameters
+        ----------
+        impedance : ndarray, shape (n, n, n_freq)
+            Such as the fitted one, N·m/rad.
+        """
+        if self.covariance is None or self.inverse is None:
+            return self
+        n = self.joints
+        left = np.zeros((n, 2 * n, self.f.size), dtype=np.complex128)
+        left[:, :n] = -impedance
+        left[np.arange(n), n + np.arange(n)] = 1.0
+        disturbance = np.einsum(
+            "iaf,kabf,mbf->kimf", left, self.covariance, np.conj(left), optimize=True
+        )
+        noise = np.einsum("kiif,kjf->ijf", disturbance.real, np.abs(self.inverse) ** 2)
+        variance = noise + sum(np.abs(common) ** 2 for common in self.systematics)
+        return replace(self, variance=np.asarray(variance), disturbance=disturbance)
+
 
 class Estimator(Protocol):
     """A way to get the impedance matrix from the trials of one decomposition."""
