@@ -113,6 +113,10 @@ def _waning(share: float) -> Change:
     return lambda torque: torque * (1.0 - share * np.linspace(-0.5, 0.5, torque.shape[1]))
 
 
+def _ramped(share: float) -> Change:
+    return lambda torque: torque * (1.0 + share * np.linspace(0.0, 1.0, torque.shape[1]))
+
+
 def _restamped(rate: float) -> Callable[[Any], Any]:
     def stamp(stamps: Stamps) -> Any:
         return stamps[0] + np.rint(np.arange(stamps.size) * (1e9 / rate)).astype(np.int64)
@@ -385,6 +389,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         )
     for share in (0.02, 0.1):
         add(MUST, "gain that drifts", (f"{share:g}", {"readings": changed(torque=_waning(share))}))
+    for share in (0.02, 0.05, 0.1):
+        ramped = {"readings": changed(torque=_ramped(share))}
+        add(MUST, "gain that grows", (f"{share:g}", ramped))
     mixed = {
         "rate": 800.0,
         "command_delay": 0.4 * MILLI,

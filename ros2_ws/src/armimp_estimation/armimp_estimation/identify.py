@@ -67,6 +67,8 @@ class EstimatorResult:
 
     def with_gains_in_doubt(self, doubts: FloatArray) -> EstimatorResult:
         """Return the same with relative standard errors of the gains, (n,), in all errors."""
+        if not doubts.any():
+            return self
         mbk, rows = self.fit.mbk, np.diag(doubts)
         shifts = [row[:, None] * np.stack([mbk.M, mbk.B, mbk.K]) for row in rows]
         variance = self.estimate.variance + np.abs(doubts[:, None, None] * self.estimate.Z) ** 2
@@ -264,9 +266,12 @@ def identify(
     known = results.get("lpm_full")
     hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
     if best is not None:
-        of_motion, doubts = _judge_motion(records, best.fit.mbk, hold, reading)
+        of_motion, doubts, gains = _judge_motion(records, best.fit.mbk, hold, reading)
         problems += of_motion
-        results = {name: one.with_doubts(doubts) for name, one in results.items()}
+        results = {
+            name: one.with_doubts(doubts).with_gains_in_doubt(gains)
+            for name, one in results.items()
+        }
     trusted = first if best is None else best
     realised = scores.realisation(trusted.estimate, options.target)
     fit = (best if best is not None else first).fit
@@ -275,8 +280,7 @@ def identify(
         balance = responses.balance(order, hold, reading, fit.delay)
     unbalanced, gains = judge_balance(names, balance, fit, options.calibration)
     problems += unbalanced
-    if gains.any():
-        results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
+    results = {name: one.with_gains_in_doubt(gains) for name, one in results.items()}
     return Identification(
         joint_names=names,
         trials=tuple(
@@ -303,17 +307,21 @@ def _judge_motion(
     arm: MBK,
     hold: HoldCorrection | None,
     reading: TorqueReading,
-) -> tuple[list[Problem], list[FloatArray]]:
-    """What isn't linear in any trial, and what it adds to M, B and K, (3, n, n) for each trial."""
+) -> tuple[list[Problem], list[FloatArray], FloatArray]:
+    """What isn't linear in any trial, and the errors that come of it.
+
+    They are those of M, B and K, (3, n, n) for each trial, and those of the gains, (n,).
+    """
     problems: list[Problem] = []
     doubts: list[FloatArray] = []
+    gains = np.zeros(len(records))
     unseen = unseen_share(records)
     for k, record in enumerate(records):
         resolved = bool((unseen[:, k] < RESOLVED_SHARE).all())
-        found, shift = judge_linearity(record, arm, hold, reading, resolved=resolved)
+        found, shift, gains[k] = judge_linearity(record, arm, hold, reading, resolved=resolved)
         problems += found
         if shift.any():
             doubt = np.zeros((3, len(records), len(records)))
-            doubt[:, k] = shift
+            doubt[:, k, k] = shift
             doubts.append(doubt)
-    return problems, doubts
+    return problems, doubts, gains

@@ -5,15 +5,16 @@ perturbed joint, in the band. If stiffness falls or grows with the angle, e foll
 spring of short range yields, a play operator of the angle (the spring's stretch:
 Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign
 of ``θ̇``; if stiffness changes over the trial, ``θ t``. If the transducer is not linear, e follows
-the fitted torque τ̂: ``|τ̂|`` if it shows more in one direction, ``τ̂³`` if its gain changes with the
-torque. Regressors and e are taken without all that
-any linear filter makes of the angle: so a linear arm gives zero on average, whatever the person
-does beside, although that moves the arm, too. What M, B and K are alike of the regressor, times the
-coefficient, is what the term does to them. What readings lack because torques jump with commands is
-put right before: commands that overcome friction would make it look like a bent spring. The trial
-is cut into parts, in each of which the coefficient is found anew: its scatter is its error, with no
-assumption about the spectrum of e. Its ends are left out: there the derivatives of a record that is
-cut off ring.
+the fitted torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it shows more in one direction,
+``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain changes over the trial.
+Regressors and e are taken without all that any linear filter makes of the angles: so a linear arm
+gives zero on average, whatever the person does beside, although that moves the arm, too. What M, B
+and K are alike of the regressor, times the coefficient, is what the term does to them; what the
+gain of a transducer changes by is in doubt for all that it measures. What readings lack because
+torques jump with commands is put right before: commands that overcome friction would make it look
+like a bent spring. The trial is cut into parts, in each of which the coefficient is found anew: its
+scatter is its error, with no assumption about the spectrum of e. Its ends are left out: there the
+derivatives of a record that is cut off ring.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ BAND = ((0.2, 0.7), (11.0, 15.0))
 
 They are not sharp, so that the ends of the record soon die away.
 """
+WIDE = (BAND[0], (30.0, 40.0))
+"""Edges of the part of the fitted torque that bends a transducer: all that is perturbed, Hz."""
 SIGNIFICANT = 4.5
 _ALL, _SIGNIFICANT_OF_ALL = 1.0, 3.5
 LARGE = {
@@ -45,10 +48,13 @@ LARGE = {
     "hysteresis": 0.05,
     "time": 0.05,
     "friction": np.inf,
-    "direction": 0.1,
+    "direction": 0.2,
     "gain": 0.1,
+    "drift": 0.1,
 }
 """Shares of the stiffness, or of M, B or K, beyond which these are of this motion, or time, alone.
+
+Of transducers, changes of the gain beyond which it is none.
 
 Smaller ones are in the standard errors, and so is what friction of the robot leaves in the torques
 where their jumps with the commands are not known well.
@@ -71,10 +77,16 @@ _BENT: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] 
     "time": lambda x, *_: x * np.linspace(-0.5, 0.5, x.size),
     "direction": lambda *signals: np.abs(signals[2]),
     "gain": lambda *signals: signals[2] ** 3,
+    "drift": lambda *signals: signals[2] * np.linspace(-0.5, 0.5, signals[2].size),
 }
 """What follows from angle, speed and torque, in units of their rms."""
-_SLOPES = {"amplitude": 3.0, "time": 1.0, "direction": 1.0, "gain": 3.0}
+_SLOPES = {"amplitude": 3.0, "time": 1.0, "direction": 2.0, "gain": 3.0, "drift": 1.0}
 """Of these terms over their argument at one rms, or between both directions: 3 x² of a cube."""
+_DOUBTED = {"direction": 0.5, "gain": 1.0, "drift": 0.5}
+"""Shares of its change by which a gain may differ from that of the calibration.
+
+That is right for one of two directions, for small torques, at the begin or at the end.
+"""
 _CODES = {
     "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
     "hysteresis": ProblemCode.HYSTERESIS,
@@ -82,6 +94,7 @@ _CODES = {
     "time": ProblemCode.CHANGES_OVER_TIME,
     "direction": ProblemCode.TORQUE_NOT_LINEAR,
     "gain": ProblemCode.TORQUE_NOT_LINEAR,
+    "drift": ProblemCode.GAIN_DRIFTS,
 }
 
 
@@ -95,21 +108,26 @@ class Deviation:
         Change of the stiffness from rest to the rms angle, or from begin to end, relative to it;
         of hysteresis and friction its share in the largest of M, B and K; of a transducer the
         change of its gain. And its standard error.
-    shift : ndarray, shape (3, n)
-        What it adds to the joint's row of M, B and K, SI units.
+    shift : ndarray, shape (3,)
+        What it adds to M, B and K of the joint itself, SI units.
+    gain : float
+        What it adds to the gain of the transducer, relative to that.
     """
 
     share: float
     error: float
     shift: FloatArray
+    gain: float = 0.0
 
 
 class _Band:
     """Signals of a record within the band, at a rate that suffices for them, without its ends."""
 
-    def __init__(self, record: TrialRecord) -> None:
+    def __init__(
+        self, record: TrialRecord, edges: tuple[tuple[float, float], tuple[float, float]] = BAND
+    ) -> None:
         f = np.fft.rfftfreq(record.samples, 1.0 / record.rate)
-        (foot, top), (shoulder, end) = BAND
+        (foot, top), (shoulder, end) = edges
         rise = np.clip((f - foot) / (top - foot), 0.0, 1.0)
         fall = np.clip((end - f) / (end - shoulder), 0.0, 1.0)
         passed = np.sin(0.5 * np.pi * rise) ** 2 * np.sin(0.5 * np.pi * fall) ** 2
@@ -140,6 +158,25 @@ class _Band:
         cut = np.where(self._parts == parts[:, None], values, 0.0)
         return self.signal(np.concatenate((cut, 1j * cut)))
 
+    def weights(self, noise: FloatArray) -> FloatArray:
+        """What makes a signal white, by frequency, the same in each of its bands."""
+        of_noise = np.bincount(self._which, weights=np.abs(self.of(noise)) ** 2)
+        of_white = np.bincount(self._which, weights=self.passed**4)
+        tiny = float(np.finfo(float).tiny)
+        weights: FloatArray = np.sqrt(of_white / np.maximum(of_noise, tiny))
+        return weights[self._which]
+
+    @property
+    def _which(self) -> NDArray[np.int64]:
+        which: NDArray[np.int64] = np.floor((self.f - self.f[0]) / _WIDTH).astype(np.int64)
+        return which
+
+    def inner(self, signal: FloatArray) -> FloatArray:
+        """The same without its ends, where the jump between end and begin of a record rings."""
+        inside = np.zeros_like(signal)
+        inside[self.kept] = signal[self.kept]
+        return inside
+
     def signal(self, values: ComplexArray) -> FloatArray:
         """Whole signal at the lower rate, ends included."""
         spectrum = np.zeros((*values.shape[:-1], self.samples // 2 + 1), dtype=np.complex128)
@@ -162,7 +199,7 @@ def unexplained_torque(
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Motion of the perturbed joint and what the arm leaves of its torque, both within the band.
 
     Parameters
@@ -182,8 +219,6 @@ def unexplained_torque(
         Angle, rad, and its first two derivatives; 200 samples per second at most.
     torque : ndarray, shape (N,)
         N·m.
-    fitted : ndarray, shape (N,)
-        Torque that the arm explains, N·m.
     """
     k, band = record.perturbed_joint, _Band(record)
     angle, torque = band.of(record.position), band.of(record.torque[k])
@@ -192,8 +227,13 @@ def unexplained_torque(
         torque = torque + np.sum(lacking * band.of(command_steps(record, record.samples)), axis=0)
         torque = torque / (reading or TorqueReading()).response(band.f)
     motion = angle[k] * (2j * np.pi * band.f) ** np.arange(3)[:, None]
-    fitted = np.sum(arm.impedance(band.f)[k] * angle, axis=0)
-    return band.signal(motion), band.signal(torque - fitted), band.signal(fitted)
+    left = torque - _fitted(arm, record, band, angle)
+    return band.signal(motion), band.signal(left)
+
+
+def _fitted(arm: MBK, record: TrialRecord, band: _Band, angle: ComplexArray) -> ComplexArray:
+    """Torque that the arm explains of the perturbed joint, of the spectra of all angles."""
+    return np.asarray(np.sum(arm.impedance(band.f)[record.perturbed_joint] * angle, axis=0))
 
 
 def deviations(
@@ -210,51 +250,55 @@ def deviations(
     -------
     dict of str to Deviation
         ``"amplitude"``, ``"hysteresis"``, ``"friction"``, ``"time"``, and of the transducer
-        ``"direction"`` and ``"gain"``; empty for trials of less than 10 s.
+        ``"direction"``, ``"gain"`` and ``"drift"``; empty for trials of less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
     record = record.whole_periods
     band, k = _Band(record), record.perturbed_joint
-    motion, rest, fitted = unexplained_torque(record, arm, jump, reading)
-    signals = np.stack([*motion[:2], fitted])
-    sizes = np.std(signals, axis=1)
-    row = np.stack([arm.M[k], arm.B[k], arm.K[k]])
-    own = row[:, k]
+    motion, rest = unexplained_torque(record, arm, jump, reading)
+    wide = _Band(record, WIDE)
+    fitted = wide.signal(_fitted(arm, record, wide, wide.of(record.position)))
+    kept = band.kept
+    sizes = np.append(np.std(motion[:2], axis=1), np.std(fitted[kept]))
+    signals = np.stack([*motion[:2], band.inner(fitted + record.torque[k].mean())])
+    own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
     if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
-    kept = band.kept
     filtered = np.concatenate([band.filters(angle) for angle in record.position])[:, kept]
     inverse = np.linalg.pinv(filtered @ filtered.T, hermitian=True)
 
     def without_linear(signal: FloatArray) -> FloatArray:
         return np.asarray(signal - (inverse @ (filtered @ signal)) @ filtered)
 
+    inner = band.inner(rest)
+    weights = band.weights(inner)
+    white = without_linear(band.signal(weights * band.of(inner))[kept])
     rest = without_linear(rest[kept])
     found = {}
     for name, bend in _BENT.items():
-        signal = band.signal(band.of(bend(*(signals / sizes[:, None]))))[kept]
-        regressor = without_linear(signal)
-        parts = [np.array_split(one, _PARTS) for one in (regressor, rest)]
+        values = band.of(bend(*(signals / sizes[:, None])))
+        signal = band.signal(values)[kept]
+        # A person's own torque hides what M shows of a transducer, unless it is weighed.
+        of_gain = name in _DOUBTED
+        regressor = without_linear(band.signal(values * weights)[kept] if of_gain else signal)
+        parts = [np.array_split(one, _PARTS) for one in (regressor, white if of_gain else rest)]
         products = np.array([np.sum(p * q) for p, q in zip(*parts, strict=True)])
         squares = np.array([np.sum(p * p) for p in parts[0]])
         slope = float(np.sum(products) / np.sum(squares))
         error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / np.sum(squares))
-        shift = np.zeros(row.shape)
-        if name in {"direction", "gain"}:
+        # What M, B and K are alike of it: the derivatives 2, 1, 0.
+        of_linear = np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
+        shift, gain = slope * of_linear, 0.0
+        if of_gain:
             share = _SLOPES[name] * slope / float(sizes[2])
-            shift = share * row
+            shift, gain = np.zeros(3), _DOUBTED[name] * share
+        elif name in {"hysteresis", "friction"}:
+            share = float(np.max(np.abs(shift / own)))
         else:
-            # What M, B and K are alike of it: the derivatives 2, 1, 0.
-            of_linear = np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
-            shift[:, k] = slope * of_linear
-            if name in {"hysteresis", "friction"}:
-                share = float(np.max(np.abs(shift[:, k] / own)))
-            else:
-                share = _SLOPES[name] * slope / (own[2] * float(sizes[0]))
-        found[name] = Deviation(
-            share=share, error=abs(share * error / slope) if slope else 0.0, shift=shift
-        )
+            share = _SLOPES[name] * slope / (own[2] * float(sizes[0]))
+        relative = abs(share * error / slope) if slope else 0.0
+        found[name] = Deviation(share=share, error=relative, shift=shift, gain=gain)
     return found
 
 
@@ -265,7 +309,7 @@ def judge_linearity(
     reading: TorqueReading | None = None,
     *,
     resolved: bool = True,
-) -> tuple[list[Problem], FloatArray]:
+) -> tuple[list[Problem], FloatArray, float]:
     """Find what isn't linear; parameters are those of :func:`unexplained_torque`.
 
     Where the motion of locked joints isn't `resolved`, its torque may look like that.
@@ -273,22 +317,24 @@ def judge_linearity(
     Returns
     -------
     problems : list of Problem
-    shift : ndarray, shape (3, n)
-        Standard errors of the joint's row of M, B and K that come of it.
+    shift : ndarray, shape (3,)
+        Standard errors of M, B and K of the joint itself that come of it.
+    gain : float
+        Relative standard error of the gain of the joint's transducer that comes of it.
     """
     problems = []
-    shift = np.zeros((3, record.joints))
+    shift, gain = np.zeros(3), 0.0
     for name, one in deviations(record, arm, jump, reading).items():
         # By chance, no stiffness seems to change by all of it, unless the trial tells nothing.
         least = SIGNIFICANT if abs(one.share) < _ALL else _SIGNIFICANT_OF_ALL
         if not abs(one.share) > least * one.error or abs(one.share) < _NEGLIGIBLE:
             continue
-        shift = np.hypot(shift, one.shift)
+        shift, gain = np.hypot(shift, one.shift), float(np.hypot(gain, one.gain))
         severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE
         problems.append(
             Problem(
                 code=_CODES[name],
-                concern=Concern.PARAMETERS,
+                concern=Concern.IMPEDANCE if name in _DOUBTED else Concern.PARAMETERS,
                 severity=severity,
                 trial=record.trial,
                 values={
@@ -298,4 +344,4 @@ def judge_linearity(
                 },
             )
         )
-    return problems, shift
+    return problems, shift, gain

@@ -99,6 +99,7 @@ class ProblemCode(str, Enum):
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
     HYSTERESIS = "hysteresis"
     TORQUE_NOT_LINEAR = "torque_not_linear"
+    GAIN_DRIFTS = "gain_drifts"
     FRICTION_LEFT = "friction_left"
     CHANGES_OVER_TIME = "changes_over_time"
     LOCK_RATIO = "lock_ratio"

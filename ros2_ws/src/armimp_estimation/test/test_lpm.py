@@ -158,8 +158,10 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
         column = exact.column(trial.record)
         assert column.joint == k
         for row, name in enumerate("MBK"):
-            np.testing.assert_allclose(column.values[row], getattr(whole.mbk, name)[:, k])
-            # The whole estimate takes the mean over all trials of each correlation of bins.
+            # The whole estimate weighs by the noise at the fitted impedance.
+            fitted = getattr(whole.mbk, name)[:, k]
+            np.testing.assert_allclose(column.values[row], fitted, rtol=1e-3)
+            # And it takes the mean over all trials of each correlation of bins.
             errors = getattr(whole, f"{name}_se")[:, k]
             np.testing.assert_allclose(column.errors[row], errors, rtol=0.02)
 
