@@ -69,6 +69,8 @@ _RATE = 200.0
 _MOST_ENDS = 0.2
 _PARTS = 20
 _NEGLIGIBLE = 0.003
+_BETWEEN = 0.02
+"""Share of the power of a periodic motion between its lines that distortion may have."""
 _LEAST = 10.0
 _BENT: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] = {
     "amplitude": lambda x, *_: x**3,
@@ -142,7 +144,10 @@ class _Band:
         if record.periods is not None:
             bins = np.arange(self.bins.start, self.bins.stop)
             lines = record.periods.lines * record.periods.count
-            self._parts = np.where(np.isin(bins, lines), np.searchsorted(lines, bins), -1)
+            at_lines = np.isin(bins, lines)
+            power = np.abs(self.of(record.position[record.perturbed_joint])) ** 2
+            if np.sum(power[~at_lines]) < _BETWEEN * np.sum(power):
+                self._parts = np.where(at_lines, np.searchsorted(lines, bins), -1)
 
     def of(self, signal: FloatArray) -> ComplexArray:
         spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
@@ -151,7 +156,8 @@ class _Band:
     def filters(self, signal: FloatArray) -> FloatArray:
         """A signal cut into bands, each as it is and turned by 90 degrees, (2 bands, N).
 
-        Under a periodic perturbation each line is a band, and what is elsewhere is in none.
+        Under a periodic perturbation each line is a band, and what lies between them, which is
+        distortion, is in none, unless it is so much that a person must have moved.
         """
         values = self.of(signal)
         parts = np.unique(self._parts[self._parts >= 0])
