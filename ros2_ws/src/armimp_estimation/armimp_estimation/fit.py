@@ -178,6 +178,8 @@ _LACK_CHANCE = 5.0
 _REFUTED = 4.0
 _SUREST = 20e-6
 _NOTICED = 2.0
+_MOST_CUFFS = 8
+"""Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
 _REFLEX, _REFLEX_DELAY, _MUSCLE, _SHOWN = 0.5, 0.04, 30.0, 0.2
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997); and the share of that
@@ -317,8 +319,7 @@ def _first_fit(estimate: ImpedanceEstimate, options: FitConfig) -> ComplexArray:
     if estimate.delay_uncertainty is not None:
         problem, delay = _with_delay(problem, estimate.delay_uncertainty, estimate.delay_unknown)
         late = delay.delay
-    values, _ = problem.fit()
-    fitted = np.stack([_of_mbk(one, problem.omega) for one in values.T])
+    fitted = np.stack([_of_mbk(one, problem.omega) for one in problem.values().T])
     return np.asarray(fitted.reshape(estimate.Z.shape) * np.exp(-1j * problem.omega * late))
 
 
@@ -470,6 +471,11 @@ class _Elements:
         """Variance with that of the corrections."""
         return np.asarray(self.noise + sum(np.abs(one) ** 2 for one in self.systematics))
 
+    def values(self) -> FloatArray:
+        """M, B and K, (3, elements)."""
+        rows = range(len(self.Z))
+        return np.stack([_apply(self.coefficients(row), self.Z[row]) for row in rows], axis=1)
+
     def fit(self) -> tuple[FloatArray, FloatArray]:
         """M, B, K and their standard errors, each (3, elements)."""
         values = np.zeros((3, len(self.Z)))
@@ -505,8 +511,8 @@ class _Elements:
                 value, error = self.coefficient_of(term, row)
                 if abs(value) > _NOTICED * error:
                     squares[:, row] += (value * _apply(of_mbk, term)) ** 2
-        if self.whole:
-            n = math.isqrt(len(self.Z))
+        n = math.isqrt(len(self.Z))
+        if self.whole and n <= _MOST_CUFFS:
             Z = np.stack([_of_mbk(one, self.omega) for one in plain]).reshape(n, n, -1)
             for joint in range(n):
                 yielding = -(Z[:, joint, None] * Z[None, joint]).reshape(self.Z.shape)
@@ -624,7 +630,7 @@ def _with_delay(
         total = float(np.clip(total + step, -0.02, 0.02))
         turn = np.exp(2j * np.pi * problem.f * total)
         trial = replace(problem, Z=problem.Z * turn)
-    fitted, plain = trial.fit()[0], problem.fit()[0]
+    fitted, plain = trial.values(), problem.values()
     limit = lack_limit(problem.correlation)
     fits = bool((trial.lack(fitted) <= limit).all())
     sure = max(uncertainty, _SUREST)

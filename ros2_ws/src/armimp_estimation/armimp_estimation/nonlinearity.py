@@ -7,7 +7,7 @@ Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction is l
 of ``θ̇``; if stiffness changes over the trial, ``θ t``. If the transducer is not linear, e follows
 the fitted torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it shows more in one direction,
 ``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain changes over the trial.
-Regressors and e are taken without all that any linear filter makes of the angles: so a linear arm
+Regressors and e are taken without all that any linear filter makes of the angle: so a linear arm
 gives zero on average, whatever the person does beside, although that moves the arm, too. What M, B
 and K are alike of the regressor, times the coefficient, is what the term does to them; what the
 gain of a transducer changes by is in doubt for all that it measures. What readings lack because
@@ -271,7 +271,7 @@ def deviations(
     own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
     if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
-    filtered = np.concatenate([band.filters(angle) for angle in record.position])[:, kept]
+    filtered = band.filters(record.position[k])[:, kept]
     inverse = np.linalg.pinv(filtered @ filtered.T, hermitian=True)
 
     def without_linear(signal: FloatArray) -> FloatArray:
