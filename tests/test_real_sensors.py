@@ -204,7 +204,12 @@ def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> N
 
 def test_the_estimator_knows_what_is_simulated_unless_it_is_told_otherwise() -> None:
     sensors = {"sensors": {"torque": {"delay": 0.0015, "cutoff": 150.0, "order": 2}}}
-    values = {"arm_sim": {**sensors, "actuators": {"bandwidth": 800.0}}}
+    # Slow enough for a loop that is told of readings as late as that.
+    slow = {"target": {"lock_frequency": 50.0}, "law": {"gamma": 50.0}}
+    values = {
+        "arm_sim": {**sensors, "actuators": {"bandwidth": 800.0}},
+        "imbic_controller": slow,
+    }
 
     def known(**more: Any) -> TorqueReading:
         config = ExperimentConfig.model_validate({**values, **more})

@@ -80,7 +80,7 @@ def test_lost_samples_are_a_figure_and_whatever_else_spoils_a_run_is_an_error(
 ) -> None:
     trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=5.0)]
     summary = SimpleNamespace(valid=False, faults=["something"], trials=trials)
-    monkeypatch.setattr(graph, "run_experiment", lambda *_: summary)
+    monkeypatch.setattr(graph, "run_experiment", lambda *_: SimpleNamespace(summary=summary))
     experiment = graph_tick("composed")
     assert experiment.ticks == pytest.approx([1e-4, 2e-4])
     assert experiment.lost == 3
@@ -98,7 +98,8 @@ def test_the_plant_is_timed_where_it_is_stepped(monkeypatch: pytest.MonkeyPatch)
         for _ in range(5):
             rig.step([0.0, 0.0])
         trials = [SimpleNamespace(lost=0, rtf=10.0)]
-        return SimpleNamespace(valid=True, problems=[], trials=trials)
+        summary = SimpleNamespace(valid=True, problems=[], trials=trials)
+        return SimpleNamespace(summary=summary)
 
     monkeypatch.setattr(graph, "run_experiment", run_experiment)
     before = SimulatedRig.step

@@ -86,7 +86,8 @@ def test_jitter_is_that_of_runs_in_real_time_without_what_is_not_permitted(
         assert (config.mode, config.joints) == ("realtime", 1)
         if config.priority:
             raise ConfigurationError("priority = 50: not permitted")
-        return SimpleNamespace(faults=["no use"], trials=["one"], timing=timing)
+        summary = SimpleNamespace(faults=["no use"], trials=["one"], timing=timing)
+        return SimpleNamespace(summary=summary)
 
     monkeypatch.setattr(orchestrator, "run_experiment", run_experiment)
     told: list[str] = []
@@ -102,7 +103,7 @@ def test_speed_is_the_median_of_trials_and_lost_samples_miss_the_target(
 ) -> None:
     trials = [SimpleNamespace(lost=0, rtf=10.0), SimpleNamespace(lost=3, rtf=6.0)]
     summary = SimpleNamespace(faults=[], trials=trials)
-    monkeypatch.setattr(orchestrator, "run_experiment", lambda *_: summary)
+    monkeypatch.setattr(orchestrator, "run_experiment", lambda *_: SimpleNamespace(summary=summary))
     found = {one.key: one for one in bench.speed(lambda _: None)}
     assert found["composed_speed"].value == found["separate_speed"].value == 8.0
     assert found["composed_lost"].missed
