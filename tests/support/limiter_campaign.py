@@ -19,8 +19,10 @@ from armimp_control.laws.base import (
     COMMAND,
     IMBIC,
     IMBIC_OBSERVER,
+    LATE,
     MEMORY_ROWS,
     MODEL_ROWS,
+    MOST_DELAY,
     ROLE_ROWS,
     SENSED,
 )
@@ -387,6 +389,7 @@ def campaign(sequences: int, seed: int) -> CampaignResult:
             _spoil(rng, values, share)
         roles = 10.0 ** rng.uniform(-1, 4, (m, ROLE_ROWS, n))
         roles[:, SENSED] = rng.integers(0, 2, (m, n))
+        roles[:, LATE] = rng.integers(0, MOST_DELAY + 1, (m, 1))
         _run_sequences(
             theta,
             tau_h,
