@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
@@ -486,7 +487,11 @@ class _Elements:
 
     def coefficients(self, row: int) -> FloatArray:
         """Rows a, (3, n_freq), of ``(M, B, K) = Σ_f a_f y_f`` for one element."""
-        return mbk_coefficients(self.omega, self.weights(row))
+        return self._all_coefficients[row]
+
+    @cached_property
+    def _all_coefficients(self) -> list[FloatArray]:
+        return [mbk_coefficients(self.omega, weights) for weights in self._all_weights]
 
     def _fit_element(self, row: int) -> tuple[FloatArray, FloatArray]:
         coefficients = self.coefficients(row)
@@ -503,27 +508,26 @@ class _Elements:
         the same in all elements, so it counts in those, too, where noise hides it.
         """
         squares = np.zeros((3, len(self.Z)))
-        coefficients = [self.coefficients(row) for row in range(len(self.Z))]
-        plain = [_apply(one, Z) for one, Z in zip(coefficients, self.Z, strict=True)]
+        plain = self.values()
         relative = self.omega / self.omega[-1]
         for term in (-1j * relative**3, relative**4 + 0j):
-            for row, of_mbk in enumerate(coefficients):
+            for row, of_mbk in enumerate(self._all_coefficients):
                 value, error = self.coefficient_of(term, row)
                 if abs(value) > _NOTICED * error:
                     squares[:, row] += (value * _apply(of_mbk, term)) ** 2
         n = math.isqrt(len(self.Z))
         if self.whole and n <= _MOST_CUFFS:
-            Z = np.stack([_of_mbk(one, self.omega) for one in plain]).reshape(n, n, -1)
+            Z = np.stack([_of_mbk(one, self.omega) for one in plain.T]).reshape(n, n, -1)
             for joint in range(n):
                 yielding = -(Z[:, joint, None] * Z[None, joint]).reshape(self.Z.shape)
                 value, error = self.common_coefficient(yielding)
                 if value > _NOTICED * error:
-                    for row, of_mbk in enumerate(coefficients):
+                    for row, of_mbk in enumerate(self._all_coefficients):
                         squares[:, row] += (value * _apply(of_mbk, yielding[row])) ** 2
             for row in range(0, n * n, n + 1):
                 squares[:, row] += self._change_by_hidden_reflex(row)
         # What rounding leaves is no change.
-        least = _ROUNDING * np.abs(np.stack(plain, axis=1))
+        least = _ROUNDING * np.abs(plain)
         return np.where(squares > least**2, squares, 0.0)
 
     def _change_by_hidden_reflex(self, row: int) -> FloatArray:
@@ -580,10 +584,16 @@ class _Elements:
         return math.sqrt(square)
 
     def weights(self, row: int) -> FloatArray:
-        options = self.options
-        return fit_weights(
-            self.f, self.Z[row], self.total[row], options.weight_floor, options.smoothing
-        )
+        """Of the frequencies in the fit of one element, (n_freq,)."""
+        return self._all_weights[row]
+
+    @cached_property
+    def _all_weights(self) -> list[FloatArray]:
+        floor, smoothing = self.options.weight_floor, self.options.smoothing
+        return [
+            fit_weights(self.f, Z, variance, floor, smoothing)
+            for Z, variance in zip(self.Z, self.total, strict=True)
+        ]
 
     def lack(self, values: FloatArray) -> FloatArray:
         """Lack of fit of each element, (elements,); three real parameters are 1.5 complex ones."""

@@ -140,7 +140,8 @@ class _Band:
         self.passed = passed[self.bins]
         ends = int(self.samples * min(_ENDS / record.duration, _MOST_ENDS))
         self.kept = slice(ends, self.samples - ends)
-        self._parts = np.floor((self.f - self.f[0]) / _WIDTH).astype(int)
+        self._which: NDArray[np.int64] = np.floor((self.f - self.f[0]) / _WIDTH).astype(np.int64)
+        self._parts = self._which
         if record.periods is not None:
             bins = np.arange(self.bins.start, self.bins.stop)
             lines = record.periods.lines * record.periods.count
@@ -171,11 +172,6 @@ class _Band:
         tiny = float(np.finfo(float).tiny)
         weights: FloatArray = np.sqrt(of_white / np.maximum(of_noise, tiny))
         return weights[self._which]
-
-    @property
-    def _which(self) -> NDArray[np.int64]:
-        which: NDArray[np.int64] = np.floor((self.f - self.f[0]) / _WIDTH).astype(np.int64)
-        return which
 
     def inner(self, signal: FloatArray) -> FloatArray:
         """The same without its ends, where the jump between end and begin of a record rings."""
@@ -293,16 +289,17 @@ def deviations(
         squares = np.array([np.sum(p * p) for p in parts[0]])
         slope = float(np.sum(products) / np.sum(squares))
         error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / np.sum(squares))
-        # What M, B and K are alike of it: the derivatives 2, 1, 0.
-        of_linear = np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
-        shift, gain = slope * of_linear, 0.0
+        shift, gain = np.zeros(3), 0.0
         if of_gain:
             share = _SLOPES[name] * slope / float(sizes[2])
-            shift, gain = np.zeros(3), _DOUBTED[name] * share
-        elif name in {"hysteresis", "friction"}:
-            share = float(np.max(np.abs(shift / own)))
+            gain = _DOUBTED[name] * share
         else:
-            share = _SLOPES[name] * slope / (own[2] * float(sizes[0]))
+            # What M, B and K are alike of it: the derivatives 2, 1, 0.
+            shift = slope * np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
+            if name in {"hysteresis", "friction"}:
+                share = float(np.max(np.abs(shift / own)))
+            else:
+                share = _SLOPES[name] * slope / (own[2] * float(sizes[0]))
         relative = abs(share * error / slope) if slope else 0.0
         found[name] = Deviation(share=share, error=relative, shift=shift, gain=gain)
     return found

@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from armimp_estimation.drift import drift_of
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig, local_response
@@ -28,6 +29,11 @@ def multisine(count: float, lines: NDArray[np.intp] = LINES, period: int = PERIO
     t = np.arange(period) / period
     one = np.sum(np.cos(2.0 * np.pi * lines[:, None] * t + phases), axis=0)
     return np.resize(one, round(count * period))
+
+
+def lagging_behind(signal: Array, pole: float) -> Array:
+    """A signal through a low-pass of first order that starts from rest."""
+    return np.asarray(lfilter([1.0 - pole], [1.0, -pole], signal))
 
 
 def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
@@ -83,11 +89,7 @@ def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_er
     periods = Periods.of(source)
     assert periods is not None
     pole = np.exp(-1e-3 / 0.4)
-    output = np.empty_like(source)
-    state = 0.0
-    for k, value in enumerate(source):
-        state = pole * state + (1.0 - pole) * value
-        output[k] = state
+    output = lagging_behind(source, pole)
 
     def response(disturbance: Array) -> tuple[NDArray[np.complex128], Array, Array]:
         found = local_response(
@@ -123,11 +125,7 @@ def test_a_drift_beside_a_periodic_perturbation_is_found_and_none_where_there_is
 ) -> None:
     source = multisine(6.2)
     pole = np.exp(-1e-3 / 0.2)
-    answer = np.empty_like(source)
-    state = 0.0
-    for k, value in enumerate(source):
-        state = pole * state + (1.0 - pole) * value
-        answer[k] = state
+    answer = lagging_behind(source, pole)
     random = np.random.default_rng(6)
     t = np.arange(source.size) / 1000.0
     record = TrialRecord(
@@ -159,12 +157,8 @@ def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_d
     """A torque with a lag, so that the fitted arm is wrong at every line."""
     source = multisine(12.2, np.delete(np.arange(1, 60, 2), [3, 6, 9, 14, 17, 21, 26]))
     pole = np.exp(-1e-3 / 0.05)
-    angle, lagging = np.empty_like(source), np.empty_like(source)
-    state = late = 0.0
-    for k, value in enumerate(source):
-        state = pole * state + (1.0 - pole) * value
-        late = 0.9 * late + 0.1 * state
-        angle[k], lagging[k] = state, late
+    angle = lagging_behind(source, pole)
+    lagging = lagging_behind(angle, 0.9)
     scale = 0.045 / np.std(angle)
     angle, lagging = scale * angle, scale * lagging
     t = np.linspace(0.0, 1.0, source.size)
