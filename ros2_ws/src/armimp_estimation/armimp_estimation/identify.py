@@ -274,7 +274,7 @@ def identify(
         }
     trusted = first if best is None else best
     realised = scores.realisation(trusted.estimate, options.target)
-    fit = (best if best is not None else first).fit
+    fit = trusted.fit
     balance = None
     if responses is not None:
         balance = responses.balance(order, hold, reading, fit.delay)
