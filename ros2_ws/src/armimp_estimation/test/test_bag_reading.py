@@ -72,8 +72,9 @@ def write_mcap(
         writer.start("ros2")
         channels = {}
         for topic in dict.fromkeys(topic for topic, _, _ in messages):
-            definition = message_definition(MESSAGE_TYPES[topic])
-            schema = writer.register_schema(definition.type, "ros2msg", definition.text.encode())
+            kind = MESSAGE_TYPES[topic]
+            text, _ = message_definition(kind)
+            schema = writer.register_schema(kind, "ros2msg", text.encode())
             channels[topic] = writer.register_channel(absolute(topic), encoding, schema)
         for topic, log_time_ns, raw in messages:
             writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)

@@ -54,9 +54,9 @@ def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> Raw
             files = [path]
         else:
             raise BagError(f"{path}: does not exist")
-        messages = RawMessages(Budget(str(path), _size_of(files), trust=trust))
+        messages = RawMessages(Budget(str(path), _size_of(files), trust=trust), wanted)
         for file in files:
-            _read_file(file, wanted, messages)
+            _read_file(file, messages)
         _decompress_messages(messages)
         messages.sort()
     except OSError as error:
@@ -160,32 +160,30 @@ def _size_of(files: Sequence[Path]) -> int:
     return size
 
 
-def _read_file(path: Path, wanted: TopicFilter, into: RawMessages) -> None:
+def _read_file(path: Path, into: RawMessages) -> None:
     with open_regular(path) as file:
         if file.read(len(_ZSTD_MAGIC)) != _ZSTD_MAGIC:
             file.seek(0)
-            _read_uncompressed(path, file, str(path), wanted, into)
+            _read_uncompressed(path, file, str(path), into)
             return
         file.seek(0)
         with tempfile.TemporaryDirectory() as directory:
             copy = Path(directory) / "bag"
             into.budget.copy_unzstd(file, copy)
             with copy.open("rb") as content:
-                _read_uncompressed(copy, content, str(path), wanted, into)
+                _read_uncompressed(copy, content, str(path), into)
 
 
-def _read_uncompressed(
-    path: Path, file: BinaryIO, name: str, wanted: TopicFilter, into: RawMessages
-) -> None:
+def _read_uncompressed(path: Path, file: BinaryIO, name: str, into: RawMessages) -> None:
     size = os.fstat(file.fileno()).st_size
     head = file.read(len(_SQLITE_MAGIC))
     file.seek(0)
     if size == 0:
         raise BagError(f"{name}: is empty")
     if head.startswith(MAGIC):
-        read_mcap(file, size, name=name, wanted=wanted, into=into)
+        read_mcap(file, size, name=name, into=into)
     elif head == _SQLITE_MAGIC:
-        read_sqlite(path, name=name, wanted=wanted, into=into)
+        read_sqlite(path, name=name, into=into)
     elif head.startswith(_ROS1_MAGIC):
         raise BagError(f"{name}: is a ROS 1 bag; convert it with rosbags-convert")
     elif MAGIC.startswith(head) or _SQLITE_MAGIC.startswith(head):

@@ -24,7 +24,6 @@ from armimp_estimation.bags.raw import (
     NODE_COST,
     RECORD_COST,
     RawMessages,
-    TopicFilter,
     one_line,
 )
 
@@ -40,9 +39,7 @@ _DAMAGE: Final = (
 """What parsing can raise on bytes that are not what they claim to be."""
 
 
-def read_mcap(
-    file: BinaryIO, size: int, *, name: str, wanted: TopicFilter, into: RawMessages
-) -> None:
+def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> None:
     """Read an MCAP file up to its end, or up to the last complete record before a cut.
 
     Parameters
@@ -53,8 +50,6 @@ def read_mcap(
         Its length in bytes.
     name : str
         The file for error messages.
-    wanted : callable
-        Tells for a topic name whether its messages are wanted.
     into : RawMessages
         Takes topics, messages, metadata and a note of the cut.
 
@@ -64,7 +59,7 @@ def read_mcap(
         If a record is damaged, a wanted topic is not CDR, or the file holds more than `into` has
         a budget for.
     """
-    reading = _McapReading(name, wanted, into)
+    reading = _McapReading(name, into)
     position = len(file.read(len(MAGIC)))
     while True:
         head = file.read(_RECORD_HEAD.size)
@@ -93,9 +88,8 @@ def read_mcap(
 class _McapReading:
     """State of the reading of one file."""
 
-    def __init__(self, name: str, wanted: TopicFilter, into: RawMessages) -> None:
+    def __init__(self, name: str, into: RawMessages) -> None:
         self._name = name
-        self._wanted = wanted
         self._into = into
         self._spend = into.budget.spend
         self._types: dict[int, str] = {}
@@ -122,7 +116,7 @@ class _McapReading:
 
     def _channel(self, channel: Channel) -> None:
         topic = self._into.topic_index(channel.topic, self._types.get(channel.schema_id, ""))
-        if self._wanted(channel.topic):
+        if self._into.wanted(channel.topic):
             if channel.message_encoding != "cdr":
                 raise BagError(
                     f"{self._name}: topic {channel.topic} is encoded as "

@@ -10,18 +10,18 @@ from __future__ import annotations
 import fcntl
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from functools import lru_cache
-from itertools import repeat
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
+    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -31,8 +31,6 @@ from mcap.records import (
     Schema,
     Statistics,
 )
-
-from armimp_common.errors import BagError
 
 MAGIC: Final = b"\x89MCAP0\r\n"
 
@@ -49,17 +47,11 @@ FLUSH_MESSAGES: Final = 256
 FLUSH_BYTES: Final = 1 << 18
 """A chunk is closed when its messages take more bytes than this."""
 
-_COMPRESSION: Final = b"zstd"
-_CHUNK_HEAD: Final = struct.Struct(f"<BQQQQII{len(_COMPRESSION)}sQ")
-"""Head of a chunk record: opcode, length, first and last time, size and checksum of what it holds
-without compression; compression, and size with it."""
+_COMPRESSION: Final = "zstd"
 _INDEX_HEAD: Final = struct.Struct("<BQHI")
 """Head of a message index: opcode, length (of which 6 bytes here), channel, bytes of entries."""
-_ENTRY_BYTES: Final = 16
-"""Of an entry of a message index: log time and offset in the chunk, 64 bits each."""
-_SAME: Final = 15
-"""Bytes of the head before the times, which all messages of a stream share."""
-
+_ENTRY: Final = struct.Struct("<QQ")
+"""Entry of a message index: log time and offset in the chunk."""
 # Level 1: on these streams it compresses as well as level 3 in less than half of the time.
 _LEVEL: Final = 1
 
@@ -103,37 +95,25 @@ class McapFile:
         with suppress(OSError):  # Not every file system has locks.
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._position = 0
-        self._compress: Callable[[bytearray], bytes] = zstandard.ZstdCompressor(
-            level=_LEVEL
-        ).compress
+        self._compress = zstandard.ZstdCompressor(level=_LEVEL).compress
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._chunks: list[ChunkIndex] = []
         self._metadata: list[MetadataIndex] = []
-        self._counts: dict[int, int] = {}
-        self._first_ns: int | None = None
-        self._last_ns = 0
+        self.counts: dict[int, int] = {}
+        """Number of messages of each channel that were flushed."""
+        self.time_range = (0, 0)
+        """Earliest and latest log time (ns) of these; zeros if there are none."""
         self._chunk = bytearray()
         self._pending = 0
-        self._deadline_ns = 0
         self._start_ns = self._end_ns = 0
         # Log time and offset of each message of the chunk, by channel, as they are written.
-        self._index: dict[int, bytearray] = {}
+        self._index: defaultdict[int, bytearray] = defaultdict(bytearray)
         try:
             self._write(HEAD)
         except OSError:
             self._file.close()
             raise
-
-    @property
-    def counts(self) -> Mapping[int, int]:
-        """Number of messages of each channel."""
-        return self._counts
-
-    @property
-    def time_range(self) -> tuple[int, int]:
-        """Earliest and latest log time (ns) of what was flushed; zeros if nothing was."""
-        return self._first_ns or 0, self._last_ns
 
     def add_schema(self, name: str, definition: str) -> int:
         """Write the definition of a message type and return its number."""
@@ -155,8 +135,7 @@ class McapFile:
         )
         self._write(_encoded(channel))
         self._channels.append(channel)
-        self._counts[channel.id] = 0
-        self._index[channel.id] = bytearray()
+        self.counts[channel.id] = 0
         return channel.id
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
@@ -174,42 +153,40 @@ class McapFile:
         log_times : sequence of int
             Not negative, in rising order (ns).
         channels : mapping of int to sequence of bytes
-            As many messages of each channel, in the order in which those of one time are appended;
-            those of a channel are of equal length.
+            As many messages of each channel, in the order in which those of one time are appended.
 
         Raises
         ------
-        BagError
-            If they are not; nothing is appended then.
         struct.error
-            If a log time is negative or beyond 64 bits; nothing is appended then either.
+            If a log time is negative or beyond 64 bits; nothing is appended then.
         """
-        ticks = _ticks_of(*((channel, len(raws[0])) for channel, raws in channels.items()))
-        records = ticks.encode(log_times, channels)
-        start = len(self._chunk)
+        head, entry, offset = MESSAGE_HEAD.pack, _ENTRY.pack, len(self._chunk)
+        records: list[bytes] = []
+        index: list[tuple[int, bytes]] = []
+        for number, time_ns in enumerate(log_times):
+            for channel, raws in channels.items():
+                raw = raws[number]
+                records += (
+                    head(MESSAGE, BEYOND_LENGTH + len(raw), channel, 0, *[time_ns] * 2),
+                    raw,
+                )
+                index.append((channel, entry(time_ns, offset)))
+                offset += MESSAGE_HEAD.size + len(raw)
         first_ns, last_ns = log_times[0], log_times[-1]
-        self._span(first_ns, last_ns)
-        self._chunk += records
-        for channel, entries in ticks.index(log_times, start):
-            self._index[channel] += entries
-        added = len(channels) * len(log_times)
-        self._pending += added
+        if not self._chunk:
+            self._start_ns, self._end_ns = first_ns, last_ns
+        self._start_ns, self._end_ns = min(self._start_ns, first_ns), max(self._end_ns, last_ns)
+        self._chunk += b"".join(records)
+        for channel, place in index:
+            self._index[channel] += place
+        self._pending += len(index)
         # Another block like this must not lead beyond what may be lost.
         if (
-            2 * last_ns - first_ns >= self._deadline_ns
-            or self._pending + added > FLUSH_MESSAGES
+            2 * last_ns - first_ns >= self._start_ns + FLUSH_INTERVAL_NS
+            or self._pending + len(index) > FLUSH_MESSAGES
             or len(self._chunk) > FLUSH_BYTES
         ):
             self.flush()
-
-    def _span(self, first_ns: int, last_ns: int) -> None:
-        """Take account of the log times of messages that are about to be appended."""
-        if not self._chunk:
-            self._deadline_ns = first_ns + FLUSH_INTERVAL_NS
-            self._start_ns, self._end_ns = first_ns, last_ns
-        else:
-            self._start_ns = min(self._start_ns, first_ns)
-            self._end_ns = max(self._end_ns, last_ns)
 
     def flush(self) -> None:
         """Hand everything added so far to the operating system, where a kill cannot reach it.
@@ -220,32 +197,29 @@ class McapFile:
             return
         compressed = self._compress(self._chunk)
         output = bytearray(
-            _CHUNK_HEAD.pack(
-                Opcode.CHUNK,
-                _CHUNK_HEAD.size - 9 + len(compressed),
-                self._start_ns,
-                self._end_ns,
-                len(self._chunk),
-                zlib.crc32(self._chunk),
-                len(_COMPRESSION),
-                _COMPRESSION,
-                len(compressed),
+            _encoded(
+                Chunk(
+                    compression=_COMPRESSION,
+                    data=compressed,
+                    message_start_time=self._start_ns,
+                    message_end_time=self._end_ns,
+                    uncompressed_crc=zlib.crc32(self._chunk),
+                    uncompressed_size=len(self._chunk),
+                )
             )
         )
-        output += compressed
         length = len(output)
         offsets: dict[int, int] = {}
-        for channel, entries in self._index.items():
-            if entries:
-                offsets[channel] = self._position + len(output)
-                output += _INDEX_HEAD.pack(
-                    Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)
-                )
-                output += entries
+        for channel, entries in sorted(self._index.items()):
+            offsets[channel] = self._position + len(output)
+            output += _INDEX_HEAD.pack(
+                Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries)
+            )
+            output += entries
         chunk = ChunkIndex(
             chunk_start_offset=self._position,
             chunk_length=length,
-            compression=_COMPRESSION.decode(),
+            compression=_COMPRESSION,
             compressed_size=len(compressed),
             uncompressed_size=len(self._chunk),
             message_start_time=self._start_ns,
@@ -256,18 +230,17 @@ class McapFile:
         self._write(output)
         self._chunks.append(chunk)
         for channel, entries in self._index.items():
-            self._counts[channel] += len(entries) // _ENTRY_BYTES
-        first_ns = self._start_ns if self._first_ns is None else self._first_ns
-        self._first_ns = min(first_ns, self._start_ns)
-        self._last_ns = max(self._last_ns, self._end_ns)
+            self.counts[channel] += len(entries) // _ENTRY.size
+        first_ns, last_ns = self.time_range
+        first_ns = min(first_ns, self._start_ns) if len(self._chunks) > 1 else self._start_ns
+        self.time_range = first_ns, max(last_ns, self._end_ns)
         self.discard()
 
     def discard(self) -> None:
         """Forget the messages that were not flushed yet, for want of room."""
         self._chunk.clear()
         self._pending = 0
-        for entries in self._index.values():
-            entries.clear()
+        self._index.clear()
 
     def finish(self) -> None:
         """Write the summary and close the file."""
@@ -277,9 +250,9 @@ class McapFile:
             statistics = Statistics(
                 attachment_count=0,
                 channel_count=len(self._channels),
-                channel_message_counts=dict(self._counts),
+                channel_message_counts=dict(self.counts),
                 chunk_count=len(self._chunks),
-                message_count=sum(self._counts.values()),
+                message_count=sum(self.counts.values()),
                 message_start_time=first_ns,
                 message_end_time=last_ns,
                 metadata_count=len(self._metadata),
@@ -317,49 +290,3 @@ class McapFile:
                 self._file.close()
             self._position = start
             raise
-
-
-@lru_cache(maxsize=64)
-def _ticks_of(*lengths: tuple[int, int]) -> _TickRecords:
-    return _TickRecords(lengths)
-
-
-class _TickRecords:
-    """Message records of some channels, one of each, tick after tick.
-
-    `lengths` has the number of each channel and the length of its messages, in the order within a
-    tick.
-    """
-
-    def __init__(self, lengths: tuple[tuple[int, int], ...]) -> None:
-        self.lengths = lengths
-        self._heads: list[bytes] = []
-        self._offsets: list[int] = []
-        layout, size = "<", 0
-        for channel, length in lengths:
-            head = MESSAGE_HEAD.pack(MESSAGE, BEYOND_LENGTH + length, channel, 0, 0, 0)
-            self._heads.append(head[:_SAME])
-            self._offsets.append(size)
-            layout += f"{_SAME}sQQ{length}s"
-            size += MESSAGE_HEAD.size + length
-        self._pack, self._size = struct.Struct(layout).pack, size
-
-    def encode(self, log_times: Sequence[int], messages: Mapping[int, Sequence[bytes]]) -> bytes:
-        """Encode as many messages of each channel as there are log times (ns)."""
-        columns: list[Any] = []
-        for head, (channel, length) in zip(self._heads, self.lengths, strict=True):
-            if set(map(len, messages[channel])) != {length}:
-                raise BagError(f"messages of channel {channel} are not all of {length} bytes")
-            columns += [repeat(head), log_times, log_times, messages[channel]]
-        pack = self._pack
-        return b"".join([pack(*row) for row in zip(*columns, strict=False)])
-
-    def index(self, log_times: Sequence[int], start: int) -> Iterator[tuple[int, bytes]]:
-        """Index entries of each channel, if the first record is at `start` in its chunk."""
-        entries = [0] * (2 * len(log_times))
-        entries[::2] = log_times
-        pack = struct.Struct(f"<{len(entries)}Q").pack
-        stop = start + self._size * len(log_times)
-        for offset, (channel, _) in zip(self._offsets, self.lengths, strict=True):
-            entries[1::2] = range(start + offset, stop, self._size)
-            yield channel, pack(*entries)

@@ -1,7 +1,6 @@
 """``metadata.yaml`` of a rosbag2 directory: written as Jazzy does, read from any version."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
@@ -49,33 +48,16 @@ _QOS: Final[dict[str, tuple[int, str, str]]] = {
 }
 
 
-@dataclass(frozen=True, kw_only=True)
-class MessageDefinition:
-    """What a bag says about a message type.
+@cache
+def message_definition(type_name: str) -> tuple[str, str]:
+    """Definition of a message type of ROS 2 Jazzy, by its full name.
 
-    Parameters
-    ----------
-    type : str
-        Full name, e.g. ``sensor_msgs/msg/JointState``.
+    Returns
+    -------
     text : str
         The definition followed by those of all types it is made of (encoding ``ros2msg``).
     type_hash : str
         RIHS01 hash of the type description, by which ROS 2 compares types.
-    """
-
-    type: str
-    text: str
-    type_hash: str
-
-
-@cache
-def message_definition(type_name: str) -> MessageDefinition:
-    """Definition of a message type of ROS 2 Jazzy.
-
-    Parameters
-    ----------
-    type_name : str
-        Full name, e.g. ``sensor_msgs/msg/JointState``.
 
     Raises
     ------
@@ -86,8 +68,7 @@ def message_definition(type_name: str) -> MessageDefinition:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_JAZZY)
-    text, _ = store.generate_msgdef(type_name, ros_version=2)
-    return MessageDefinition(type=type_name, text=text, type_hash=store.hash_rihs01(type_name))
+    return store.generate_msgdef(type_name, ros_version=2)[0], store.hash_rihs01(type_name)
 
 
 def qos_profiles(topic: str) -> list[dict[str, Any]]:
@@ -110,14 +91,8 @@ def qos_profiles(topic: str) -> list[dict[str, Any]]:
 
 def dump(value: object) -> str:
     """Serialise a document to YAML, in block style and with its keys in their order."""
-    text: str = yaml.dump(
-        value,
-        Dumper=_DUMPER,
-        sort_keys=False,
-        default_flow_style=False,
-        allow_unicode=True,
-        width=1_000_000,
-    )
+    style: dict[str, Any] = {"sort_keys": False, "default_flow_style": False, "width": 1_000_000}
+    text: str = yaml.dump(value, Dumper=_DUMPER, allow_unicode=True, **style)
     return text
 
 
@@ -156,7 +131,7 @@ def bag_information(
                     "type": MESSAGE_TYPES[topic],
                     "serialization_format": "cdr",
                     "offered_qos_profiles": qos_profiles(topic),
-                    "type_description_hash": message_definition(MESSAGE_TYPES[topic]).type_hash,
+                    "type_description_hash": message_definition(MESSAGE_TYPES[topic])[1],
                 },
                 "message_count": messages,
             }
@@ -214,11 +189,8 @@ def read_metadata(file: Path) -> tuple[list[Path], dict[str, str]]:
     if not information:
         raise BagError(f"{file}: not the metadata of a bag: {_ROOT} is missing")
     paths = information.get("relative_file_paths")
-    if (
-        not isinstance(paths, list)
-        or not paths
-        or not all(isinstance(path, str) and Path(path).name for path in paths)
-    ):
+    listed = isinstance(paths, list) and all(isinstance(p, str) and Path(p).name for p in paths)
+    if not paths or not listed:
         raise BagError(f"{file}: lists no storage files in relative_file_paths")
     # Old versions wrote the path from the parent directory; the files are always beside.
     files = dict.fromkeys(file.parent / Path(path).name for path in paths)

@@ -131,7 +131,6 @@ class Budget:
 
 
 TopicFilter: TypeAlias = Callable[[str], object]
-"""Tells from the name of a topic whether its messages are wanted."""
 _LONGEST: Final = 300
 
 
@@ -149,6 +148,8 @@ class RawMessages:
     ----------
     budget : Budget
         What reading may still cost.
+    wanted : callable
+        Tells for a topic name whether its messages are wanted.
     topics : list of tuple of str
         Name and message type of each recorded topic, wanted or not; the type is empty where
         the file does not say.
@@ -161,6 +162,7 @@ class RawMessages:
     """
 
     budget: Budget
+    wanted: TopicFilter
     topics: list[tuple[str, str]] = field(default_factory=list)
     topic_indices: list[int] = field(default_factory=list)
     log_times: list[int] = field(default_factory=list)

@@ -15,7 +15,6 @@ from armimp_estimation.bags.raw import (
     NODE_COST,
     RECORD_COST,
     RawMessages,
-    TopicFilter,
     one_line,
 )
 
@@ -29,7 +28,7 @@ _FREE_STEPS: Final = 10_000_000
 _STEPS_PER_BYTE: Final = 4
 
 
-def read_sqlite(path: Path, *, name: str, wanted: TopicFilter, into: RawMessages) -> None:
+def read_sqlite(path: Path, *, name: str, into: RawMessages) -> None:
     """Read an SQLite3 storage file, up to the first damaged page.
 
     Only plain tables are read: views and generated columns are programs of whoever made the file. A
@@ -43,8 +42,6 @@ def read_sqlite(path: Path, *, name: str, wanted: TopicFilter, into: RawMessages
         The file.
     name : str
         The file for error messages.
-    wanted : callable
-        Tells for a topic name whether its messages are wanted.
     into : RawMessages
         Takes topics, messages, metadata and a note of the cut.
 
@@ -61,14 +58,14 @@ def read_sqlite(path: Path, *, name: str, wanted: TopicFilter, into: RawMessages
         files[log] = log.stat().st_size
     rest = _part_of_a_page(path) if len(files) == 1 else 0
     if len(files) == 1 and not rest:
-        _read(path, "mode=ro&immutable=1", sum(files.values()), name, wanted, into)
+        _read(path, "mode=ro&immutable=1", sum(files.values()), name, into)
         return
     with tempfile.TemporaryDirectory() as directory:
         for file, size in files.items():
             # SQLite would fill the rest of the last page with zeros, and messages with it.
             _copy(file, Path(directory) / file.name, size - rest)
         mode = "mode=ro&immutable=1" if rest else "mode=rw"
-        _read(Path(directory) / path.name, mode, sum(files.values()), name, wanted, into)
+        _read(Path(directory) / path.name, mode, sum(files.values()), name, into)
 
 
 def _copy(source: Path, target: Path, size: int) -> None:
@@ -88,9 +85,7 @@ def _part_of_a_page(path: Path) -> int:
     return size % page if 512 <= page <= size else 0
 
 
-def _read(
-    path: Path, mode: str, size: int, name: str, wanted: TopicFilter, into: RawMessages
-) -> None:
+def _read(path: Path, mode: str, size: int, name: str, into: RawMessages) -> None:
     uri = f"file:{quote(str(path.absolute()))}?{mode}"
     free = sys.maxsize if into.budget.trust else _FREE_STEPS + _STEPS_PER_BYTE * size
     steps = iter(range(0, free, _STEPS))
@@ -100,7 +95,7 @@ def _read(
             for table in ("topics", "messages"):
                 if not _is_plain(database, table):
                     raise BagError(f"{name}: not a readable SQLite3 bag: no plain table {table}")
-            topics = _topics(database, name, wanted, into)
+            topics = _topics(database, name, into)
             with suppress(*_DAMAGE):
                 if _is_plain(database, "metadata"):  # from version 4 of the schema on
                     _metadata(database, into)
@@ -125,15 +120,13 @@ def _is_plain(database: sqlite3.Connection, table: str) -> bool:
     return bool(database.execute(hidden, (table,)).fetchone() == (0,))
 
 
-def _topics(
-    database: sqlite3.Connection, name: str, wanted: TopicFilter, into: RawMessages
-) -> dict[int, int]:
+def _topics(database: sqlite3.Connection, name: str, into: RawMessages) -> dict[int, int]:
     topics: dict[int, int] = {}
     query = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
     for identity, topic, message_type, encoding in database.execute(query):
         into.budget.spend(RECORD_COST)
         index = into.topic_index(str(topic), str(message_type))
-        if wanted(str(topic)):
+        if into.wanted(str(topic)):
             if encoding != "cdr":
                 raise BagError(f"{name}: topic {topic} is encoded as {encoding!r}, not as cdr")
             topics[identity] = index

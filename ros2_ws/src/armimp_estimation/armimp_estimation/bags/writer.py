@@ -6,7 +6,6 @@ import struct
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final
 
 from armimp_common.errors import BagError, ConfigurationError
@@ -108,7 +107,7 @@ class BagWriter:
             Times of reception (ns), not negative, in rising order.
         messages : mapping of str to sequence of bytes
             A serialised message for each of them, by topic, in the order in which those of one
-            time are written; those of a topic are of equal length.
+            time are written.
 
         Raises
         ------
@@ -185,32 +184,20 @@ class BagWriter:
     def __enter__(self) -> "BagWriter":
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _channel(self, topic: str) -> int:
-        channel = self._channels.get(topic)
-        return self._register(topic) if channel is None else channel
-
-    def _register(self, topic: str) -> int:
-        if topic not in MESSAGE_TYPES:
+        """Channel of a topic, which is written when there is none."""
+        if topic in self._channels:
+            return self._channels[topic]
+        if (kind := MESSAGE_TYPES.get(topic)) is None:
             raise BagError(f"{self._path}: topic is not part of the contract: {topic!r}")
-        definition = message_definition(MESSAGE_TYPES[topic])
-        if definition.type not in self._schemas:
-            self._schemas[definition.type] = self._file.add_schema(definition.type, definition.text)
-        channel = self._file.add_channel(
-            absolute(topic),
-            self._schemas[definition.type],
-            {
-                "offered_qos_profiles": dump(qos_profiles(topic)),
-                "topic_type_hash": definition.type_hash,
-            },
-        )
+        text, type_hash = message_definition(kind)
+        if kind not in self._schemas:
+            self._schemas[kind] = self._file.add_schema(kind, text)
+        known = {"offered_qos_profiles": dump(qos_profiles(topic)), "topic_type_hash": type_hash}
+        channel = self._file.add_channel(absolute(topic), self._schemas[kind], known)
         self._channels[topic] = channel
         return channel
 
