@@ -119,7 +119,7 @@ def measure(experiment: SimulatedExperiment) -> dict[str, float]:
             float(ratio)
             for one in found.trials
             for joint, ratio in enumerate(one.lock_ratio)
-            if joint != one.joint
+            if joint != one.k - 1
         ),
     }
     for name, result in found.estimators.items():

@@ -185,7 +185,7 @@ def archive(file: Path, **arrays: Any) -> bytes:
         ({"f": np.array([2.0, 1.0])}, "frequencies of welch_full"),
         ({"Z_welch_full": np.zeros(3)}, "Z_welch_full has shape (3,)"),
         ({"Z_welch_full": np.array([{}], dtype=object)}, "allow_pickle"),
-        ({"averages_welch_full": np.zeros(3)}, "scalar"),
+        ({"averages_welch_full": np.zeros(3)}, "averages_welch_full has shape (3,)"),
     ],
 )
 def test_wrong_arrays_of_curves_are_named(

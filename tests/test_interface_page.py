@@ -53,7 +53,7 @@ from armimp_estimation.messages import (
 )
 from armimp_estimation.metadata import READING_KEYS, Timing
 from armimp_estimation.parameters import EstimatorParameters
-from armimp_estimation.result import Result, summarise
+from armimp_estimation.result import Result
 from armimp_estimation.summary import (
     EstimatorSummary,
     OriginSummary,
@@ -214,9 +214,8 @@ def test_the_keys_of_a_column_are_those_of_the_code(trials: list[TrialData]) -> 
 
 def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identification) -> None:
     names = identification.joint_names
-    summary = summarise(
-        identification, [], config={}, joint_names=names, seed=1, truth=None, problems=[]
-    )
+    rest: dict[str, Any] = {"config": {}, "seed": 1, "problems": [], "trials": []}
+    summary = Summary.of(identification, joint_names=names, truth=None, **rest)
     message = result_message(Result(summary=summary, curves=curves_of(identification)))
     assert _keys("Conclusion") == {_general(key) for key in values_of(message)}
     assert f"`{RESULT_NAME}`" in PAGE

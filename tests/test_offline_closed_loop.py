@@ -116,9 +116,10 @@ def test_score_of_the_realisation_is_what_sines_show_of_the_robot() -> None:
         shown = np.array([_shown(_plant(0), "observer", f, joint) for f in frequencies])
         deviation = np.linalg.norm(shown[:, 0] - shown[:, 1]) / np.linalg.norm(shown[:, 1])
         assert 0.03 < deviation < 0.1
-        assert trial.realisation[0] == pytest.approx(deviation, rel=0.1)
-        assert trial.realisation[1] <= trial.realisation[0] <= trial.realisation[2]
-    assert all(np.isnan(one.realisation).all() for one in without_target.trials)
+        assert trial.realisation == pytest.approx(deviation, rel=0.1)
+        lower, upper = trial.realisation_ci
+        assert lower <= trial.realisation <= upper
+    assert all(np.isnan(one.realisation) for one in without_target.trials)
 
 
 @pytest.mark.parametrize("internal_model", ["tde", "observer"])

@@ -16,14 +16,12 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.atomic_write import open_regular, write_atomically
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.identify import EstimatorResult
 from armimp_estimation.scores import Coherences
 
 FRF_FILE = "frf.npz"
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
-Complex64Array = NDArray[np.complex64]
 
 _MOST_BYTES: Final = 512 << 20
 
@@ -37,40 +35,15 @@ _UNREADABLE: Final = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImpedanceCurve:
-    """What an estimator found over frequency, as ``frf.npz`` holds it.
+class ImpedanceCurve(ImpedanceEstimate):
+    """What ``frf.npz`` holds of an estimate, its covariances in single precision.
 
     Attributes
     ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    Z, T, R : ndarray, shape (n, n, n_freq)
-        Impedance (N·m/rad), and responses of torques and of angles (rad/(N·m)) behind it.
-    variance : ndarray, shape (n, n, n_freq)
-        Variance of each complex value of Z.
-    averages : float
-        Effective number of averages behind it, for confidence bands.
-    bin_correlation : ndarray, shape (lags, n_freq)
-        Of the errors at each frequency and those above it.
-    systematics : ndarray, shape (errors, n, n, n_freq)
-    covariance, disturbance, inverse : ndarray or None
-        As those of :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`; the first two
-        in single precision.
     coherence : Coherences
         Over the frequencies of the spectra.
     """
 
-    f: FloatArray
-    Z: ComplexArray
-    T: ComplexArray
-    R: ComplexArray
-    variance: FloatArray
-    averages: float
-    bin_correlation: FloatArray
-    covariance: Complex64Array | None
-    disturbance: Complex64Array | None
-    inverse: ComplexArray | None
-    systematics: ComplexArray
     coherence: Coherences
 
     @classmethod
@@ -80,8 +53,7 @@ class ImpedanceCurve:
         kept = {one.attribute: getattr(estimate, one.attribute) for one in _STORED.values()}
         for name in ("covariance", "disturbance"):
             kept[name] = None if kept[name] is None else kept[name].astype(np.complex64)
-        kept["systematics"] = np.array(estimate.systematics).reshape(-1, *estimate.Z.shape)
-        return cls(f=estimate.f, coherence=result.coherence, **kept)
+        return cls(name=estimate.name, f=estimate.f, coherence=result.coherence, **kept)
 
 
 class _Stored(NamedTuple):
@@ -133,6 +105,7 @@ def write_frf(path: Path, curves: Mapping[str, ImpedanceCurve]) -> None:
     for name, curve in curves.items():
         arrays[f"f_{name}"] = None if np.array_equal(curve.f, first.f) else curve.f
         arrays |= {f"{key}_{name}": getattr(curve, one.attribute) for key, one in _STORED.items()}
+        arrays[f"systematics_{name}"] = np.array(curve.systematics).reshape(-1, *curve.Z.shape)
         arrays[f"derived_{name}"] = curve.coherence.derived
 
     def save(part: Path) -> None:
@@ -159,8 +132,6 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
                 raise ValueError(f"it holds {size} bytes")
             names = [key[2:] for key in file.files if key.startswith("Z_")]
             curves = {name: _curve(file, name) for name in names}
-        for name, curve in curves.items():
-            _check(name, curve)
     except _UNREADABLE as error:
         text = getattr(error, "strerror", None) or str(error)
         reason = " ".join(text.split()) or type(error).__name__
@@ -169,47 +140,24 @@ def read_frf(path: Path) -> dict[str, ImpedanceCurve]:
 
 
 def _curve(file: Any, name: str) -> ImpedanceCurve:
-    found: dict[str, Any] = {
-        one.attribute: file[f"{key}_{name}"]
-        if f"{key}_{name}" in file.files or not one.optional
-        else None
-        for key, one in _STORED.items()
-    }
-    found["averages"] = float(found["averages"])
-    return ImpedanceCurve(
-        f=file[f"f_{name}" if f"f_{name}" in file.files else "f"],
-        coherence=Coherences(
-            f=file["f_coherence"],
-            motion=file["coherence_motion"],
-            torque=file["coherence_torque"],
-            derived=file[f"derived_{name}"],
-        ),
-        **found,
-    )
-
-
-def _check(name: str, curve: ImpedanceCurve) -> None:
-    """Check the arrays of one estimator.
+    """Read the arrays of one estimator.
 
     Raises
     ------
     ValueError
         If they have other shapes or types than they should, or a curve is not finite.
     """
-    n, spectra = len(curve.Z), curve.coherence
-    for where, f in ((name, curve.f), ("the coherences", spectra.f)):
-        if f.ndim != 1 or f.dtype.kind != "f" or not f.size or not (np.diff(f) > 0.0).all():
+    f = file[f"f_{name}" if f"f_{name}" in file.files else "f"]
+    spectra = file["f_coherence"]
+    for where, grid in ((name, f), ("the coherences", spectra)):
+        ascends = grid.ndim == 1 and grid.dtype.kind == "f" and (np.diff(grid) > 0.0).all()
+        if not ascends or not grid.size or not np.isfinite(grid).all():
             raise ValueError(f"the frequencies of {where} are not an ascending row of numbers")
-    arrays = {
-        f"{key}_{name}": (np.asarray(getattr(curve, one.attribute)), one.lengths, one.kind)
-        for key, one in _STORED.items()
-        if getattr(curve, one.attribute) is not None
-    }
-    arrays["coherence_motion"] = (spectra.motion, "ns", "f")
-    arrays["coherence_torque"] = (spectra.torque, "nns", "f")
-    arrays[f"derived_{name}"] = (spectra.derived, "nns", "f")
-    sizes = {"n": n, "m": 2 * n, "f": curve.f.size, "s": spectra.f.size}
-    for key, (values, lengths, kind) in arrays.items():
+    n = len(file[f"Z_{name}"])
+    sizes = {"n": n, "m": 2 * n, "f": f.size, "s": spectra.size}
+
+    def array(key: str, lengths: str, kind: str) -> NDArray[Any]:
+        values: NDArray[Any] = file[key]
         fits = len(lengths) == values.ndim and all(
             sizes.get(letter, size) == size
             for letter, size in zip(lengths, values.shape, strict=False)
@@ -217,8 +165,23 @@ def _check(name: str, curve: ImpedanceCurve) -> None:
         if not fits or values.dtype.kind != kind:
             raise ValueError(
                 f"{key} has shape {values.shape} of {values.dtype} for {n} joints, "
-                f"{curve.f.size} frequencies"
+                f"{f.size} frequencies"
             )
-    for key in ("f", "Z", "T", "R"):
-        if not np.isfinite(getattr(curve, key)).all():
+        return values
+
+    found: dict[str, Any] = {
+        one.attribute: array(f"{key}_{name}", one.lengths, one.kind)
+        for key, one in _STORED.items()
+        if f"{key}_{name}" in file.files or not one.optional
+    }
+    for key in ("Z", "T", "R"):
+        if not np.isfinite(found[key]).all():
             raise ValueError(f"{key}_{name} is not finite")
+    found["averages"], found["systematics"] = float(found["averages"]), tuple(found["systematics"])
+    coherence = Coherences(
+        f=spectra,
+        motion=array("coherence_motion", "ns", "f"),
+        torque=array("coherence_torque", "nns", "f"),
+        derived=array(f"derived_{name}", "nns", "f"),
+    )
+    return ImpedanceCurve(name=name, f=f, coherence=coherence, **found)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
@@ -19,6 +20,7 @@ from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
 from armimp_estimation.hold_correction import HoldCorrection
+from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
@@ -90,39 +92,22 @@ class EstimatorResult:
         return scores.band_mean(self.coherence.motion)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrialScores:
-    """What one trial tells of the robot: how it locks joints, and yields to the perturbation.
+class TrialScores(JsonModel):
+    """What one trial tells of the robot: how it locks joints, and yields to the perturbation."""
 
-    Attributes
-    ----------
-    trial : int
-        Number of the trial, 1-based.
-    joint : int
-        Perturbed joint k, 0-based.
-    lock_ratio : ndarray, shape (n,)
-        Motion within the band that the perturbation causes, relative to that of joint k, 1 there.
-    bias_bound : ndarray, shape (n,)
-        Share of each torque that motion of locked joints explains, see
-        :func:`armimp_estimation.scores.bias_bound`.
-    realisation : ndarray, shape (3,)
-        Deviation of the robot from the target impedance of joint k, and the ends of its 95 %
-        interval, see :func:`armimp_estimation.scores.realisation`; NaN if that is not known.
-    """
-
-    trial: int
-    joint: int
-    lock_ratio: FloatArray
-    bias_bound: FloatArray
-    realisation: FloatArray
-
-    def figures(self) -> dict[str, Any]:
-        """Scores that are known, by their names in `summary.json`."""
-        found = {"lock_ratio": self.lock_ratio.tolist(), "bias_bound": self.bias_bound.tolist()}
-        if np.isnan(self.realisation[0]):
-            return found
-        deviation, *ends = self.realisation.tolist()
-        return {**found, "realisation": deviation, "realisation_ci": ends}
+    k: int
+    """Perturbed joint, 1-based."""
+    lock_ratio: Vector
+    """Motion of each joint within the band that the perturbation causes, relative to that of joint
+    k, 1 there."""
+    bias_bound: Vector
+    """Share of each torque that motion of locked joints explains, see
+    :func:`armimp_estimation.scores.bias_bound`."""
+    realisation: Number = math.nan
+    """Deviation of the robot from the target impedance of joint k, relative, if that is known; see
+    :func:`armimp_estimation.scores.realisation`."""
+    realisation_ci: Vector = Field(default_factory=lambda: [math.nan, math.nan])
+    """Its 95 % interval."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -285,13 +270,13 @@ def identify(
         joint_names=names,
         trials=tuple(
             TrialScores(
-                trial=trial.record.trial,
-                joint=k,
-                lock_ratio=locks[:, k].copy(),
-                bias_bound=bounds[:, k].copy(),
-                realisation=realised[k],
+                k=k + 1,
+                lock_ratio=locks[:, k].tolist(),
+                bias_bound=bounds[:, k].tolist(),
+                realisation=realised[k, 0],
+                realisation_ci=realised[k, 1:].tolist(),
             )
-            for k, trial in enumerate(ordered)
+            for k in range(len(names))
         ),
         estimators=results,
         effective_averages=averages,

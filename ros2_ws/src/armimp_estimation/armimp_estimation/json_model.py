@@ -9,7 +9,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, mo
 
 
 def _nan_for_null(value: object) -> object:
-    return math.nan if value is None else value
+    # One and the same NaN, so that models with it can be equal.
+    return math.nan if value is None or value != value else value  # noqa: PLR0124
 
 
 # JSON has no NaN or infinity: both are written as null, and null is read as NaN.

@@ -156,7 +156,7 @@ class TrialRecorder:
             self._open(status)
         self._statuses.append(status)
         if status.start_ns is not None and self._start_ns is None:
-            self._begin(status.start_ns, status.ticks)
+            self._begin(status, status.start_ns)
         self._write_statuses()
         if status.phase is Phase.ABORTED:
             self.finish()
@@ -227,8 +227,7 @@ class TrialRecorder:
 
     def coherence(self) -> tuple[float, float] | None:
         """Running coherence (motion, torque) of the present trial, see `RunningTrial`."""
-        running = self._present()
-        return None if running is None else running.coherence()
+        return None if self._running is None else self._running.coherence()
 
     def column(self) -> FittedColumn | None:
         """Column k as the present trial gives it so far, made anew at most once a second."""
@@ -249,28 +248,12 @@ class TrialRecorder:
         return self._rule.decide(self.samples, self._column_of)
 
     def _column_of(self, samples: int) -> FittedColumn | None:
-        running = self._present()
-        if running is not None:
-            self._column = running.column(samples)
+        if self._running is not None:
+            self._column = self._running.column(samples)
             if self._column is not None:
                 # Counted from the end of the estimate, which leaves a slow machine time for others.
                 self._column_at = time.monotonic()
         return self._column
-
-    def _present(self) -> RunningTrial | None:
-        status = self.status
-        if status is not None and self._start_ns is not None and self._running is None:
-            self._running = RunningTrial(
-                self._streams,
-                status.joint,
-                rate=_RATE,
-                planned=status.ticks,
-                trial=status.trial,
-                start_ns=self._start_ns,
-                lpm=self._lpm,
-                others=self._past,
-            )
-        return self._running
 
     def stop(self) -> None:
         """Finish all trials that have begun with what there is, and close the bag."""
@@ -344,14 +327,24 @@ class TrialRecorder:
         for topic, raws in messages.items():
             self._between[topic].extend(raws[first:])
 
-    def _begin(self, start_ns: int, ticks: int) -> None:
+    def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
         self._start_ns, self._began = start_ns, time.monotonic()
+        self._running = RunningTrial(
+            self._streams,
+            status.joint,
+            rate=_RATE,
+            planned=status.ticks,
+            trial=status.trial,
+            start_ns=start_ns,
+            lpm=self._lpm,
+            others=self._past,
+        )
         waiting = {topic: list(raws) for topic, raws in self._between.items()}
         for raws in self._between.values():
             raws.clear()
         # Of a trial at a later time, as when bags are replayed in any order, nothing is kept.
-        if self._between_ns <= start_ns + ticks * PERIOD_NS + _STEP_BACK_NS:
+        if self._between_ns <= start_ns + status.ticks * PERIOD_NS + _STEP_BACK_NS:
             self._keep(waiting)
 
     def _keep(self, messages: Mapping[str, Sequence[bytes]]) -> None:

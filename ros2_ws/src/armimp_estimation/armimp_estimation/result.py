@@ -6,9 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
-
-from pydantic import JsonValue
 
 from armimp_common.errors import ArmimpError, DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS, PERTURBATION
@@ -17,18 +14,15 @@ from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.curves import FRF_FILE, ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.registry import IdentifyConfig
-from armimp_estimation.identify import Identification, identify
-from armimp_estimation.mbk import MBK
+from armimp_estimation.identify import Identification, TrialScores, identify
 from armimp_estimation.metadata import Metadata
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.sampling import TOLERANCE
 from armimp_estimation.scores import coherence_significance
 from armimp_estimation.summary import (
     SUMMARY_FILE,
-    EstimatorSummary,
     Summary,
     TrialSummary,
-    TruthSummary,
     read_summary,
     write_summary,
 )
@@ -159,62 +153,23 @@ def conclude(
             found.append(Problem.of(error))
     seed = known.seed if known.seed is not None or not trials else trials[0].window.seed
     trials = sorted(trials, key=lambda trial: (trial.joint, trial.trial))
-    summary = summarise(
+    summary = Summary.of(
         identification,
-        [_trial_summary(trial, identification, len(joint_names)) for trial in trials],
-        config=known.config,
         joint_names=joint_names,
-        seed=seed,
         truth=known.truth,
+        config=known.config,
+        seed=seed,
         problems=found,
+        trials=[_trial_summary(trial, identification, len(joint_names)) for trial in trials],
+        timing=known.timing,
+        torque_reading=None if identification is None or config is None else config.lpm.reading,
     )
-    facts = {
-        "timing": known.timing,
-        "torque_reading": None if identification is None or config is None else config.lpm.reading,
-    }
     curves = {} if identification is None else identification.estimators
     return Result(
-        summary=summary.model_copy(update=facts),
+        summary=summary,
         curves={name: ImpedanceCurve.of(one) for name, one in curves.items()},
         trials=tuple(trials),
         notes=tuple(trial.note for trial in trials if trial.note),
-    )
-
-
-def summarise(
-    identification: Identification | None,
-    trials: Sequence[TrialSummary],
-    *,
-    config: Mapping[str, JsonValue],
-    joint_names: Sequence[str],
-    seed: int | None,
-    truth: MBK | None,
-    problems: Sequence[Problem],
-) -> Summary:
-    """Put an identification, or none if nothing could be estimated, into a summary.
-
-    Parameters
-    ----------
-    identification : Identification or None
-        Estimates.
-    trials : sequence of TrialSummary
-        In the order of the perturbed joints.
-    config, joint_names, seed, truth, problems
-        As :class:`Summary` has them.
-    """
-    found = {} if identification is None else identification.estimators
-    deciding = () if identification is None else identification.deciding
-    return Summary(
-        config=dict(config),
-        joints=len(joint_names),
-        joint_names=list(joint_names),
-        seed=seed,
-        problems=list(problems),
-        trials=list(trials),
-        estimators={
-            name: EstimatorSummary.of(one, decides=name in deciding) for name, one in found.items()
-        },
-        truth=None if truth is None else TruthSummary.of(truth),
     )
 
 
@@ -263,18 +218,15 @@ def _trial_summary(
 ) -> TrialSummary:
     """Summary of a trial; without scores if nothing could be estimated."""
     unknown = [math.nan] * joints
-    figures: dict[str, Any] = {"lock_ratio": unknown, "bias_bound": unknown}
-    for scores in () if identification is None else identification.trials:
-        if scores.joint == trial.joint:
-            figures = scores.figures()
+    scores = TrialScores(k=trial.joint + 1, lock_ratio=unknown, bias_bound=unknown)
+    found = () if identification is None else identification.trials
     return TrialSummary(
-        k=trial.joint + 1,
+        **dict(next((one for one in found if one.k == trial.joint + 1), scores)),
+        **dict(trial.statistics),
         bag=trial.bag,
         ticks=trial.statistics.streams[PERTURBATION].received,
-        **figures,
         rtf=trial.rtf,
         saved=trial.window.saved * PERIOD_NS / NS_PER_S,
-        **dict(trial.statistics),
     )
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Sequence, Sized
+from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field, JsonValue, ValidationError, computed_field, model_validator
@@ -17,7 +17,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.alignment.assemble import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.atomic_write import read_bytes, write_atomically
-from armimp_estimation.identify import EstimatorResult
+from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.mbk import MBK
 from armimp_estimation.metadata import Timing
@@ -72,40 +72,29 @@ class ModelSummary(JsonModel):
     @classmethod
     def of(cls, fit: ModelFit) -> ModelSummary:
         """Summary of a fitted model."""
-        parameters = {
-            one.name: {
-                "values": fit.values[one.name].ravel().tolist(),
-                "errors": fit.errors[one.name].ravel().tolist(),
-                "unit": one.unit,
-            }
-            for one in fit.model.parameters
-        }
-        return cls.model_validate(
-            {
-                "equation": fit.model.equation,
-                "parameters": parameters,
-                "lack_of_fit": fit.lack.tolist(),
-                "held_out": fit.held_out,
-                "criterion": fit.criterion,
-                "fits": fit.fits,
-            }
+        return cls(
+            equation=fit.model.equation,
+            parameters={
+                one.name: ModelParameterSummary(
+                    values=fit.values[one.name].ravel().tolist(),
+                    errors=fit.errors[one.name].ravel().tolist(),
+                    unit=one.unit,
+                )
+                for one in fit.model.parameters
+            },
+            lack_of_fit=fit.lack.tolist(),
+            held_out=fit.held_out,
+            criterion=fit.criterion,
+            fits=fit.fits,
         )
 
 
-class TrialSummary(StreamStatistics):
-    """One trial, with the account of its samples."""
+class TrialSummary(TrialScores, StreamStatistics):
+    """One trial: its scores, and the account of its samples."""
 
-    k: int
-    """Perturbed joint, 1-based."""
     bag: str | None = None
     ticks: int
     """Samples of the trial."""
-    lock_ratio: Vector
-    bias_bound: Vector
-    realisation: Number = math.nan
-    """Deviation of the robot from the target impedance of joint k, relative."""
-    realisation_ci: Vector = Field(default_factory=lambda: [math.nan, math.nan])
-    """Its 95 % interval."""
     rtf: Number = math.nan
     """Times real time at which the trial ran; null if it was not run live."""
     saved: Number = 0.0
@@ -235,6 +224,32 @@ class Summary(JsonModel):
     origin: OriginSummary | None = None
     """Of a result from the command line."""
 
+    @classmethod
+    def of(
+        cls,
+        identification: Identification | None,
+        *,
+        joint_names: Sequence[str],
+        truth: MBK | None,
+        **content: Any,
+    ) -> Self:
+        """Summary of an identification, or of none if nothing could be estimated.
+
+        Names of the joints and true matrices are given, too, and all other content as it is.
+        """
+        found = {} if identification is None else identification.estimators
+        deciding = () if identification is None else identification.deciding
+        estimators = {
+            name: EstimatorSummary.of(one, decides=name in deciding) for name, one in found.items()
+        }
+        return cls(
+            joints=len(joint_names),
+            joint_names=list(joint_names),
+            estimators=estimators,
+            truth=None if truth is None else TruthSummary.of(truth),
+            **content,
+        )
+
     @computed_field  # type: ignore[prop-decorator]
     @property
     def verdict(self) -> Verdict:
@@ -270,33 +285,34 @@ class Summary(JsonModel):
 
     @model_validator(mode="after")
     def _check_shapes(self) -> Self:
-        self._check_length("joint_names", self.joint_names)
+        n = self.joints
+        self._check_shape("joint_names", self.joint_names, n)
         for name, estimator in self.estimators.items():
             self._check_matrices(f"estimators.{name}", estimator)
-            self._check_length(f"estimators.{name}.coherence_motion", estimator.coherence_motion)
-            parameters = 3 * self.joints**2
+            where = f"estimators.{name}.coherence_motion"
+            self._check_shape(where, estimator.coherence_motion, n)
             sizes = {len(estimator.covariance), *map(len, estimator.covariance)}
-            if sizes != {parameters}:
-                raise ValueError(f"estimators.{name}.covariance is not of {parameters} parameters")
+            if sizes != {3 * n**2}:
+                raise ValueError(f"estimators.{name}.covariance is not of {3 * n**2} parameters")
         if self.truth is not None:
             self._check_matrices("truth", self.truth)
         for number, trial in enumerate(self.trials):
-            if not 1 <= trial.k <= self.joints:
-                raise ValueError(f"trials.{number}.k = {trial.k} is none of {self.joints} joints")
-            self._check_length(f"trials.{number}.lock_ratio", trial.lock_ratio)
-            self._check_length(f"trials.{number}.bias_bound", trial.bias_bound)
+            if not 1 <= trial.k <= n:
+                raise ValueError(f"trials.{number}.k = {trial.k} is none of {n} joints")
+            self._check_shape(f"trials.{number}.lock_ratio", trial.lock_ratio, n)
+            self._check_shape(f"trials.{number}.bias_bound", trial.bias_bound, n)
         return self
 
     def _check_matrices(self, name: str, part: JsonModel) -> None:
         for field, value in part:
             if isinstance(value, list) and field not in ("coherence_motion", "covariance"):
-                self._check_length(f"{name}.{field}", value)
-                for row in value:
-                    self._check_length(f"a row of {name}.{field}", row)
+                self._check_shape(f"{name}.{field}", value, self.joints, self.joints)
 
-    def _check_length(self, name: str, values: Sized) -> None:
-        if len(values) != self.joints:
+    def _check_shape(self, name: str, values: Sequence[Any], length: int, *others: int) -> None:
+        if len(values) != length:
             raise ValueError(f"{name} has {len(values)} values for {self.joints} joints")
+        for row in values if others else ():
+            self._check_shape(f"a row of {name}", row, *others)
 
 
 def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
@@ -305,9 +321,7 @@ def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
     Parameters
     ----------
     path : Path
-        The file.
     summary : Summary
-        Its content.
     anew : bool
         Whether to put it in the place of a file that is there, which stays if that fails.
 

@@ -32,6 +32,7 @@ def stored(
     flat = np.zeros((1, 1, F.size))
     none = np.zeros((1, 1, F.size), dtype=np.complex128)
     return ImpedanceCurve(
+        name="made",
         f=F,
         Z=values[None, None],
         T=none,
@@ -39,10 +40,6 @@ def stored(
         variance=np.full((1, 1, F.size), deviation**2),
         averages=averages,
         bin_correlation=np.ones((1, F.size)),
-        covariance=None,
-        disturbance=None,
-        inverse=None,
-        systematics=np.zeros((0, 1, 1, F.size), np.complex128),
         coherence=Coherences(f=F, motion=flat[0], torque=flat, derived=flat),
     )
 

@@ -528,7 +528,7 @@ def test_curves_come_back_bit_by_bit_each_with_its_own_frequencies(
     identification: Identification, tmp_path: Path
 ) -> None:
     curves = curves_of(identification)
-    curves["fine"] = replace(curves["welch_siso"], f=curves["welch_siso"].f + 1.0)
+    curves["fine"] = replace(curves["welch_siso"], name="fine", f=curves["welch_siso"].f + 1.0)
     for name in ("one", "two"):
         write_frf(tmp_path / f"{name}.npz", curves)
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()

@@ -19,7 +19,6 @@ from armimp_bringup.study.store import ConditionResult, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.result import summarise
 from armimp_estimation.summary import TrialSummary
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
@@ -147,26 +146,23 @@ def estimate_condition(
     except ArmimpError as error:
         raise DataError(f"{condition}: {error}") from None
     described = json.loads(parameters.estimator.bag_metadata()["config"])
-    summary = summarise(
+    entry = StudyEntry.of(
         identification,
-        [
-            TrialSummary(
-                k=scores.joint + 1,
-                ticks=record.samples,
-                **scores.figures(),
-            )
-            for record, scores in zip(experiment.records, identification.trials, strict=True)
-        ],
+        joint_names=identification.joint_names,
+        truth=identification.truth,
         # The software that the study as a whole is made with, wherever this runs.
         config=described | dict(batch.software),
-        joint_names=identification.joint_names,
         seed=condition.seed,
-        truth=identification.truth,
-        problems=identification.problems,
+        problems=list(identification.problems),
+        trials=[
+            TrialSummary(ticks=record.samples, **dict(scores))
+            for record, scores in zip(experiment.records, identification.trials, strict=True)
+        ],
+        friction=condition.friction,
+        resolution=condition.resolution,
+        perturbation=condition.perturbation,
     )
-    fields = {name: getattr(summary, name) for name in type(summary).model_fields}
-    levels = {name: getattr(condition, name) for name in ("friction", "resolution", "perturbation")}
-    return ConditionResult(entry=StudyEntry(**fields, **levels), results=identification.estimators)
+    return ConditionResult(entry=entry, results=identification.estimators)
 
 
 def as_ready(work: Callable[[Task], Done], tasks: Sequence[Task], workers: int) -> Iterator[Done]:
