@@ -36,15 +36,10 @@ _UNREADABLE: Final = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpedanceCurve(ImpedanceEstimate):
-    """What ``frf.npz`` holds of an estimate, its covariances in single precision.
-
-    Attributes
-    ----------
-    coherence : Coherences
-        Over the frequencies of the spectra.
-    """
+    """What ``frf.npz`` holds of an estimate, its covariances in single precision."""
 
     coherence: Coherences
+    """Over the frequencies of the spectra."""
 
     @classmethod
     def of(cls, result: EstimatorResult) -> ImpedanceCurve:

@@ -41,27 +41,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EstimatorResult:
-    """What one estimator found, and how well.
-
-    Attributes
-    ----------
-    estimate : ImpedanceEstimate
-        Impedance over frequency.
-    fit : MBKFit
-        M, B, K with standard errors and R².
-    vaf : ndarray, shape (n, n), or None
-        Variance accounted for, %, if the truth is known.
-    coherence : Coherences
-        Over frequency.
-    models : tuple of ModelFit
-        Models of the arm that were fitted beside M, B and K.
-    """
+    """What one estimator found, and how well."""
 
     estimate: ImpedanceEstimate
+    """Impedance over frequency."""
     fit: MBKFit
+    """M, B, K with standard errors and R²."""
     vaf: FloatArray | None
+    """Variance accounted for, %, if the truth is known; shape (n, n)."""
     coherence: scores.Coherences
+    """Over frequency."""
     models: tuple[ModelFit, ...] = ()
+    """Models of the arm that were fitted beside M, B and K."""
 
     def with_doubts(self, shifts: Sequence[FloatArray]) -> EstimatorResult:
         """Return the same with changes of M, B and K, (3, n, n), as more standard errors."""
@@ -112,36 +103,24 @@ class TrialScores(JsonModel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Identification:
-    """Result of an identification.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-        Names of the n joints.
-    trials : tuple of TrialScores
-        In order of the perturbed joint.
-    estimators : dict of str to EstimatorResult
-        By name, in the order asked for.
-    effective_averages : float
-        Number of independent averages of the spectra (of the shortest trial).
-    coherence_significance : float
-        Coherence below which signals count as unrelated.
-    problems : tuple of Problem
-        What is wrong with the result, and what was found and put right.
-    truth : MBK or None
-        True matrices, if known.
-    balance : RobotBalance or None
-        What the commands move, if they are known.
-    """
+    """Result of an identification."""
 
     joint_names: tuple[str, ...]
+    """Names of the n joints."""
     trials: tuple[TrialScores, ...]
+    """In order of the perturbed joint."""
     estimators: dict[str, EstimatorResult]
+    """By name, in the order asked for."""
     effective_averages: float
+    """Number of independent averages of the spectra (of the shortest trial)."""
     coherence_significance: float
+    """Coherence below which signals count as unrelated."""
     problems: tuple[Problem, ...]
+    """What is wrong with the result, and what was found and put right."""
     truth: MBK | None
+    """True matrices, if known."""
     balance: RobotBalance | None = None
+    """What the commands move, if they are known."""
 
     @property
     def deciding(self) -> tuple[str, ...]:

@@ -128,48 +128,34 @@ _Known = Annotated[float | None, Field(strict=True)]
 
 
 class Metadata(BaseModel):
-    """What is known of an experiment beside its samples, by the names that bags have for it.
-
-    Attributes
-    ----------
-    config : dict
-        Configuration; empty if it is not known.
-    truth : MBK or None
-        True matrices, as far as there are any.
-    seed : int or None
-        Of all random signals.
-    timing : Timing or None
-        Of a run in real time.
-    torque_timing : TorqueTiming
-        When torques are read.
-    torque_uncertainty : float or None
-        Standard error with which that instant is known, s.
-    torque_delay, torque_cutoff, torque_order, actuator_lag : float or int or None
-        What else is known of the readings, see :class:`TorqueReading`.
-    gain_uncertainty, cross_talk_uncertainty : float or None
-        What is declared of the transducers, see :class:`Calibration`.
-    sampling_rate : float or None
-        Rate that was declared, where it is an uncustomary one, Hz.
-    arm_model : str
-        Model of the arm that was asked for.
-    """
+    """What is known of an experiment beside its samples, by the names that bags have for it."""
 
     model_config = ConfigDict(frozen=True, arbitrary_types_allowed=True)
 
     config: dict[str, Any] = {}
+    """Configuration; empty if it is not known."""
     truth: Annotated[MBK | None, BeforeValidator(_matrices)] = None
+    """True matrices, as far as there are any."""
     seed: Annotated[int | None, BeforeValidator(lambda v: v if type(v) is int else None)] = None
+    """Of all random signals."""
     timing: Timing | None = None
+    """Of a run in real time."""
     torque_timing: TorqueTiming = TorqueTiming.UNKNOWN
+    """When torques are read."""
     torque_uncertainty: Annotated[float | None, Field(strict=True, ge=0.0, le=1.0)] = None
+    """Standard error with which that instant is known, s."""
     torque_delay: _Known = None
     torque_cutoff: _Known = None
     torque_order: Annotated[int | None, Field(strict=True)] = None
     actuator_lag: _Known = None
+    """What else is known of the readings, see :class:`TorqueReading`."""
     gain_uncertainty: _Known = None
     cross_talk_uncertainty: _Known = None
+    """What is declared of the transducers, see :class:`Calibration`."""
     sampling_rate: _Known = None
+    """Rate that was declared, where it is an uncustomary one, Hz."""
     arm_model: Annotated[str, AfterValidator(require_model)] = AUTO
+    """Model of the arm that was asked for."""
 
     @classmethod
     def of(cls, metadata: Mapping[str, str], joints: int | None = None) -> Metadata:

@@ -109,21 +109,14 @@ class ProblemCode(str, Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """A kind of problems, for all of which the same advice holds.
-
-    Attributes
-    ----------
-    title : str
-        The kind in plain words.
-    advice : str
-        What it means and what to do about it.
-    sentences : mapping of ProblemCode to str
-        One sentence for each code, with places for its values.
-    """
+    """A kind of problems, for all of which the same advice holds."""
 
     title: str
+    """The kind in plain words."""
     advice: str
+    """What it means and what to do about it."""
     sentences: Mapping[ProblemCode, str]
+    """One sentence for each code, with places for its values."""
 
 
 @cache
@@ -147,30 +140,20 @@ def kind_of(code: ProblemCode) -> Kind:
 
 
 class Problem(JsonModel):
-    """Something that is wrong with a result, or that was found and corrected.
-
-    Attributes
-    ----------
-    code : ProblemCode
-        Kind of problem.
-    concern : Concern
-        Which verdict it concerns; what concerns the impedance concerns the parameters as well.
-    severity : Severity
-        Whether it makes that verdict say not valid.
-    trial : int or None
-        Number of the trial, 1-based, if it is of one.
-    estimator : str
-        The estimator, if only the estimate of one is concerned.
-    values : mapping of str to float, int or str
-        What the sentence of the code tells.
-    """
+    """Something that is wrong with a result, or that was found and corrected."""
 
     code: ProblemCode
+    """Kind of problem."""
     concern: Concern = Concern.IMPEDANCE
+    """Which verdict it concerns; what concerns the impedance concerns the parameters as well."""
     severity: Severity = Severity.ERROR
+    """Whether it makes that verdict say not valid."""
     trial: int | None = None
+    """Number of the trial, 1-based, if it is of one."""
     estimator: str = ""
+    """The estimator, if only the estimate of one is concerned."""
     values: Mapping[str, int | Number | str] = Field(default_factory=dict)
+    """What the sentence of the code tells."""
 
     @computed_field  # type: ignore[prop-decorator]
     @property

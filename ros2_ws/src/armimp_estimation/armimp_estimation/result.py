@@ -35,27 +35,18 @@ MOST_EXCLUDED = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
-    """A result and its evidence.
-
-    Attributes
-    ----------
-    name : str
-        Of the result, for titles.
-    summary : Summary
-        Numbers, problems and verdict.
-    curves : mapping of str to ImpedanceCurve
-        Impedance over frequency by name of the estimator; empty if nothing could be estimated.
-    trials : tuple of Trial
-        Samples and their account, in the order of the perturbed joints.
-    notes : tuple of str
-        What could not be found or is unusual.
-    """
+    """A result and its evidence."""
 
     summary: Summary
+    """Numbers, problems and verdict."""
     curves: Mapping[str, ImpedanceCurve] = field(default_factory=dict)
+    """Impedance over frequency by name of the estimator; empty if nothing could be estimated."""
     trials: tuple[Trial, ...] = ()
+    """Samples and their account, in the order of the perturbed joints."""
     name: str = ""
+    """Of the result, for titles."""
     notes: tuple[str, ...] = ()
+    """What could not be found or is unusual."""
 
     @property
     def joint_names(self) -> list[str]:

@@ -242,24 +242,16 @@ def _variance_of_power(values: ComplexArray, noise: FloatArray, correlation: Flo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Coherences:
-    """Coherences behind an estimate, at the frequencies of the spectra.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    motion : ndarray, shape (n, n_freq)
-        ``γ²(τΔ_k, θ_k)`` by k.
-    torque : ndarray, shape (n, n, n_freq)
-        ``γ²(τΔ_k, τ_i)`` by i, k.
-    derived : ndarray, shape (n, n, n_freq)
-        See :func:`derived_coherence`; by i, k.
-    """
+    """Coherences behind an estimate, at the frequencies of the spectra."""
 
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     motion: FloatArray
+    """``γ²(τΔ_k, θ_k)`` by k; shape (n, n_freq)."""
     torque: FloatArray
+    """``γ²(τΔ_k, τ_i)`` by i, k; shape (n, n, n_freq)."""
     derived: FloatArray
+    """See :func:`derived_coherence`; by i, k; shape (n, n, n_freq)."""
 
     @classmethod
     def of(cls, trials: Sequence[TrialSpectra], estimate: ImpedanceEstimate) -> "Coherences":

@@ -32,19 +32,13 @@ def largest_error(column: FittedColumn) -> tuple[float, str]:
 
 @dataclass(frozen=True, kw_only=True)
 class PrecisionGoal:
-    """When trials may end before their time.
-
-    Parameters
-    ----------
-    bound : float
-        Largest relative standard error (one standard error) of M, B and K of the column that the
-        trial gives; 0 lets all trials last as long as planned.
-    least : float
-        Length that every trial has at least, s.
-    """
+    """When trials may end before their time."""
 
     bound: float = 0.0
+    """Largest relative standard error (one standard error) of M, B and K of the column that the
+    trial gives; 0 lets all trials last as long as planned."""
     least: float = 20.0
+    """Length that every trial has at least, s."""
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.bound < 1.0:

@@ -142,33 +142,23 @@ def one_line(text: object) -> str:
 
 @dataclass(eq=False)
 class RawMessages:
-    """Messages gathered from one or more storage files, in recorded order.
-
-    Attributes
-    ----------
-    budget : Budget
-        What reading may still cost.
-    wanted : callable
-        Tells for a topic name whether its messages are wanted.
-    topics : list of tuple of str
-        Name and message type of each recorded topic, wanted or not; the type is empty where
-        the file does not say.
-    topic_indices, log_times, payloads : list
-        For each message its index in `topics`, its log time (ns) and its bytes.
-    metadata : dict of str to str
-        Metadata of the recording.
-    cut : str
-        Where and how the recording ends early; empty if it is complete.
-    """
+    """Messages gathered from one or more storage files, in recorded order."""
 
     budget: Budget
+    """What reading may still cost."""
     wanted: TopicFilter
+    """Tells for a topic name whether its messages are wanted."""
     topics: list[tuple[str, str]] = field(default_factory=list)
+    """Name and message type of each recorded topic, wanted or not; the type is empty where the file
+    does not say."""
     topic_indices: list[int] = field(default_factory=list)
     log_times: list[int] = field(default_factory=list)
     payloads: list[bytes] = field(default_factory=list)
+    """For each message its index in `topics`, its log time (ns) and its bytes."""
     metadata: dict[str, str] = field(default_factory=dict)
+    """Metadata of the recording."""
     cut: str = ""
+    """Where and how the recording ends early; empty if it is complete."""
     _indices: dict[tuple[str, str], int] = field(default_factory=dict)
 
     def topic_index(self, name: str, message_type: str) -> int:

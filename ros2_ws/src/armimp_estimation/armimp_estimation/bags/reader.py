@@ -25,30 +25,20 @@ _MOST_STATUSES: Final = 20_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BagContent:
-    """What a bag holds.
-
-    Parameters
-    ----------
-    path : Path
-        The bag.
-    metadata : mapping of str to str
-        Metadata of the recording; empty for bags recorded elsewhere.
-    joint_names : tuple of str
-        Order of the joints in the records.
-    trials : tuple of Trial
-        At least one; each says whether it can be estimated.
-    topics : mapping of str to str
-        Name in the bag of each topic of the contract that is in it.
-    notes : tuple of str
-        What a user should know of the bag, one line each: a cut, damaged messages.
-    """
+    """What a bag holds."""
 
     path: Path
+    """The bag."""
     metadata: Mapping[str, str]
+    """Metadata of the recording; empty for bags recorded elsewhere."""
     joint_names: tuple[str, ...]
+    """Order of the joints in the records."""
     trials: tuple[Trial, ...]
+    """At least one; each says whether it can be estimated."""
     topics: Mapping[str, str]
+    """Name in the bag of each topic of the contract that is in it."""
     notes: tuple[str, ...]
+    """What a user should know of the bag, one line each: a cut, damaged messages."""
     _raw: RawMessages
     _contract_names: Mapping[int, str]
 

@@ -21,23 +21,16 @@ _REFERENCE = "lpm_full"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodeCurve:
-    """Magnitude and phase of one element of the impedance matrix over frequency.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    magnitude, phase : ndarray, shape (n_freq,)
-        N·m/rad and degrees.
-    radius : ndarray, shape (n_freq,)
-        Radius of the circle about each value that holds the truth in 95 %, N·m/rad; NaN if
-        unknown.
-    """
+    """Magnitude and phase of one element of the impedance matrix over frequency."""
 
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     magnitude: FloatArray
     phase: FloatArray
+    """Magnitude (N·m/rad) and phase (degrees), each of shape (n_freq,)."""
     radius: FloatArray
+    """Radius of the circle about each value that holds the truth in 95 %, N·m/rad; NaN if unknown;
+    shape (n_freq,)."""
 
     @property
     def magnitude_band(self) -> Band:
@@ -91,19 +84,13 @@ def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Distances:
-    """How far the estimates of one element are from their reference.
-
-    Attributes
-    ----------
-    lines : dict of str to (ndarray, ndarray or None, ndarray)
-        By name of the estimator: frequencies (Hz), distance (%), and radius of the 95 % confidence
-        circle (%). The reference itself has no distance.
-    ends : tuple of float
-        Of a logarithmic axis that shows them, %.
-    """
+    """How far the estimates of one element are from their reference."""
 
     lines: Mapping[str, tuple[FloatArray, FloatArray | None, FloatArray]]
+    """By name of the estimator: frequencies (Hz), distance (%), and radius of the 95 % confidence
+    circle (%). The reference itself has no distance."""
     ends: tuple[float, float]
+    """Of a logarithmic axis that shows them, %."""
 
 
 def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str:

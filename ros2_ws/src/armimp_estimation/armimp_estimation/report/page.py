@@ -39,28 +39,20 @@ _FUNCTIONS = (symbol, code, setting, mark, uncertain, difference)
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """A table.
-
-    Attributes
-    ----------
-    caption : object
-        Title.
-    columns : sequence
-        Header of each column.
-    groups : sequence of (object, rows)
-        Rows that belong together under a title, which may be None; the first cell of each row is
-        its header.
-    spans : sequence of (object, int)
-        Headers above those of the columns, with the number of columns that each is above.
-    words : sequence of int
-        Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
-    """
+    """A table."""
 
     caption: object
+    """Title."""
     columns: Sequence[object]
+    """Header of each column."""
     groups: Sequence[tuple[object, Rows]]
+    """Rows that belong together under a title, which may be None; the first cell of each row is its
+    header."""
     spans: Sequence[tuple[object, int]] = ()
+    """Headers above those of the columns, with the number of columns that each is above."""
     words: Sequence[int] = ()
+    """Columns of words, aligned to the left as the first one is; numbers are aligned to the right.
+    """
 
     def __post_init__(self) -> None:
         for _, rows in self.groups:

@@ -56,36 +56,24 @@ class Stroke:
 
 @dataclass(frozen=True, kw_only=True)
 class Axis:
-    """An axis of a chart.
-
-    Attributes
-    ----------
-    title : str
-        May contain ``<br>``.
-    ends : tuple of float, or None
-        As far as it goes; None leaves that to what is drawn.
-    log : bool
-        Whether it is logarithmic.
-    ticks : sequence of float
-        Where its ticks are, if they are chosen.
-    labels : sequence of str
-        Of these ticks, where they are not their numbers.
-    step : float or None
-        Distance of its ticks, if that is chosen.
-    hoverformat : str
-        Of the numbers that the pointer shows.
-    unit : str
-        Of an abscissa, shown with them.
-    """
+    """An axis of a chart."""
 
     title: str
+    """May contain ``<br>``."""
     ends: tuple[float, float] | None = None
+    """As far as it goes; None leaves that to what is drawn."""
     log: bool = False
+    """Whether it is logarithmic."""
     ticks: Sequence[float] = ()
+    """Where its ticks are, if they are chosen."""
     labels: Sequence[str] = ()
+    """Of these ticks, where they are not their numbers."""
     step: float | None = None
+    """Distance of its ticks, if that is chosen."""
     hoverformat: str = ".4~g"
+    """Of the numbers that the pointer shows."""
     unit: str = ""
+    """Of an abscissa, shown with them."""
 
     def options(self) -> Options:
         """Options of plotly.js."""
@@ -107,31 +95,21 @@ class Axis:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """A line of a chart, a band about it, or both.
-
-    Attributes
-    ----------
-    x : ndarray of shape (N,), or tuple of float
-        Abscissas, or the first of them and their distance.
-    y : ndarray, shape (N,), or None
-        Ordinates; NaN makes a gap.
-    stroke : Stroke
-        How it is drawn.
-    row : int
-        Its axis, counted from 1 at the top.
-    unit : str
-        Shown where the pointer is.
-    ends : tuple of ndarray, or None
-        Lower and upper end of a 95 % band; there is none where one is not finite. Of marks those of
-        the bars.
-    """
+    """A line of a chart, a band about it, or both."""
 
     x: FloatArray | tuple[float, float]
+    """Abscissas, or the first of them and their distance; shape (N,)."""
     y: FloatArray | None
+    """Ordinates; NaN makes a gap; shape (N,)."""
     stroke: Stroke
+    """How it is drawn."""
     row: int = 1
+    """Its axis, counted from 1 at the top."""
     unit: str = ""
+    """Shown where the pointer is."""
     ends: tuple[FloatArray, FloatArray] | None = None
+    """Lower and upper end of a 95 % band; there is none where one is not finite. Of marks those of
+    the bars."""
 
     @property
     def places(self) -> FloatArray:
@@ -215,21 +193,14 @@ class View:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """Lines over a common abscissa, in axes one above the other.
-
-    Attributes
-    ----------
-    abscissa : Axis
-        Common to all.
-    rows : sequence of (float, Axis)
-        Relative height of each ordinate and what it is, from the top.
-    lines : sequence of Line
-        In the order in which they are drawn.
-    """
+    """Lines over a common abscissa, in axes one above the other."""
 
     abscissa: Axis
+    """Common to all."""
     rows: Sequence[tuple[float, Axis]]
+    """Relative height of each ordinate and what it is, from the top."""
     lines: Sequence[Line]
+    """In the order in which they are drawn."""
 
     def values(self, row: int = 1) -> FloatArray:
         """All ordinates of an axis."""
@@ -255,27 +226,18 @@ class Chart:
 
 @dataclass(frozen=True, kw_only=True)
 class Plot:
-    """A plot.
-
-    Attributes
-    ----------
-    identifier : str
-        Unique in the page, of letters, digits and hyphens.
-    caption : object
-        Title, text or HTML.
-    description : str
-        What it shows, for those who can't see it.
-    views : sequence of View
-        The first one is shown; with more of them the reader chooses.
-    height : int
-        In pixels.
-    """
+    """A plot."""
 
     identifier: str
+    """Unique in the page, of letters, digits and hyphens."""
     caption: object
+    """Title, text or HTML."""
     description: str
+    """What it shows, for those who can't see it."""
     views: Sequence[View]
+    """The first one is shown; with more of them the reader chooses."""
     height: int
+    """In pixels."""
 
 
 def packed(values: ArrayLike) -> dict[str, str]:

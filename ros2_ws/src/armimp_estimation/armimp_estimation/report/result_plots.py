@@ -178,22 +178,15 @@ def coherence_plot(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Row:
-    """Signals that are drawn over each other.
-
-    Attributes
-    ----------
-    title, unit : str
-        Of the axis.
-    joints : tuple of int
-        Joint of each signal, 0-based.
-    values : ndarray, shape (len(joints), N)
-        One value for each control period; NaN where there is none.
-    """
+    """Signals that are drawn over each other."""
 
     title: str
     unit: str
+    """Of the axis."""
     joints: tuple[int, ...]
+    """Joint of each signal, 0-based."""
     values: FloatArray
+    """One value for each control period; NaN where there is none; shape (len(joints), N)."""
 
 
 def rows_of(
