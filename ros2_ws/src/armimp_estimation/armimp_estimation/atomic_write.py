@@ -20,12 +20,12 @@ _SPARSEST: Final = 20
 def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file under a new random name beside its place, and move it there.
 
-    Nothing that stands there under that name is opened, and no link is followed.
+    Nothing that stands there under that name is opened, and no link is followed. A file that is
+    there stays if writing fails.
 
     Parameters
     ----------
     path : Path
-        The file; one that is there stays if writing fails.
     write : callable
         Writes the file at the path that it is given, which has the same suffix.
 
@@ -69,17 +69,10 @@ def write_atomically(
 ) -> None:
     """Write a file as `replace_atomically` does, with one line for whatever goes wrong.
 
-    Parameters
-    ----------
-    path, write
-        As of `replace_atomically`.
-    anew : bool
-        Whether to put it in the place of a file that is there, which stays if that fails.
-
     Raises
     ------
     DataError
-        If the file exists already or cannot be written.
+        If the file cannot be written, or exists already and is not to be made `anew`.
     """
     try:
         if path.exists() and not anew:
@@ -139,14 +132,7 @@ def read_text(path: Path, most: int = _MOST_BYTES) -> str:
 
 
 def read_bytes(path: Path, most: int = _MOST_BYTES) -> bytes:
-    """Read a regular file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    most : int
-        Bytes that it may have.
+    """Read a regular file of at most so many bytes.
 
     Raises
     ------

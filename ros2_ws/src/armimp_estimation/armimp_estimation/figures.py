@@ -100,12 +100,9 @@ def matrix_figure(
 
     Parameters
     ----------
-    charts : sequence of sequence of Chart
-        By row and column.
-    titles : sequence of sequence of str
-        Above each of them, in the language of matplotlib.
+    charts, titles : sequence of sequence
+        By row and column: charts, and what is above them in the language of matplotlib.
     legend : iterable of Stroke
-        Its entries.
     row_height : float
         Of an axis whose relative height is 1, inches.
     width : float
@@ -140,18 +137,9 @@ def matrix_figure(
 def element_figure(
     joints: int, chart: Callable[[int, int], Chart], legend: Iterable[Stroke], **size: float
 ) -> Figure:
-    """Draw charts of all elements (0-based) in the arrangement of the impedance matrix.
+    """Draw charts of all n x n elements (0-based) in the arrangement of the impedance matrix.
 
-    Parameters
-    ----------
-    joints : int
-        Number n of joints.
-    chart : callable
-        Gives the chart of an element.
-    legend : iterable of Stroke
-        Its entries.
-    **size
-        As `matrix_figure` takes it.
+    Height and width are those of `matrix_figure`.
     """
     each = range(joints)
     titles = [[f"$Z_{{{i + 1}{k + 1}}}$" for k in each] for i in each]
@@ -159,15 +147,7 @@ def element_figure(
 
 
 def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> Figure:
-    """Draw every element of Z_h as `armimp_estimation.report.result_plots.bode_chart` has it.
-
-    Parameters
-    ----------
-    summary : Summary
-        Of the result.
-    curves : mapping of str to ImpedanceCurve
-        By name of the estimator; at least one.
-    """
+    """Draw every element of Z_h, of at least one estimator by name, as `bode_chart` has it."""
     truth = None if summary.truth is None else summary.truth.mbk()
     keys = [*strokes(curves).values(), *([] if truth is None else [TRUE])]
     return element_figure(
@@ -203,12 +183,7 @@ def trace_figure(trials: Sequence[Trial]) -> Figure:
 def write_figures(directory: Path, result: Result) -> None:
     """Write every figure for which a result has the data, in place of those that are there.
 
-    Parameters
-    ----------
-    directory : Path
-        Where ``impedance``, ``coherence`` and ``traces`` go, as PNG and PDF.
-    result : Result
-        The result.
+    They are ``impedance``, ``coherence`` and ``traces`` in a directory, as PNG and PDF.
 
     Raises
     ------
@@ -230,14 +205,8 @@ def save_figure(figure: Figure, path: Path) -> list[Path]:
     Parameters
     ----------
     figure : matplotlib.figure.Figure
-        The figure.
     path : Path
         Without a suffix.
-
-    Returns
-    -------
-    list of Path
-        The files.
 
     Raises
     ------

@@ -65,11 +65,8 @@ class RunningTrial:
     def coherence(self) -> tuple[float, float] | None:
         """Band means of γ²(τΔ, θ_k) and γ²(τΔ, τ_k).
 
-        Returns
-        -------
-        (motion, torque) or None
-            None until there are two segments, and after a sample that cannot be used, which becomes
-            a problem of the trial.
+        There are none until there are two segments, and after a sample that cannot be used, which
+        becomes a problem of the trial.
         """
         try:
             self._take()
@@ -86,15 +83,8 @@ class RunningTrial:
     def column(self, samples: int | None = None) -> FittedColumn | None:
         """Column k of M, B and K with standard errors, as :meth:`LpmFull.column` gives it.
 
-        Parameters
-        ----------
-        samples : int, optional
-            How many samples to use, from the first on; by default all that are there.
-
-        Returns
-        -------
-        FittedColumn or None
-            None where the samples are too few, or one is missing or cannot be used.
+        It is of the first so many samples, by default of all that are there. There is none where
+        they are too few, or one is missing or cannot be used.
         """
         try:
             self._take()

@@ -318,17 +318,10 @@ class Summary(JsonModel):
 def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:
     """Write ``summary.json``; numbers have as many digits as it takes to read them back exactly.
 
-    Parameters
-    ----------
-    path : Path
-    summary : Summary
-    anew : bool
-        Whether to put it in the place of a file that is there, which stays if that fails.
-
     Raises
     ------
     DataError
-        If the file exists already or cannot be written.
+        If the file cannot be written, or exists already and is not to be made `anew`.
     """
     text = summary.model_dump_json(indent=1, by_alias=True) + "\n"
     write_atomically(path, lambda part: part.write_text(text, encoding="utf-8"), anew=anew)

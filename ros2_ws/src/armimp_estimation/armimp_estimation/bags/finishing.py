@@ -20,14 +20,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
     Its messages are written into a new bag, which takes the place of the storage file at once and
     then that of ``metadata.yaml``. A bag that is still being recorded is known by its lock, one
     that is complete by its metadata. A bag behind a link stays as it is, since that may lead
-    anywhere.
-
-    Parameters
-    ----------
-    path : Path
-        Directory of the bag, or anything else that may be given as one.
-    trust : bool
-        Whether the bag may hold any multiple of its size.
+    anywhere. With `trust` the bag may hold any multiple of its size.
 
     Returns
     -------
@@ -55,18 +48,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
 
 
 def finish_bags(directory: Path) -> list[str]:
-    """Finish what a recorder that was killed left in a directory of results.
-
-    Parameters
-    ----------
-    directory : Path
-        The directory above ``bags/``.
-
-    Returns
-    -------
-    list of str
-        As of `finish_bag`, for each bag that needed it.
-    """
+    """Finish the bags below ``bags/`` of a result; return what was done, a line for each of them."""
     bags = sorted((directory / BAGS).glob("*/" + FILE_NAME))
     return [note for bag in bags if (note := finish_bag(bag.parent, trust=True))]
 

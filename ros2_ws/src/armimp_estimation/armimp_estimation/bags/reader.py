@@ -53,17 +53,7 @@ class BagContent:
         return tuple(record for trial in self.trials for record in trial.intact())
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
-        """Iterate over the messages of the contract in recorded order.
-
-        Yields
-        ------
-        topic : str
-            Name in the contract.
-        log_time_ns : int
-            Time of reception, ns.
-        raw : bytes
-            The serialised message.
-        """
+        """Topic, time of reception (ns) and bytes of each message of the contract, in order."""
         for index, log_time_ns, payload in self._raw:
             if index in self._contract_names:
                 yield self._contract_names[index], log_time_ns, payload

@@ -33,15 +33,7 @@ def decode_trial_status(data: bytes) -> TrialStatus:
 
 
 def decode_trial_statuses(messages: Sequence[bytes]) -> tuple[list[TrialStatus], str]:
-    """Decode the statuses of a recording, without those that are damaged.
-
-    Returns
-    -------
-    statuses : list of TrialStatus
-        In recorded order.
-    problem : str
-        What is wrong with the first damaged message; empty if there is none.
-    """
+    """Statuses of a recording, and what is wrong with the first that is damaged, if one is."""
     statuses: list[TrialStatus] = []
     problem = ""
     for message in messages:

@@ -78,22 +78,7 @@ class BagWriter:
         return self._path
 
     def write(self, topic: str, raw: bytes, log_time_ns: int) -> None:
-        """Append one message.
-
-        Parameters
-        ----------
-        topic : str
-            Name in the contract.
-        raw : bytes
-            The serialised message (CDR with its encapsulation header).
-        log_time_ns : int
-            Time of reception (ns), not negative.
-
-        Raises
-        ------
-        BagError
-            If the message cannot be written: disk full, bag closed, unknown topic, bad time.
-        """
+        """Append one message of a topic at a time (ns), as `write_block` does."""
         self.write_block((log_time_ns,), {topic: (raw,)})
 
     def write_block(
@@ -106,13 +91,13 @@ class BagWriter:
         log_times : sequence of int
             Times of reception (ns), not negative, in rising order.
         messages : mapping of str to sequence of bytes
-            A serialised message for each of them, by topic, in the order in which those of one
-            time are written.
+            A message (CDR with its encapsulation header) for each of them, by topic of the
+            contract, in the order in which those of one time are written.
 
         Raises
         ------
         BagError
-            As `write`.
+            If they cannot be written: disk full, bag closed, unknown topic, bad time.
         """
         with self._one_line():
             channels = {self._channel(topic): raws for topic, raws in messages.items()}
@@ -239,10 +224,8 @@ def require_free_space(path: Path, ticks: int, joints: int) -> None:
     ----------
     path : Path
         Directory of the bag.
-    ticks : int
-        Control periods to record.
-    joints : int
-        Number of joints.
+    ticks, joints : int
+        Control periods to record, and number of joints.
 
     Raises
     ------

@@ -35,16 +35,9 @@ def plain(value: object) -> str:
 
 
 def number(value: float, spec: str = ".4g", unit: str = "") -> str:
-    """Write a number; a dash for one that is not finite.
+    """Write a number as `format` does, a dash for one that is not finite.
 
-    Parameters
-    ----------
-    value : float
-        The number.
-    spec : str
-        As for `format`.
-    unit : str
-        Follows after a narrow space, the sign for degrees without.
+    A unit follows after a narrow space, the sign for degrees without.
     """
     if not math.isfinite(value):
         return NONE

@@ -263,10 +263,8 @@ def stacked(
         Options of the abscissa, see `axis`.
     rows : sequence of (float, mapping)
         Relative height and options of each ordinate, from the top.
-    gap : float
-        Between the axes, as a part of the whole height.
-    left : int
-        Margin for the titles, pixels.
+    gap, left : float
+        Between the axes, as a part of the whole height, and margin for the titles, pixels.
     """
     layout: Layout = {
         "font": {"family": "system-ui, sans-serif", "size": 12, "color": _INK},

@@ -70,14 +70,8 @@ def plot_matrix(joints: int, plot: Callable[[int, int], Plot]) -> list[Plot]:
 def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Chart:
     """Bode plot of ``Z_ik``: every estimate with its 95 % band, the truth, and how far they part.
 
-    Parameters
-    ----------
-    curves : mapping of str to ImpedanceCurve
-        By name of the estimator; at least one.
-    truth : MBK or None
-        True matrices.
-    i, k : int
-        Element, 0-based: torque of joint i over angle of joint k.
+    There is at least one curve, by name of the estimator. The element is 0-based: torque of joint i
+    over angle of joint k.
     """
     grids = [curve.f for curve in curves.values()]
     parted = distances(curves, truth, i, k)
@@ -132,18 +126,9 @@ def bode_plot(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k
 def coherence_chart(
     curves: Mapping[str, ImpedanceCurve], i: int, k: int, joint_names: Sequence[str], level: float
 ) -> Chart:
-    """Coherences behind ``Z_ik`` over frequency.
+    """Coherences behind ``Z_ik`` (0-based) over frequency, of at least one estimator by name.
 
-    Parameters
-    ----------
-    curves : mapping of str to ImpedanceCurve
-        By name of the estimator; at least one.
-    i, k : int
-        Element, 0-based.
-    joint_names : sequence of str
-        Names of the joints.
-    level : float
-        Coherence below which signals count as unrelated.
+    Below `level` signals count as unrelated.
     """
     common = next(iter(curves.values())).coherence
     shown = [
@@ -252,14 +237,8 @@ def _smoothed(values: FloatArray, cutoff: float) -> FloatArray:
 def trace_views(trial: Trial, prefix: str = "", buckets: int = _BUCKETS) -> list[View]:
     """Views of a trial over time: the whole of it, its ends, and what was recorded.
 
-    Parameters
-    ----------
-    trial : Trial
-        With at least one segment.
-    prefix : str
-        Of the names of the views.
-    buckets : int
-        Parts into which long signals are thinned out, see `envelope`.
+    The trial has at least one segment. The names of the views begin with the prefix; long signals
+    are thinned out into so many parts, see `envelope`.
     """
     start_ns, names = trial.window.start_ns, trial.segments[0].joint_names
     seen = rows_of(trial.segments, start_ns)
@@ -294,18 +273,10 @@ def trace_plot(identifier: str, description: str, views: Sequence[View]) -> Plot
 def trace_chart(
     rows: Sequence[Row], names: Sequence[str], part: Sequence[int], buckets: int = _BUCKETS
 ) -> Chart:
-    """Signals over time.
+    """Signals over time, of joints with these names.
 
-    Parameters
-    ----------
-    rows : sequence of Row
-        As `rows_of` gives them.
-    names : sequence of str
-        Names of the joints.
-    part : sequence of int
-        First sample that is shown, and the one after the last.
-    buckets : int
-        Parts into which long signals are thinned out, see `envelope`.
+    Shown are the samples from the first of `part` to the one before the second, thinned out into so
+    many parts, see `envelope`.
     """
     start, stop = part
     lines = []

@@ -84,15 +84,7 @@ def marked_origin(config: Mapping[str, Any], node: str, name: str) -> str:
 
 
 def origin(config: Mapping[str, Any], node: str, name: str) -> str:
-    """Where a parameter comes from: the paper, or an assumption; empty if that is not known.
-
-    Parameters
-    ----------
-    config : mapping
-        Configuration of a result, of any form.
-    node, name : str
-        The parameter, by its dotted name.
-    """
+    """Where a parameter of a node comes from: the paper, an assumption, or empty if unknown."""
     if setting(config, "experiment") is None:
         return ""
     if name in set(_dotted(setting(config, "experiment", node))):
@@ -116,12 +108,8 @@ def assumptions_content(
 ) -> Content | None:
     """What the simulation assumes; None where nothing is known to be simulated.
 
-    Parameters
-    ----------
-    config : mapping
-        Configuration of a result, of any form.
-    friction : str, optional
-        Levels of friction in words, where there is more than one.
+    The configuration may be of any form. Levels of friction are told in words where there is more
+    than one.
     """
     if setting(config, "experiment") is None or setting(config, "arm_sim") is None:
         return None
