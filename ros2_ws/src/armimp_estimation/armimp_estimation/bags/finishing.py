@@ -48,7 +48,7 @@ def finish_bag(path: Path, *, trust: bool = False) -> str:
 
 
 def finish_bags(directory: Path) -> list[str]:
-    """Finish the bags below ``bags/`` of a result; return what was done, a line for each of them."""
+    """Finish the bags below ``bags/`` of a result; return a line for each of them."""
     bags = sorted((directory / BAGS).glob("*/" + FILE_NAME))
     return [note for bag in bags if (note := finish_bag(bag.parent, trust=True))]
 
