@@ -19,9 +19,9 @@ from rclpy.node import Node
 from armimp_common import qos, topics
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.pubsub import (
-    CommandSubscription,
-    JointStateSubscription,
     publisher_count,
+    subscribe_commands,
+    subscribe_joint_states,
     wait_until_known_to,
 )
 from armimp_common.status import values_of
@@ -42,14 +42,14 @@ class Witness(Node):
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
         self._subscriptions = [
-            CommandSubscription(self, topics.COMMANDS, len(JOINTS), self._on_command).subscription,
-            JointStateSubscription(
+            subscribe_commands(self, topics.COMMANDS, len(JOINTS), self._on_command),
+            subscribe_joint_states(
                 self,
                 topics.PERTURBATION,
                 JOINTS,
                 "effort",
                 lambda stamp_ns, _: self._stamps.append((time.monotonic(), stamp_ns)),
-            ).subscription,
+            ),
             self.create_subscription(DiagnosticStatus, topics.TRIAL, self._on_trial, qos.LATCHED),
             self.create_subscription(
                 DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS

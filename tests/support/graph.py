@@ -22,9 +22,9 @@ from armimp_common import qos, topics
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import (
-    CommandSubscription,
     JointStatePublisher,
-    JointStateSubscription,
+    subscribe_commands,
+    subscribe_joint_states,
     wait_until_matched,
 )
 from armimp_common.schema import Value, flatten
@@ -208,8 +208,8 @@ class ScriptedDriver:
         self.messages: list[DiagnosticStatus] = []
         self._node = node
         self._subscriptions = [
-            CommandSubscription(node, topics.COMMANDS, len(names), self.commands.append),
-            JointStateSubscription(
+            subscribe_commands(node, topics.COMMANDS, len(names), self.commands.append),
+            subscribe_joint_states(
                 node,
                 topics.PERTURBATION,
                 names,

@@ -34,7 +34,7 @@ from armimp_common.cdr import CommandEncoder, command_number
 from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.pubsub import JointStatePublisher, RawSubscription
+from armimp_common.pubsub import JointStatePublisher, subscribe_raw
 from armimp_common.status import (
     Level,
     Phase,
@@ -63,7 +63,7 @@ class Stranger(Node):
     def __init__(self, domain_id: int) -> None:
         super().__init__("stranger", context=joined(domain_id), use_global_arguments=False)
         self._last = 0
-        RawSubscription(self, topics.COMMANDS, Float64MultiArray, self._on_command)
+        subscribe_raw(self, topics.COMMANDS, Float64MultiArray, self._on_command)
 
     def _on_command(self, data: bytes) -> None:
         self._last = command_number(data)

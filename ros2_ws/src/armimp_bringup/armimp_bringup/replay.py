@@ -25,7 +25,7 @@ from armimp_common import qos, topics
 from armimp_common.cdr import stamp_of
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import RawSubscription
+from armimp_common.pubsub import subscribe_raw
 from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase, Progress, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
@@ -61,7 +61,7 @@ class BagPlayer(Node):
         self._heard = 0
         self._expected = 0
         self._through: Future = Future()
-        self._echo = RawSubscription(self, topics.PERTURBATION, JointState, self._on_echo)
+        self._echo = subscribe_raw(self, topics.PERTURBATION, JointState, self._on_echo)
 
     def play(self, bag: BagContent, should_stop: Callable[[], bool]) -> None:
         """Play one bag as fast as the graph takes it.

@@ -1,11 +1,10 @@
-"""CDR of the four streamed layouts: bounds-checked, fast, and without ROS.
+"""CDR of the three streamed layouts: bounds-checked, fast, and without ROS.
 
 Messages of one stream differ only in stamp and numbers. So a layout is parsed once, and every
 further message of it takes one comparison and one ``struct`` call.
 
 ==================  ======================================
-clock               ``rosgraph_msgs/msg/Clock``
-count               ``std_msgs/msg/UInt64``
+count (decoded)     ``std_msgs/msg/UInt64``
 command             ``std_msgs/msg/Float64MultiArray``
 samples, τ_Δ        ``sensor_msgs/msg/JointState``
 ==================  ======================================
@@ -36,40 +35,10 @@ _MAX_SURPLUS: Final = 15
 """Bytes tolerated after the last field: senders round sizes up by at most this much."""
 _BYTE_ORDERS: Final[dict[bytes, Literal["<", ">"]]] = {b"\0\0": ">", b"\0\1": "<"}
 
-_CLOCK: Final = struct.Struct("<4siI")
-_COUNT: Final = struct.Struct("<4sQ")
 _COUNTS: Final = {head: struct.Struct(f"{order}4xQ") for head, order in _BYTE_ORDERS.items()}
 _NUMBERS: Final = {head: struct.Struct(f"{order}4x2I") for head, order in _BYTE_ORDERS.items()}
 """Number of dimensions and data offset of a command."""
 _FIELDS: Final[tuple[ValueField, ...]] = ("position", "effort")
-
-
-def encode_clock(stamp_ns: int) -> bytes:
-    """Encode a time (ns), as a typed rclpy publisher would send it.
-
-    Raises
-    ------
-    ConfigurationError
-        If its seconds do not fit 32 bits.
-    """
-    try:
-        return _CLOCK.pack(_LITTLE, *divmod(stamp_ns, NS_PER_S))
-    except struct.error:
-        raise ConfigurationError(f"time does not fit a Clock: {stamp_ns} ns") from None
-
-
-def encode_count(count: int) -> bytes:
-    """Encode a count, as a typed rclpy publisher would send it.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not from 0 to 2⁶⁴ − 1.
-    """
-    try:
-        return _COUNT.pack(_LITTLE, count)
-    except struct.error:
-        raise ConfigurationError(f"count does not fit a UInt64: {count}") from None
 
 
 def decode_count(data: Buffer) -> int:
@@ -81,7 +50,7 @@ def decode_count(data: Buffer) -> int:
         On truncated or foreign bytes.
     """
     layout = _COUNTS.get(bytes(data[:2]))
-    if layout is None or not _COUNT.size <= len(data) <= _COUNT.size + _MAX_SURPLUS:
+    if layout is None or not layout.size <= len(data) <= layout.size + _MAX_SURPLUS:
         raise MalformedMessageError(f"UInt64 is {len(data)} bytes of something else")
     return int(layout.unpack_from(data)[0])
 

@@ -29,11 +29,10 @@ from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard
 from armimp_common.protection import CommandSequence, Protection
 from armimp_common.pubsub import (
-    CommandSubscription,
     JointStatePublisher,
     RawPublisher,
-    RawSubscription,
     publisher_count,
+    subscribe_commands,
     wait_for_partners,
 )
 from armimp_common.realtime import TimingMeter
@@ -188,7 +187,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         self.diagnostics = self.create_publisher(
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
-        self.commands = CommandSubscription(
+        self.commands = subscribe_commands(
             self,
             topics.COMMANDS,
             len(joints),
@@ -197,7 +196,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
             on_malformed=on_malformed,
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
-        self.own(self.commands.subscription, steady_timer(self, _CHECK_PERIOD, self.check))
+        self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))
 
     def own(self, *things: Publisher | Subscription | Timer) -> None:
         """Have these destroyed when the node is cleaned up."""
@@ -245,7 +244,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
     def check(self) -> None:
         """Check whether somebody else commands, and report what is new; called every 20 ms."""
         if self.active:
-            publishers = publisher_count(self, self.commands.subscription)
+            publishers = publisher_count(self, self.commands)
             if publishers > 1:
                 self.accuse(f"{publishers} publishers")
             elif not publishers:
@@ -274,7 +273,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         """
         if not self._accused or self.limiter is None:
             return
-        topic = self.commands.subscription.topic_name
+        topic = self.commands.topic_name
         known = [
             f"{one.node_namespace.rstrip('/')}/{one.node_name}"
             for one in self.get_publishers_info_by_topic(topic)
@@ -424,7 +423,7 @@ class ProtectedDriver(DriverBase[Protection], ABC):
     def wait_for_controller(
         self,
         publishers: Sequence[RawPublisher] = (),
-        subscriptions: Sequence[RawSubscription] = (),
+        subscriptions: Sequence[Subscription] = (),
     ) -> None:
         """Wait for whoever commands, and for the peers of further channels.
 

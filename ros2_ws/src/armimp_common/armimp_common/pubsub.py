@@ -12,7 +12,6 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
-from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String, UInt64
 
@@ -103,54 +102,15 @@ class CommandPublisher(RawPublisher):
         return data
 
 
-class CountPublisher(RawPublisher):
-    """Publisher of counts, of which the last one is kept for whoever joins late."""
-
-    def __init__(self, node: Node, topic: str) -> None:
-        super().__init__(node, topic, UInt64, qos.LATCHED)
-
-    def publish(self, count: int) -> None:
-        """Publish a count from 0 to 2⁶⁴ − 1."""
-        self.send(cdr.encode_count(count))
-
-
-class ClockPublisher(RawPublisher):
-    """Publisher of simulated time."""
-
-    def __init__(self, node: Node) -> None:
-        super().__init__(node, topics.CLOCK, Clock, qos.CLOCK)
-
-    def publish(self, stamp_ns: int) -> None:
-        """Publish a time (ns)."""
-        self.send(cdr.encode_clock(stamp_ns))
-
-
-class RawSubscription:
-    """Subscription that delivers messages as the bytes that came, of any length.
-
-    Parameters
-    ----------
-    node, topic
-        Where to listen.
-    message_type
-        Message class of the topic.
-    callback
-        Called with each message.
-    profile
-        Quality of service.
-    """
-
-    def __init__(
-        self,
-        node: Node,
-        topic: str,
-        message_type: type[Any],
-        callback: Callable[[bytes], None],
-        profile: QoSProfile = qos.SAMPLE,
-    ) -> None:
-        self.subscription: Subscription = node.create_subscription(
-            message_type, topic, callback, profile, raw=True
-        )
+def subscribe_raw(
+    node: Node,
+    topic: str,
+    message_type: type[Any],
+    callback: Callable[[bytes], None],
+    profile: QoSProfile = qos.SAMPLE,
+) -> Subscription:
+    """Return a subscription that calls back with messages as the bytes that came, of any length."""
+    return node.create_subscription(message_type, topic, callback, profile, raw=True)
 
 
 def _decoded(
@@ -173,8 +133,16 @@ def _decoded(
     return on_message
 
 
-class JointStateSubscription(RawSubscription):
-    """Subscription to JointState messages, decoded in the order of `names`.
+def subscribe_joint_states(
+    node: Node,
+    topic: str,
+    names: Sequence[str],
+    field: ValueField,
+    callback: Callable[[int, tuple[float, ...]], None],
+    *,
+    on_malformed: OnMalformed | None = None,
+) -> Subscription:
+    """Return a subscription to JointState messages, decoded in the order of `names`.
 
     Parameters
     ----------
@@ -188,23 +156,20 @@ class JointStateSubscription(RawSubscription):
         Called instead for a message that cannot be decoded. Without it the error is raised and
         arrives at whoever spins, since dropping such a message silently would not be safe.
     """
-
-    def __init__(
-        self,
-        node: Node,
-        topic: str,
-        names: Sequence[str],
-        field: ValueField,
-        callback: Callable[[int, tuple[float, ...]], None],
-        *,
-        on_malformed: OnMalformed | None = None,
-    ) -> None:
-        decode = cdr.JointStateDecoder(names, field).decode
-        super().__init__(node, topic, JointState, _decoded(decode, callback, on_malformed))
+    decode = cdr.JointStateDecoder(names, field).decode
+    return subscribe_raw(node, topic, JointState, _decoded(decode, callback, on_malformed))
 
 
-class CommandSubscription(RawSubscription):
-    """Subscription to commands for `n` joints; see `JointStateSubscription`.
+def subscribe_commands(
+    node: Node,
+    topic: str,
+    n: int,
+    callback: Callable[[tuple[float, ...]], None],
+    *,
+    on_number: Callable[[int], None] = lambda _: None,
+    on_malformed: OnMalformed | None = None,
+) -> Subscription:
+    """Return a subscription to commands for `n` joints; see `subscribe_joint_states`.
 
     Parameters
     ----------
@@ -212,37 +177,26 @@ class CommandSubscription(RawSubscription):
         Called before `callback` with the number of the command, 0 if it has none.
     """
 
-    def __init__(
-        self,
-        node: Node,
-        topic: str,
-        n: int,
-        callback: Callable[[tuple[float, ...]], None],
-        *,
-        on_number: Callable[[int], None] = lambda _: None,
-        on_malformed: OnMalformed | None = None,
-    ) -> None:
-        def on_command(number: int, values: tuple[float, ...]) -> None:
-            on_number(number)
-            callback(values)
+    def on_command(number: int, values: tuple[float, ...]) -> None:
+        on_number(number)
+        callback(values)
 
-        on_message = _decoded(cdr.CommandDecoder(n).decode_numbered, on_command, on_malformed)
-        super().__init__(node, topic, Float64MultiArray, on_message)
+    on_message = _decoded(cdr.CommandDecoder(n).decode_numbered, on_command, on_malformed)
+    return subscribe_raw(node, topic, Float64MultiArray, on_message)
 
 
-class CountSubscription(RawSubscription):
-    """Subscription to counts; one that cannot be decoded is logged and dropped."""
+def subscribe_counts(node: Node, topic: str, callback: Callable[[int], None]) -> Subscription:
+    """Return a subscription to counts; one that cannot be decoded is logged and dropped."""
 
-    def __init__(self, node: Node, topic: str, callback: Callable[[int], None]) -> None:
-        def on_message(data: bytes) -> None:
-            try:
-                count = cdr.decode_count(data)
-            except MalformedMessageError as error:
-                node.get_logger().warning(f"{topic}: {error}")
-            else:
-                callback(count)
+    def on_message(data: bytes) -> None:
+        try:
+            count = cdr.decode_count(data)
+        except MalformedMessageError as error:
+            node.get_logger().warning(f"{topic}: {error}")
+        else:
+            callback(count)
 
-        super().__init__(node, topic, UInt64, on_message, qos.LATCHED)
+    return subscribe_raw(node, topic, UInt64, on_message, qos.LATCHED)
 
 
 class _Unattended(Subscription):
@@ -258,8 +212,10 @@ class PollingNode(Node):
         return (one for one in super().subscriptions if not isinstance(one, _Unattended))
 
 
-class PolledSubscription(RawSubscription):
-    """Subscription whose messages wait in the middleware until somebody takes them.
+def subscribe_unattended(
+    node: PollingNode, topic: str, message_type: type[Any], profile: QoSProfile = qos.SAMPLE
+) -> Subscription:
+    """Return a subscription whose messages wait in the middleware for :func:`take_all`.
 
     For every message that comes, an executor is told, wakes up, looks for the subscription that it
     is meant for, and calls back: several times the cost of the message itself. Who wants the
@@ -268,20 +224,9 @@ class PolledSubscription(RawSubscription):
     Beyond the depth of its profile, the oldest are lost. To be made in the thread of the executor,
     which might attend to it otherwise before it is hidden.
     """
-
-    def __init__(
-        self,
-        node: PollingNode,
-        topic: str,
-        message_type: type[Any],
-        profile: QoSProfile = qos.SAMPLE,
-    ) -> None:
-        super().__init__(node, topic, message_type, _nobody, profile)
-        self.subscription.__class__ = _Unattended
-
-    def take(self) -> list[bytes]:
-        """Take all messages that have come, as bytes in their order."""
-        return take_all(self.subscription)
+    made = subscribe_raw(node, topic, message_type, _nobody, profile)
+    made.__class__ = _Unattended
+    return made
 
 
 def take_all(subscription: Subscription) -> list[bytes]:
@@ -318,7 +263,7 @@ def wait_until_matched(
     node: Node,
     *,
     publishers: Iterable[Publisher | RawPublisher] = (),
-    subscriptions: Iterable[Subscription | RawSubscription] = (),
+    subscriptions: Iterable[Subscription] = (),
     timeout_s: float,
 ) -> tuple[str, ...]:
     """Wait until every publisher and subscription has at least one peer.
@@ -333,9 +278,7 @@ def wait_until_matched(
         Topic names of those still without a peer after `timeout_s`; empty on success.
     """
     sending = [one if isinstance(one, Publisher) else one.publisher for one in publishers]
-    listening = [
-        one if isinstance(one, Subscription) else one.subscription for one in subscriptions
-    ]
+    listening = list(subscriptions)
     deadline = time.monotonic() + timeout_s
     while True:
         lonely = [one.topic_name for one in sending if not one.get_subscription_count()]
@@ -393,7 +336,7 @@ def wait_for_partners(
     node: Node,
     *,
     publishers: Iterable[Publisher | RawPublisher] = (),
-    subscriptions: Iterable[Subscription | RawSubscription] = (),
+    subscriptions: Iterable[Subscription] = (),
     monitors: Iterable[HeartbeatMonitor] = (),
 ) -> None:
     """Wait until a node that is activated and those which it needs know of one another.

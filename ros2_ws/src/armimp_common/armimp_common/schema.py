@@ -14,7 +14,6 @@ A field becomes one ROS parameter, the fields of a nested model become dotted na
 import difflib
 import enum
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeAlias, TypeVar, get_args, get_origin
@@ -34,6 +33,7 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 
 _DEEPEST: Final = 50
 _MOST_NODES: Final = 250_000
+_WIDEST: Final = 2**31 - 1
 
 Loader: Final[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 TextLoader: Final[Any] = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
@@ -230,6 +230,26 @@ def explain(error: ValidationError) -> str:
     return f"parameter '{name}' = {_shown(first['input'])}: {reason[:1].lower()}{reason[1:]}"
 
 
+class _Dumper(getattr(yaml, "CSafeDumper", yaml.SafeDumper)):  # type: ignore[misc]
+    """Writes each list on one line, and text that is no key in quotes, so that it stays text."""
+
+    def represent_list(self, items: list[Any]) -> Any:
+        return self.represent_sequence("tag:yaml.org,2002:seq", items, flow_style=True)
+
+    def represent_str(self, text: str) -> Any:
+        return self.represent_scalar("tag:yaml.org,2002:str", text, style='"')
+
+    def represent_mapping(self, *arguments: Any, **options: Any) -> Any:
+        node = super().represent_mapping(*arguments, **options)
+        for key, _ in node.value:
+            key.style = None
+        return node
+
+
+_Dumper.add_representer(list, _Dumper.represent_list)
+_Dumper.add_representer(str, _Dumper.represent_str)
+
+
 def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
     """Return the text of a file for ``--params-file``.
 
@@ -238,22 +258,11 @@ def to_params_yaml(models: Mapping[str, BaseModel]) -> str:
     models
         Node name, with its namespace if it has one, to values.
     """
-    lines: list[str] = []
-    for node, model in models.items():
-        lines += [f"{json.dumps(node)}:", "  ros__parameters:"]
-        open_path: list[str] = []
-        for name, value in flatten(model).items():
-            *path, last = name.split(".")
-            shared = 0
-            while shared < len(path) and path[: shared + 1] == open_path[: shared + 1]:
-                shared += 1
-            for depth in range(shared, len(path)):
-                lines.append(f"{'  ' * (depth + 2)}{path[depth]}:")
-            open_path = path
-            lines.append(f"{'  ' * (len(path) + 2)}{last}: {_yaml(value)}")
-        if lines[-1].endswith("ros__parameters:"):
-            lines[-1] += " {}"
-    return "\n".join(lines) + "\n"
+    content = {
+        node: {"ros__parameters": model.model_dump(mode="json")} for node, model in models.items()
+    }
+    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, width=_WIDEST)
+    return text
 
 
 def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
@@ -287,22 +296,6 @@ def load_yaml(text: str, loader: Any = Loader, *, aliases: bool = False) -> Any:
         if isinstance(event, yaml.AliasEvent) and not aliases:
             raise yaml.YAMLError(f"the alias *{event.anchor:.40} is not allowed")
     return yaml.load(text, Loader=loader)
-
-
-def _yaml(value: Value) -> str:
-    if isinstance(value, list):
-        return f"[{', '.join(_yaml(item) for item in value)}]"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
-        # YAML 1.1 takes 1e-05 for a string: it wants a point.
-        mantissa, separator, exponent = repr(value).partition("e")
-        return mantissa + ("" if "." in mantissa else ".0") + separator + exponent
-    if isinstance(value, int):
-        return str(value)
-    return json.dumps(value)
 
 
 def _leaf(key: str, field: FieldInfo, model: type[BaseModel]) -> Leaf:

@@ -20,9 +20,9 @@ from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.pubsub import (
     CommandPublisher,
-    CountSubscription,
     JointStatePublisher,
-    JointStateSubscription,
+    subscribe_counts,
+    subscribe_joint_states,
     wait_for_partners,
 )
 from armimp_common.realtime import RealtimeScheduling
@@ -82,7 +82,7 @@ class ImbicControllerNode(ManagedNode):
         self._diagnostics: Publisher | None = None
         self.create_service(Trigger, topics.CONTROLLER_STOP_SERVICE, self._on_emergency_stop)
         self.create_service(Trigger, topics.CONTROLLER_RESET_SERVICE, self._on_reset)
-        CountSubscription(self, topics.RECEIVED, self._on_received)
+        subscribe_counts(self, topics.RECEIVED, self._on_received)
         self.create_subscription(DiagnosticStatus, topics.STOPPING, self._on_decision, qos.LATCHED)
         declare(self, ControllerParameters)
         guard(self, lambda: "a trial is running" if self._active else None)
@@ -101,7 +101,7 @@ class ImbicControllerNode(ManagedNode):
             DiagnosticArray, topics.DIAGNOSTICS, qos.DIAGNOSTICS
         )
         self._sensors = [
-            JointStateSubscription(
+            subscribe_joint_states(
                 self,
                 topic,
                 names,
@@ -156,7 +156,7 @@ class ImbicControllerNode(ManagedNode):
         self.destroy_timer(self._timer)
         self.destroy_timer(self._ramp)
         for channel in self._sensors:
-            self.destroy_subscription(channel.subscription)
+            self.destroy_subscription(channel)
         for publisher in (self._commands.publisher, self._perturbation.publisher, self._trial):
             self.destroy_publisher(publisher)
         if self._diagnostics is not None:

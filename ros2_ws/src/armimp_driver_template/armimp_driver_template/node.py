@@ -21,7 +21,7 @@ from armimp_common.executor import run_node, steady_timer
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
-from armimp_common.pubsub import CountSubscription
+from armimp_common.pubsub import subscribe_counts
 from armimp_common.realtime import wake_up_exactly
 from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import Encoders, Transducers, Wiring
@@ -66,8 +66,8 @@ class ExoDriver(ProtectedDriver):
         protection = Protection(len(parameters.joints), parameters.limits)
         self.set_up(protection, parameters.joints, self.on_command, self._on_malformed)
         self._flow = FlowControl()
-        received = CountSubscription(self, topics.RECEIVED, self._flow.acknowledge)
-        self.own(received.subscription, steady_timer(self, _REPORT_PERIOD, self.report))
+        received = subscribe_counts(self, topics.RECEIVED, self._flow.acknowledge)
+        self.own(received, steady_timer(self, _REPORT_PERIOD, self.report))
         return TransitionCallbackReturn.SUCCESS
 
     # Step 3: activation. Nobody is waited for in vain, and then the device sets the rhythm.

@@ -11,7 +11,7 @@ from rclpy.node import Node
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.pubsub import CommandPublisher, JointStateSubscription
+from armimp_common.pubsub import CommandPublisher, subscribe_joint_states
 from armimp_common.status import Level
 from armimp_driver_template import node as template
 from armimp_driver_template.device import Frame
@@ -71,7 +71,7 @@ class World:
         self.faults: list[str] = []
         self._commands = CommandPublisher(node, topics.COMMANDS, 2)
         self._listeners = [
-            JointStateSubscription(
+            subscribe_joint_states(
                 node, topic, ("shoulder", "elbow"), topics.VALUE_FIELD[topic], answer
             )
             for topic, answer in (

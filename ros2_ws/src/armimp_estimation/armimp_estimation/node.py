@@ -13,9 +13,10 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
+from std_msgs.msg import Float64MultiArray, UInt64
 
 from armimp_common import qos, topics
 from armimp_common.errors import (
@@ -29,10 +30,9 @@ from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard, load, require_unchanged
 from armimp_common.pubsub import (
-    CountPublisher,
-    PolledSubscription,
     PollingNode,
-    RawSubscription,
+    subscribe_raw,
+    subscribe_unattended,
     take_all,
     wait_for_partners,
 )
@@ -97,25 +97,25 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._reset()
         self._progress = self.create_publisher(DiagnosticStatus, topics.PROGRESS, qos.PROGRESS)
         self._result = self.create_publisher(DiagnosticStatus, topics.RESULT, qos.LATCHED)
-        self._received = CountPublisher(self, topics.RECEIVED)
+        self._received = self.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self._stopping = self.create_publisher(DiagnosticStatus, topics.STOPPING, qos.LATCHED)
         fetched = {
-            topic: PolledSubscription(self, topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
+            topic: subscribe_unattended(self, topic, _MESSAGE_CLASSES[topics.MESSAGE_TYPES[topic]])
             for topic in FETCHED
         }
         self._late = steady_timer(self, _LATE_PERIOD, self._on_late, autostart=False)
         self._synchronizer = StreamSynchronizer(
-            {topic: stream.take for topic, stream in fetched.items()},
+            {topic: partial(take_all, stream) for topic, stream in fetched.items()},
             self._on_samples,
             self._late.reset,
         )
         self._synchronizer.close()
-        self._leading = RawSubscription(
+        self._leading = subscribe_raw(
             self, topics.PERTURBATION, JointState, self._synchronizer.receive
         )
-        self._streams: list[RawSubscription] = [*fetched.values(), self._leading]
+        self._streams: list[Subscription] = [*fetched.values(), self._leading]
         self._beside = [
-            RawSubscription(
+            subscribe_raw(
                 self,
                 topic,
                 kind,
@@ -141,11 +141,11 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self._active = True
         self.result = None
         # Messages that came before do not count; the synchronizer discards its own.
-        take_all(self._leading.subscription)
+        take_all(self._leading)
         self._synchronizer.open()
         self._acknowledged = self._recorded = self._flushed = 0
         self._seen = -1
-        self._received.publish(0)
+        self._received.publish(UInt64(data=0))
         self._timer.reset()
         return super().on_activate(state)
 
@@ -162,8 +162,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self.destroy_timer(self._timer)
         self.destroy_timer(self._late)
         for stream in [*self._streams, *self._beside]:
-            self.destroy_subscription(stream.subscription)
-        self.destroy_publisher(self._received.publisher)
+            self.destroy_subscription(stream)
+        self.destroy_publisher(self._received)
         self.destroy_publisher(self._stopping)
         self.destroy_publisher(self._progress)
         self.destroy_publisher(self._result)
@@ -212,7 +212,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Take nothing more, and tell those who wait for the recorder."""
         self._active = False
         self._synchronizer.close()
-        self._received.publish(topics.RECORDER_GONE)
+        self._received.publish(UInt64(data=topics.RECORDER_GONE))
         self._timer.cancel()
 
     def _finish(self) -> None:
@@ -235,7 +235,7 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
                 self._announced.note(decision)
                 self._stopping.publish(status_message(decision))
             self._acknowledged = samples
-            self._received.publish(samples)
+            self._received.publish(UInt64(data=samples))
 
     def _record(self, *, incomplete: bool = False) -> None:
         """Record the messages that wait for it."""

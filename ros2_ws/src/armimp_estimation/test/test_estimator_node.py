@@ -25,7 +25,7 @@ from armimp_common import qos, topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.pubsub import CountSubscription, RawSubscription, wait_until_matched
+from armimp_common.pubsub import subscribe_counts, subscribe_raw, wait_until_matched
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase, values_of
 from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
@@ -75,7 +75,7 @@ class Script:
             for topic, kind in kinds.items()
         }
         self.echo = [
-            RawSubscription(node, topic, kind, self.on_echo, profile=qos.PROFILES[topic])
+            subscribe_raw(node, topic, kind, self.on_echo, profile=qos.PROFILES[topic])
             for topic, kind in kinds.items()
         ]
         self.people = [
@@ -97,7 +97,7 @@ class Script:
     def close(self) -> None:
         for publisher in self.publishers.values():
             self.node.destroy_publisher(publisher)
-        for subscription in [*(echo.subscription for echo in self.echo), *self.people]:
+        for subscription in [*self.echo, *self.people]:
             self.node.destroy_subscription(subscription)
 
     def play(self, spinner: Spinner, messages: Iterable[Message]) -> None:
@@ -323,7 +323,7 @@ class TestFaults:
     ) -> None:
         """As after a halt of the process, when all of one stream comes before the others."""
         told: list[int] = []
-        CountSubscription(desk.script.node, topics.RECEIVED, told.append)
+        subscribe_counts(desk.script.node, topics.RECEIVED, told.append)
         desk.bring_up()
         desk.eventually(lambda: told == [0], "the first count")
         ticks = 5 * topics.RECEIVED_EVERY - 1

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import JointState
 
 from armimp_common.driver_base import ProtectedDriver
@@ -16,7 +17,7 @@ from armimp_common.executor import run_node, steady_timer
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import load, require_unchanged
 from armimp_common.protection import Protection
-from armimp_common.pubsub import CommandPublisher, RawSubscription
+from armimp_common.pubsub import CommandPublisher, subscribe_raw
 from armimp_common.realtime import RealtimeScheduling
 from armimp_ros2_control.parameters import BridgeParameters
 from armimp_ros2_control.readings import Readings, Stamps
@@ -63,14 +64,14 @@ class Ros2ControlBridge(ProtectedDriver):
         self._stamps = Stamps()
         self._heard = self._heard_before = 0
         # Last, as robots publish always: what piled up meanwhile would come as one burst.
-        self.destroy_subscription(self._states.subscription)
+        self.destroy_subscription(self._states)
         self._states = self._listen()
         self.active = True
         # A forward controller holds what it was last told, by whomever.
         self.torque_was_taken()
         return super().on_activate(state)
 
-    def _listen(self) -> RawSubscription:
+    def _listen(self) -> Subscription:
         """Listen from now on; what an older subscription still delivers is not heard any more."""
         self._listened += 1
         listened = self._listened
@@ -79,7 +80,7 @@ class Ros2ControlBridge(ProtectedDriver):
             if listened == self._listened:
                 self._on_state(data)
 
-        return RawSubscription(self, STATES, JointState, on_state)
+        return subscribe_raw(self, STATES, JointState, on_state)
 
     def _on_state(self, data: bytes) -> None:
         protection = self.limiter
@@ -142,7 +143,7 @@ class Ros2ControlBridge(ProtectedDriver):
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the topics; only an emergency stop remains."""
-        self.destroy_subscription(self._states.subscription)
+        self.destroy_subscription(self._states)
         return super().on_cleanup(state)
 
     def rest(self) -> None:

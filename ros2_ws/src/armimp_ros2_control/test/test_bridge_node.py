@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
+from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
 from armimp_common.status import Level, to_time
 from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
@@ -54,8 +54,8 @@ class World:
             node.create_subscription(
                 Float64MultiArray, EFFORTS, self._on_efforts, qos_profile_system_default
             ),
-            JointStateSubscription(node, topics.JOINT_STATES, JOINTS, "position", self._on_angles),
-            JointStateSubscription(node, topics.TORQUE_SENSORS, JOINTS, "effort", self._on_torques),
+            subscribe_joint_states(node, topics.JOINT_STATES, JOINTS, "position", self._on_angles),
+            subscribe_joint_states(node, topics.TORQUE_SENSORS, JOINTS, "effort", self._on_torques),
             node.create_subscription(
                 DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
             ),

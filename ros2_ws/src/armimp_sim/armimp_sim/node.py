@@ -7,17 +7,18 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock
 
-from armimp_common import topics
+from armimp_common import qos, topics
 from armimp_common.driver_base import DriverBase, FlowControl
 from armimp_common.errors import ArmimpError, GraphError
 from armimp_common.executor import run_node, steady_timer
 from armimp_common.heartbeat import HeartbeatMonitor, Presence
 from armimp_common.lifecycle import reported
 from armimp_common.parameters import load, require_unchanged
-from armimp_common.pubsub import ClockPublisher, CountSubscription, wait_for_partners
+from armimp_common.pubsub import subscribe_counts, wait_for_partners
 from armimp_common.realtime import Pacer, RealtimeScheduling
-from armimp_common.status import make_array, status_message
+from armimp_common.status import make_array, status_message, to_time
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.realtime_simulator import RealtimeSimulator
 from armimp_sim.simulator import SimulatedRig
@@ -48,12 +49,12 @@ class ArmSimNode(DriverBase[SimulatedRig]):
         parameters = self._settings = load(self, SimulatorParameters)
         rig = SimulatedRig(parameters)
         self.set_up(rig, parameters.joints, self._on_command, self._on_malformed)
-        self._clock_publisher = ClockPublisher(self)
+        self._clock_publisher = self.create_publisher(Clock, topics.CLOCK, qos.CLOCK)
         self._flow = FlowControl()
         self._flow.silent = self._recorder.presence in (Presence.STALLED, Presence.SILENT)
         self._holding = False
-        received = CountSubscription(self, topics.RECEIVED, self._on_received)
-        self.own(self._clock_publisher.publisher, received.subscription)
+        received = subscribe_counts(self, topics.RECEIVED, self._on_received)
+        self.own(self._clock_publisher, received)
         self.own(steady_timer(self, _FAULT_PERIOD, self._on_fault_timer))
         return TransitionCallbackReturn.SUCCESS
 
@@ -215,7 +216,7 @@ class ArmSimNode(DriverBase[SimulatedRig]):
         self.joint_states.publish(stamp_ns, rig.position)
         self.torque_sensors.publish(stamp_ns, rig.torque)
         if rig.tick % _CLOCK_TICKS == 0:
-            self._clock_publisher.publish(stamp_ns)
+            self._clock_publisher.publish(Clock(clock=to_time(stamp_ns)))
 
     def _report_timing(self, paced: RealtimeSimulator) -> None:
         rig = self.limiter

@@ -19,7 +19,7 @@ from armimp_common.cdr import CommandEncoder
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
+from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
 from armimp_common.schema import Value
 from armimp_common.status import Level, to_ns
 from armimp_common.topics import (
@@ -54,7 +54,7 @@ class Commander:
         self.diagnostics: list[DiagnosticStatus] = []
         self.channel = CommandPublisher(node, COMMANDS, 2)
         self.subscriptions = [
-            JointStateSubscription(
+            subscribe_joint_states(
                 node, topic, PARAMETERS.joints, VALUE_FIELD[topic], partial(_keep, kept)
             )
             for topic, kept in (

@@ -10,11 +10,12 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.context import Context
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from std_msgs.msg import UInt64
 
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
+from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
 from armimp_common.schema import Value
 from armimp_common.status import Level, TimingFigures, values_of
 from armimp_common.topics import PERIOD_NS
@@ -48,7 +49,7 @@ class Surroundings:
             DiagnosticArray, topics.DIAGNOSTICS, self.on_diagnostics, qos.DIAGNOSTICS
         )
 
-    def listen(self, topic: str) -> JointStateSubscription:
+    def listen(self, topic: str) -> Subscription:
         stamps = self.stamps[topic] = []
 
         def on_sample(stamp_ns: int, values: tuple[float, ...]) -> None:
@@ -57,7 +58,7 @@ class Surroundings:
                 self.commands.publish(self.answers)
 
         field = topics.VALUE_FIELD[topic]
-        return JointStateSubscription(self.node, topic, PARAMETERS.joints, field, on_sample)
+        return subscribe_joint_states(self.node, topic, PARAMETERS.joints, field, on_sample)
 
     def on_diagnostics(self, array: DiagnosticArray) -> None:
         self.diagnostics += array.status

@@ -15,7 +15,7 @@ from std_srvs.srv import Trigger
 from armimp_common import qos, topics
 from armimp_common.executor import Spinner
 from armimp_common.heartbeat import HeartbeatMonitor
-from armimp_common.pubsub import CommandPublisher, JointStateSubscription, wait_until_matched
+from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
 from armimp_common.status import Level, values_of
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
@@ -35,7 +35,7 @@ class Surroundings:
         self.commands = CommandPublisher(node, topics.COMMANDS, 2)
         self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self.subscriptions = [
-            JointStateSubscription(
+            subscribe_joint_states(
                 node, topic, PARAMETERS.joints, topics.VALUE_FIELD[topic], self.on_sample
             )
             for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS)

@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
@@ -28,7 +29,7 @@ from armimp_common import qos, topics
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import InterruptionError, MalformedMessageError
 from armimp_common.executor import Spinner
-from armimp_common.pubsub import CommandPublisher, RawSubscription
+from armimp_common.pubsub import CommandPublisher, subscribe_raw
 from armimp_common.status import Level, TimingFigures, to_ns, values_of
 from armimp_common.topics import NS_PER_S
 
@@ -209,7 +210,7 @@ class Conversation(Node, Answering):
         self.errors: list[Error] = []
         self.timing: TimingFigures | None = None
         self.process = ""  # identity of the driver's process, as its heartbeat has it
-        self._sensors: list[RawSubscription] = []
+        self._sensors: list[Subscription] = []
         self._triggers = {
             name: self.create_client(Trigger, name)
             for name in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE)
@@ -237,7 +238,7 @@ class Conversation(Node, Answering):
                 else ReliabilityPolicy.RELIABLE,
             )
             self._sensors.append(
-                RawSubscription(self, topic, JointState, partial(self.hear, topic), profile=profile)
+                subscribe_raw(self, topic, JointState, partial(self.hear, topic), profile=profile)
             )
 
     @contextmanager
