@@ -19,7 +19,7 @@ from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import leave_terminal, phase
+from armimp_bringup.terminal import display
 from armimp_common.errors import ArmimpError, ConfigurationError
 from research.controller_figures import controller_figure
 from research.decomposition_trials import in_threads
@@ -209,10 +209,10 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
         "rows": rows,
     }
     write_tables(options.out, "controller", result, shown)
-    phase("drawing")
+    display().phase("drawing")
     with figure_style():
         write_figure(options.out, "controller", controller_figure(shown, PARAMETERS, REFERENCE))
-    leave_terminal()
+    display().close()
     if options.json:
         print(to_json(result))
         return 0

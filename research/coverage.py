@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import leave_terminal, phase
+from armimp_bringup.terminal import display
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
@@ -178,10 +178,10 @@ def investigate(options: InvestigationOptions, plan: CoveragePlan | None = None)
         "cells": [cell.described() for cell in cells],
     }
     write_tables(options.out, "coverage", result, [row for cell in cells for row in cell.rows()])
-    phase("drawing")
+    display().phase("drawing")
     with figure_style():
         write_figure(options.out, "coverage", coverage_figure(cells))
-    leave_terminal()
+    display().close()
     if options.json:
         print(to_json(result))
     else:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import leave_terminal, phase
+from armimp_bringup.terminal import display
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_figures import decomposition_figures
@@ -155,11 +155,11 @@ def investigate(options: InvestigationOptions, plan: DecompositionPlan | None = 
         "cells": [cell.described() for cell in cells],
     }
     write_tables(options.out, "decomposition", result, cell_rows(cells))
-    phase("drawing")
+    display().phase("drawing")
     with figure_style():
         for name, figure in decomposition_figures(cells, chosen.coupled_at).items():
             write_figure(options.out, name, figure)
-    leave_terminal()
+    display().close()
     if options.json:
         print(to_json(result))
     else:

@@ -17,7 +17,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, run_segments
 from armimp_bringup.parameters import Rig, node_parameters
 from armimp_bringup.study.engine import as_ready
-from armimp_bringup.terminal import progress
+from armimp_bringup.terminal import display
 from armimp_common.errors import ConfigurationError
 from armimp_common.status import Phase
 from armimp_control.perturbation import perturbation
@@ -202,9 +202,9 @@ def in_threads(
     threads = workers if workers is not None else available_cores()
     early: dict[int, Result] = {}
     due = 0
-    progress(0, len(tasks), things="batches")
+    display().progress(0, len(tasks), things="batches")
     for done, (number, result) in enumerate(as_ready(numbered, list(enumerate(tasks)), threads), 1):
-        progress(done, len(tasks), things="batches")
+        display().progress(done, len(tasks), things="batches")
         early[number] = result
         while due in early:
             yield early.pop(due)

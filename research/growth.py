@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import leave_terminal, phase
+from armimp_bringup.terminal import display
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_trials import (
     ESTIMATORS,
@@ -149,10 +149,10 @@ def investigate(options: InvestigationOptions, plan: GrowthPlan | None = None) -
         "cells": rows,
     }
     write_tables(options.out, "growth", result, rows)
-    phase("drawing")
+    display().phase("drawing")
     with figure_style():
         write_figure(options.out, "growth", growth_figure(cells, chosen.target))
-    leave_terminal()
+    display().close()
     if options.json:
         print(to_json(result))
     else:

@@ -11,7 +11,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import leave_terminal, phase
+from armimp_bringup.terminal import display
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
@@ -225,10 +225,10 @@ def investigate(options: InvestigationOptions, plan: LimitsPlan | None = None) -
         "cells": [cell.described() for cell in cells],
     }
     write_tables(options.out, "limits", result, [row for cell in cells for row in cell.rows()])
-    phase("drawing")
+    display().phase("drawing")
     with figure_style():
         write_figure(options.out, "limits", limits_figure(cells))
-    leave_terminal()
+    display().close()
     if options.json:
         print(to_json(result))
     else:

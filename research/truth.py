@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import leave_terminal
+from armimp_bringup.terminal import display
 from armimp_common import topics
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_estimation.alignment.assemble import assemble_trials
@@ -610,7 +610,7 @@ def investigate(options: InvestigationOptions) -> int:
     totals["false_refusals"] = sum(row["false_refusals"] for row in rows)
     result = {"schema": 1, "seeds": options.seeds or "0:4", **totals, "classes": rows}
     write_tables(options.out, "truth", result, rows)
-    leave_terminal()
+    display().close()
     if options.json:
         print(to_json(result))
         return 0

@@ -17,6 +17,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import bag_metadata, node_parameters
 from armimp_common import qos
 from armimp_common.driver_base import MOST_UNDER_WAY
+from armimp_common.protection import RAMP_PERIODS
 from armimp_common.realtime import LATE_NS
 from armimp_common.schema import leaves
 from armimp_common.status import (
@@ -64,7 +65,6 @@ from armimp_estimation.summary import (
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
-from armimp_sim.realtime_simulator import RAMP_TICKS
 from support.pages import markdown_tables
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
@@ -172,7 +172,7 @@ def test_phases_and_numbers_are_those_of_the_code() -> None:
         f"{NOTICE_TICKS} samples",
         f"more than {LATE_NS / 1e6:g} ms after",
         f"after {WATCHDOG_TICKS} periods without any command",
-        f"straight line within {RAMP_TICKS} ms",
+        f"straight line within {RAMP_PERIODS} ms",
     ):
         assert words in PAGE
 

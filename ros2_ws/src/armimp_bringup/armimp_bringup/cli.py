@@ -23,7 +23,7 @@ from pydantic import BaseModel
 from typer.exceptions import TyperException
 
 from armimp_bringup.config import CheckOptions, Declared, ExperimentConfig
-from armimp_bringup.terminal import Display, phase, repair_streams, say
+from armimp_bringup.terminal import Display, display, repair_streams, say
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError, InterruptionError
 
 _FunctionT = TypeVar("_FunctionT", bound=Callable[..., Any])
@@ -430,7 +430,7 @@ def main(
 
 def tell_of_compiling() -> None:
     """Name that phase on the display that is open."""
-    phase("compiling, once for this version")
+    display().phase("compiling, once for this version")
 
 
 def _require_open_files() -> None:

@@ -20,7 +20,7 @@ from armimp_bringup.graph import GraphContext
 from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.offline_estimate import read_bags
 from armimp_bringup.orchestrator import PARAMETERS_FILE, Course, Supervisor, settle
-from armimp_bringup.terminal import complete
+from armimp_bringup.terminal import display
 from armimp_common import qos, topics
 from armimp_common.cdr import stamp_of
 from armimp_common.errors import GraphError
@@ -205,7 +205,7 @@ def replay_bags(
                     for content in contents:
                         player.play(content, interrupted)
                     player.finish(contents[-1].trials[-1].window, len(contents))
-                    complete("estimating")
+                    display().complete("estimating")
 
                 course = Course(supervisor, spinner, nodes, interrupted=interrupted)
                 try:

@@ -1,7 +1,7 @@
 """What people see while they wait: complaints, named phases, progress, running results.
 
 All of it goes to standard error. One :class:`Display` is open at a time; whatever has something to
-tell calls :func:`phase` or :func:`progress`, which do nothing where no display is open.
+tell asks for it by :func:`display`.
 """
 
 from __future__ import annotations
@@ -62,40 +62,6 @@ def say(line: str) -> None:
     print(shown, file=sys.stderr)
 
 
-def phase(text: str) -> None:
-    """Name what goes on now on the display that is open, with the seconds that it takes."""
-    if Display.present is not None:
-        Display.present.phase(text)
-
-
-def progress(done: int, total: int, stored: int = 0, *, things: str) -> None:
-    """Show on the display that is open how many things are done, and how long the others take.
-
-    Parameters
-    ----------
-    done, total : int
-        Things that are done, and all of them.
-    stored : int
-        Those that were done before this command began.
-    things : str
-        What they are, in the plural.
-    """
-    if Display.present is not None:
-        Display.present.progress(done, total, stored, things=things)
-
-
-def complete(text: str) -> None:
-    """Let the bar of the display that is open reach its end, and name what comes then."""
-    if Display.present is not None:
-        Display.present.complete(text)
-
-
-def leave_terminal() -> None:
-    """Close the display that is open, so that results can be printed."""
-    if Display.present is not None:
-        Display.present.close()
-
-
 class Display:
     """A bar, a named phase and running results at the bottom of the terminal.
 
@@ -130,7 +96,17 @@ class Display:
         self._refresh()
 
     def progress(self, done: int, total: int, stored: int = 0, *, things: str) -> None:
-        """As :func:`progress`."""
+        """Show how many things are done, and how long the others take.
+
+        Parameters
+        ----------
+        done, total : int
+            Things that are done, and all of them.
+        stored : int
+            Those that were done before this command began.
+        things : str
+            What they are, in the plural.
+        """
         with self._lock:
             if self._bar is None:
                 self._progress_began = time.monotonic()
@@ -166,7 +142,7 @@ class Display:
         self.phase(text)
 
     def close(self) -> None:
-        """Leave the terminal to others."""
+        """Leave the terminal to others, so that results can be printed."""
         if self._console.is_terminal:
             self._live.stop()
         if Display.present is self:
@@ -202,6 +178,11 @@ class Display:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def display() -> Display:
+    """Return the display that is open; where none is, one that shows nothing."""
+    return Display.present or Display(Console(quiet=True))
 
 
 def describe(done: int, total: int, stored: int, seconds: float, *, things: str) -> str:

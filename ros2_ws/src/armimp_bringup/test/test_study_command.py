@@ -15,7 +15,7 @@ from rich.console import Console
 from armimp_bringup.cli import main
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.study.store import read_study
-from armimp_bringup.terminal import Display, describe, duration, phase, progress
+from armimp_bringup.terminal import Display, describe, display, duration
 
 SHORT = ("--duration", "4", "--no-figures", "--only", "friction=0,resolution=0,perturbation=3")
 
@@ -157,9 +157,9 @@ def test_progress_is_a_bar_on_a_terminal_and_lines_elsewhere() -> None:
         file = io.StringIO()
         console = Console(file=file, force_terminal=terminal, width=100)
         with Display(console):
-            progress(1, 4, things="conditions")
-            progress(4, 4, things="conditions")
-            phase("drawing the figures")
+            display().progress(1, 4, things="conditions")
+            display().progress(4, 4, things="conditions")
+            display().phase("drawing the figures")
         text = file.getvalue()
         if terminal:
             assert "drawing the figures" in text

@@ -11,7 +11,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel
@@ -27,7 +27,7 @@ from armimp_common.executor import steady_timer
 from armimp_common.heartbeat import Heartbeat, HeartbeatMonitor
 from armimp_common.lifecycle import ManagedNode, reported
 from armimp_common.parameters import declare, guard
-from armimp_common.protection import CommandSequence, Protection
+from armimp_common.protection import CommandSequence, Protection, TorqueLatch
 from armimp_common.pubsub import (
     JointStatePublisher,
     RawPublisher,
@@ -101,37 +101,7 @@ class FlowControl:
         return self._recorder and (self.silent or under_way >= MOST_UNDER_WAY)
 
 
-class SafetyLimiter(Protocol):
-    """What gives torque to the drives, or denies it.
-
-    Attributes
-    ----------
-    fault : why there is no torque any more; empty while all is well
-    """
-
-    fault: str
-
-    @property
-    def applied(self) -> tuple[float, ...]:
-        """Torque that the drives apply now (n,), N·m."""
-        ...
-
-    def latch(self, reason: str) -> None:
-        """Take torque away at once and until :meth:`reset`; the first reason stays."""
-        ...
-
-    def reset(self) -> None:
-        """Obey again after a fault.
-
-        Raises
-        ------
-        GraphError
-            If torque would come back with a jerk.
-        """
-        ...
-
-
-LimiterT = TypeVar("LimiterT", bound=SafetyLimiter)
+LimiterT = TypeVar("LimiterT", bound=TorqueLatch)
 
 
 class DriverBase(ManagedNode, ABC, Generic[LimiterT]):

@@ -18,7 +18,7 @@ WATCHDOG_PERIODS = 5
 A controller that works through old samples is none any more.
 """
 RAMP_PERIODS = 10
-"""Periods in which it then falls to zero."""
+"""Periods in which it then falls to zero: few, as the last command may be a peak of chatter."""
 _SPAN = 5
 
 
@@ -65,13 +65,12 @@ class ProtectionLimits(Schema):
     torque: float = Field(default=100.0, gt=0.0, description="largest command (N·m)")
 
 
-class Protection:
-    """Decides which torque the drives get.
+class TorqueLatch:
+    """The torque that drives apply, and the latch of the faults that take it away.
 
     Parameters
     ----------
     joints : how many
-    limits : ProtectionLimits
 
     Attributes
     ----------
@@ -79,13 +78,70 @@ class Protection:
     applied : what the drives are to apply now (n,), N·m
     """
 
-    def __init__(self, joints: int, limits: ProtectionLimits) -> None:
-        self._limits = limits
+    def __init__(self, joints: int) -> None:
         self._zero = self.applied = (0.0,) * joints
-        self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
-        self._silent = self._owed = self._spare = self._seen = self._fading = 0
-        self._begun = self._resting = False
+        self._fading = 0
+        self._resting = True
         self.fault = ""
+
+    def obey(self, torque: Sequence[float]) -> None:
+        """Apply a command (n,), N·m, unless there is a fault."""
+        self._resting = not any(torque)
+        if not self.fault:
+            self.applied = tuple(torque)
+
+    def latch(self, reason: str) -> None:
+        """Take torque away at once and until :meth:`reset`; the first reason stays."""
+        self.fault = self.fault or reason
+        self.applied, self._fading = self._zero, 0
+
+    def fade(self, reason: str) -> None:
+        """Take torque away in a straight line, until :meth:`reset`; after a fault nothing changes.
+
+        After the last of :data:`RAMP_PERIODS` calls of :meth:`go_on_fading` there is none.
+        """
+        if not self.fault:
+            self.fault, self._fading = reason, RAMP_PERIODS
+
+    def go_on_fading(self) -> None:
+        """End a period, in which a torque that fades becomes smaller."""
+        if self._fading:
+            share = (self._fading - 1) / self._fading
+            self.applied = tuple(share * value for value in self.applied) if share else self._zero
+            self._fading -= 1
+
+    def rest(self) -> None:
+        """Forget the last command, as whoever gave it is no longer obeyed."""
+        self.applied, self._fading, self._resting = self._zero, 0, True
+
+    def reset(self) -> None:
+        """Obey again after a fault.
+
+        Raises
+        ------
+        GraphError
+            If the last command was not zero: torque would come back with a jerk.
+        """
+        if not self._resting:
+            raise GraphError("the last command is not zero torque: stop the controller first")
+        self.fault, self.applied, self._fading = "", self._zero, 0
+
+
+class Protection(TorqueLatch):
+    """Decides which torque the drives get.
+
+    Parameters
+    ----------
+    joints : how many
+    limits : ProtectionLimits
+    """
+
+    def __init__(self, joints: int, limits: ProtectionLimits) -> None:
+        super().__init__(joints)
+        self._limits = limits
+        self._history: deque[tuple[float, ...]] = deque(maxlen=_SPAN + 1)
+        self._silent = self._owed = self._spare = self._seen = 0
+        self._begun = False
 
     def command(self, torque: Sequence[float]) -> None:
         """Take a command (n,), N·m; one that cannot be obeyed is a fault."""
@@ -100,14 +156,12 @@ class Protection:
         elif any(torque):
             # One of zero torque more, as whoever stops sends it, does no harm.
             self.latch("more commands than samples")
-        self._resting = not any(torque)
         # Written so that NaN fails.
         if len(torque) != len(self._zero) or not all(
             abs(value) <= self._limits.torque for value in torque
         ):
             self.latch(f"command cannot be obeyed: {list(torque)}")
-        if not self.fault:
-            self.applied = tuple(torque)
+        self.obey(torque)
 
     def sample(self, angles: Sequence[float]) -> None:
         """Check the angles (n,), rad, of a sample that the next command is to answer."""
@@ -125,41 +179,22 @@ class Protection:
         """End a period, in real time only; return whether no command came in it."""
         self._silent += self._begun
         if self._silent > WATCHDOG_PERIODS:
-            self._fade(f"no command for {WATCHDOG_PERIODS} periods")
+            self.fade(f"no command for {WATCHDOG_PERIODS} periods")
         elif self._owed > WATCHDOG_PERIODS:
-            self._fade(f"commands are more than {WATCHDOG_PERIODS} periods behind")
-        if self._fading:
-            share = (self._fading - 1) / self._fading
-            self.applied = tuple(share * value for value in self.applied)
-            self._fading -= 1
+            self.fade(f"commands are more than {WATCHDOG_PERIODS} periods behind")
+        self.go_on_fading()
         return self._silent > 1
 
-    def _fade(self, reason: str) -> None:
-        if not self.fault:
-            self.fault, self._fading = reason, RAMP_PERIODS
-
-    def latch(self, reason: str) -> None:
-        """Take torque away at once and until :meth:`reset`; the first reason stays."""
-        self.fault = self.fault or reason
-        self.applied, self._fading = self._zero, 0
-
     def rest(self) -> None:
-        """Forget the last command, as whoever gave it is no longer obeyed."""
-        self.applied, self._fading = self._zero, 0
-        self._begun, self._resting = False, True
+        """Forget the last command, and the samples before it."""
+        super().rest()
+        self._begun = False
         self._silent = self._owed = self._seen = 0
         self._history.clear()
 
     def reset(self) -> None:
-        """Obey again after a fault.
-
-        Raises
-        ------
-        GraphError
-            If the last command was not zero: torque would come back with a jerk.
-        """
-        if self._begun and not self._resting:
-            raise GraphError("the last command is not zero torque: stop the controller first")
-        self.fault, self._begun = "", False
+        """Obey again after a fault, as :meth:`TorqueLatch.reset`."""
+        super().reset()
+        self._begun = False
         self._silent = self._owed = 0
         self._history.clear()

@@ -11,8 +11,6 @@ from armimp_common.status import TimingFigures
 from armimp_sim.parameters import WATCHDOG_TICKS
 from armimp_sim.simulator import SimulatedRig
 
-RAMP_TICKS = 10
-"""Periods in which it then falls to zero: short, as the last command may be a peak of chatter."""
 UNHEARD_TICKS = 100
 """If the first command comes later than that, in periods, what was sent before was not heard."""
 _PATIENCE = 2.0
@@ -129,9 +127,9 @@ class RealtimeSimulator:
 
     def _look_after_itself(self) -> None:
         if self._silent >= self._patience:
-            self._rig.fade(f"no command for {self._patience} ticks", RAMP_TICKS)
+            self._rig.fade(f"no command for {self._patience} ticks")
         elif self._in_step and len(self._unanswered) > self._patience:
-            self._rig.fade(f"commands are more than {self._patience} ticks behind", RAMP_TICKS)
+            self._rig.fade(f"commands are more than {self._patience} ticks behind")
 
     def _sample(self, tick: int) -> None:
         sent_ns = self._pacer.now()

@@ -9,14 +9,14 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.errors import GraphError
+from armimp_common.protection import TorqueLatch
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError, Plant
 from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
 
 
-class SimulatedRig:
+class SimulatedRig(TorqueLatch):
     """Arm, exoskeleton, friction and sensors, advanced by one control period per command.
 
     Parameters
@@ -28,7 +28,6 @@ class SimulatedRig:
     position : (n,) encoder readings, rad; valid until the next step
     torque : (n,) torque transducer readings, N·m; likewise
     tick : number of the present sample, from 0
-    fault : why no torque is applied any more; empty while all is well
 
     Raises
     ------
@@ -38,6 +37,7 @@ class SimulatedRig:
 
     def __init__(self, parameters: SimulatorParameters) -> None:
         config = parameters.plant_config()
+        super().__init__(config.joints)
         self._plant = Plant([config])
         self.position: NDArray[np.float64] = self._plant.position[0]
         self.torque: NDArray[np.float64] = self._plant.torque[0]
@@ -49,21 +49,13 @@ class SimulatedRig:
         )
         self._noise = ReadingNoise(config.sensors, joints=config.joints, seed=parameters.seed)
         self._command = np.zeros((1, config.joints))
-        self._resting = True
-        self._fading = 0
         self.tick = 0
-        self.fault = ""
         self._compile(config.joints)
 
     @property
     def stamp_ns(self) -> int:
         """Time of the present sample since the start, ns."""
         return self.tick * PERIOD_NS
-
-    @property
-    def applied(self) -> tuple[float, ...]:
-        """Torque that the drives apply now (n,), N·m; zero after a fault, whatever is commanded."""
-        return tuple(self._command[0].tolist())
 
     def step(self, command: Sequence[float]) -> None:
         """Hold ``command`` (n,), N·m, for one period and sample again.
@@ -77,16 +69,11 @@ class SimulatedRig:
         IntegrationError
             If the simulation itself broke down.
         """
-        self._resting = not any(command)
         if not math.isfinite(sum(command)):
             self._refuse(command)
-        if not self.fault:
-            self._command[0] = command
-        elif self._fading > 1:
-            self._command *= (self._fading - 1) / self._fading
-            self._fading -= 1
-        else:
-            self._command[:] = 0.0
+        self.obey(command)
+        self.go_on_fading()
+        self._command[0] = self.applied
         self._plant.tick(self._command, self._voluntary.take(1), self._noise.take(1))
         self.tick += 1
 
@@ -95,39 +82,6 @@ class SimulatedRig:
         for joint, value in enumerate(command):
             if not math.isfinite(value):
                 self.latch(f"command of joint {joint + 1} is not finite: {value}")
-
-    def latch(self, reason: str) -> None:
-        """Take torque away at once and until :meth:`reset`; the first reason stays."""
-        self.fault = self.fault or reason
-        self._fading = 0
-        self._command[:] = 0.0
-
-    def fade(self, reason: str, steps: int) -> None:
-        """Take torque away in a straight line, until :meth:`reset`; after a fault nothing changes.
-
-        The last of so many steps runs with zero torque.
-        """
-        if not self.fault:
-            self.fault = reason
-            self._fading = steps
-
-    def reset(self) -> None:
-        """Obey commands again after a fault.
-
-        Raises
-        ------
-        GraphError
-            If the last command was not zero: torque would come back with a jerk.
-        """
-        if not self._resting:
-            raise GraphError("the last command is not zero torque: stop the controller first")
-        self.fault = ""
-
-    def rest(self) -> None:
-        """Forget the last command, as whoever gave it is no longer obeyed."""
-        self._fading = 0
-        self._command[:] = 0.0
-        self._resting = True
 
     def _compile(self, joints: int) -> None:
         """Compile the plant before time matters, and leave its state as it was."""

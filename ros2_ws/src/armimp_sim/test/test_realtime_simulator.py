@@ -9,10 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from armimp_common.protection import RAMP_PERIODS
 from armimp_common.realtime import LATE_NS, Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
-from armimp_sim.realtime_simulator import RAMP_TICKS, UNHEARD_TICKS, RealtimeSimulator
+from armimp_sim.realtime_simulator import UNHEARD_TICKS, RealtimeSimulator
 from armimp_sim.simulator import SimulatedRig
 
 PARAMETERS = SimulatorParameters.preset()
@@ -154,10 +155,10 @@ class TestWatchdog:
             bench.next()
             applied.append(bench.rig.applied)
         assert bench.rig.fault == SILENCE
-        ramp = [1.0 - (k + 1) / RAMP_TICKS for k in range(RAMP_TICKS)]
+        ramp = [1.0 - (k + 1) / RAMP_PERIODS for k in range(RAMP_PERIODS)]
         np.testing.assert_allclose(applied[: len(ramp)], np.outer(ramp, (10.0, -20.0)), atol=1e-12)
-        assert RAMP_TICKS <= 50
-        assert set(applied[RAMP_TICKS - 1 :]) == {(0.0, 0.0)}
+        assert RAMP_PERIODS <= 50
+        assert set(applied[RAMP_PERIODS - 1 :]) == {(0.0, 0.0)}
 
     def test_the_reset_forgets_answers_that_are_owed_so_that_new_commands_are_obeyed(
         self, bench: Bench
@@ -192,7 +193,7 @@ class TestWatchdog:
         bench.next()
 
         assert bench.rig.fault == f"commands are more than {WATCHDOG_TICKS} ticks behind"
-        bench.next(RAMP_TICKS)
+        bench.next(RAMP_PERIODS)
         assert bench.rig.applied == (0.0, 0.0)
 
     @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from armimp_bringup.study.engine import (
 )
 from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
 from armimp_bringup.study.store import CONFIG_FILE, RESULTS_DIRECTORY, open_study, study_text
-from armimp_bringup.terminal import phase, progress, say
+from armimp_bringup.terminal import display, say
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.run import REPORT_FILE
@@ -103,7 +103,7 @@ def run_study(
     with open_study(directory, base, here) as store:
         missing = store.missing(conditions)
         done = stored = len(conditions) - len(missing)
-        progress(done, len(conditions), stored, things="conditions")
+        display().progress(done, len(conditions), stored, things="conditions")
         if missing:
             batches = [
                 Batch(base=base, conditions=part, software=here)
@@ -113,7 +113,7 @@ def run_study(
                 for result in results:
                     store.save(result)
                 done += len(results)
-                progress(done, len(conditions), stored, things="conditions")
+                display().progress(done, len(conditions), stored, things="conditions")
         entries = store.entries(conditions)
         table = results_table(entries)
         verdict = judge(entries, table)
@@ -124,11 +124,11 @@ def run_study(
         drawn: dict[str, str] = {}
         truth = entries[0].truth
         if figures and truth is not None:
-            phase("drawing the figures")
+            display().phase("drawing the figures")
             from armimp_bringup.study.figures import write_figures
 
             drawn = write_figures(directory, conditions, table, truth.mbk(), store.curves)
-        phase("writing the report")
+        display().phase("writing the report")
         from armimp_bringup.study.report import StudyReport
 
         report = StudyReport(
