@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import pytest
 import rclpy
@@ -254,3 +254,28 @@ class ScriptedDriver:
         self.channels[topics.JOINT_STATES].publish(self.stamp_ns, theta)
         self.channels[topics.TORQUE_SENSORS].publish(self.stamp_ns, tau_h)
         self.tick += 1
+
+
+Launch: TypeAlias = Callable[..., Any]
+
+
+@pytest.fixture
+def launch(context: Context, spinner: Spinner) -> Iterator[Launch]:
+    """Makes a node with the parameters of a schema, and other ones by name; it is spun."""
+    made: list[Node] = []
+
+    def factory(
+        kind: Callable[..., NodeT],
+        model: BaseModel,
+        changes: Mapping[str, Value] | None = None,
+        **kwargs: Any,
+    ) -> NodeT:
+        node = kind(context=context, parameter_overrides=overrides(model, changes), **kwargs)
+        made.append(node)
+        spinner.add_node(node)
+        return node
+
+    yield factory
+    for node in made:
+        spinner.remove_node(node)
+        node.destroy_node()

@@ -1,0 +1,195 @@
+"""A controller's parameters for short trials, and stand-ins for whom it talks with."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from numpy.typing import NDArray
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
+from std_msgs.msg import UInt64
+from std_srvs.srv import Trigger
+
+from armimp_common import qos, topics
+from armimp_common.executor import Spinner
+from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
+from armimp_common.status import Level, Phase, TrialStatus, values_of
+from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, VALUE_FIELD
+from armimp_control.parameters import ControllerParameters
+from armimp_control.sequence import SequenceParameters
+from armimp_control.trial_sequencer import TrialSequencer
+from support.graph import PATIENCE, eventually
+
+NAMES = ("shoulder", "elbow")
+POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
+STILL = (0.0, 0.0)
+SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+Sample = tuple[int, tuple[float, ...]]
+
+
+def controller_parameters(
+    *ticks: int, seed: int = 1, law: Any = "observer", **groups: Any
+) -> ControllerParameters:
+    """Parameters for robot and arm of the study.
+
+    Parameters
+    ----------
+    ticks
+        Of settling, perturbation and rest; by default those of the study.
+    seed, law
+        As of the preset.
+    groups
+        Groups of parameters in the place of those of the preset.
+    """
+    preset = ControllerParameters.preset(
+        joints=NAMES,
+        posture=np.array(POSTURE),
+        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
+        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
+        seed=seed,
+        law=law,
+    )
+    if ticks:
+        settle, perturb, rest = (count / 1000 for count in ticks)
+        groups["sequence"] = SequenceParameters(duration=perturb, settle=settle, rest=rest)
+    return preset.model_copy(update=groups)
+
+
+class SequencerBench:
+    """A sequencer that is fed, with a diary of what it says and answers."""
+
+    def __init__(self, parameters: ControllerParameters, start_ns: int = 0) -> None:
+        self.parameters, self.stamp_ns = parameters, start_ns
+        self.statuses: list[TrialStatus] = []
+        self.commands: list[NDArray[np.float64]] = []
+        self.perturbations: list[NDArray[np.float64]] = []
+        self.experiment = TrialSequencer(parameters, self.statuses.append)
+
+    def answer(
+        self, theta: Sequence[float] | NDArray[np.float64], tau_h: Sequence[float] = STILL
+    ) -> None:
+        self.experiment.answer(self.stamp_ns, tuple(theta), tuple(tau_h))
+        self.commands.append(self.experiment.command.copy())
+        self.perturbations.append(self.experiment.tau_delta.copy())
+        self.stamp_ns += PERIOD_NS
+
+    def run(self, ticks: int, tau_h: Sequence[float] = STILL) -> list[NDArray[np.float64]]:
+        """Feed the posture and a torque on the arm; return the commands."""
+        for _ in range(ticks):
+            self.answer(POSTURE, tau_h)
+        return self.commands[len(self.commands) - ticks :]
+
+    def wobble(self, ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+        """Feed a random movement, and return it."""
+        samples = wobble(ticks)
+        for theta, tau_h in samples:
+            self.answer(theta, tau_h)
+        return samples
+
+    def said(self, phase: Phase, trial: int) -> list[TrialStatus]:
+        return [one for one in self.statuses if (one.phase, one.trial) == (phase, trial)]
+
+    @property
+    def last(self) -> TrialStatus:
+        return self.statuses[-1]
+
+
+def wobble(ticks: int) -> list[tuple[tuple[float, ...], tuple[float, ...]]]:
+    """Angles of an arm that moves a little, and torques on it."""
+    rng = np.random.default_rng(4)
+    theta = POSTURE + np.cumsum(rng.normal(scale=1e-6, size=(ticks, 2)), axis=0)
+    tau_h = rng.normal(scale=0.1, size=(ticks, 2))
+    return [(tuple(a), tuple(b)) for a, b in zip(theta.tolist(), tau_h.tolist(), strict=True)]
+
+
+class ScriptedController:
+    """Stands for controller, recorder and people: commands a rig, and keeps what comes back.
+
+    Attributes
+    ----------
+    samples
+        Stamps (ns) and values received, by topic.
+    answer
+        Torque (N·m) that answers each sample at once; None for no answer.
+    diagnostics
+        Statuses received.
+    """
+
+    def __init__(self, node: Node, spinner: Spinner, names: Sequence[str] = NAMES) -> None:
+        self.node, self.spinner = node, spinner
+        self.answer: tuple[float, ...] | None = None
+        self.diagnostics: list[DiagnosticStatus] = []
+        self.samples: dict[str, list[Sample]] = {JOINT_STATES: [], TORQUE_SENSORS: []}
+        self.commands = CommandPublisher(node, topics.COMMANDS, len(names))
+        self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
+        self.subscriptions = [
+            subscribe_joint_states(
+                node, topic, names, VALUE_FIELD[topic], partial(self.on_sample, topic)
+            )
+            for topic in self.samples
+        ]
+        self.subscriptions.append(
+            node.create_subscription(
+                DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
+            )
+        )
+
+    def on_sample(self, topic: str, stamp_ns: int, values: tuple[float, ...]) -> None:
+        self.samples[topic].append((stamp_ns, values))
+        if topic == TORQUE_SENSORS and self.answer is not None:
+            self.commands.publish(self.answer)
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        self.diagnostics += array.status
+
+    def bring_up(self, rig: LifecycleNode) -> None:
+        """Configure and activate a rig; it reaches everybody, and everybody reaches it."""
+        assert rig.trigger_configure() is SUCCESS
+        assert not wait_until_matched(
+            self.node,
+            publishers=[self.commands],
+            subscriptions=self.subscriptions,
+            timeout_s=PATIENCE,
+        )
+        assert rig.trigger_activate() is SUCCESS, getattr(rig, "transition_error", "")
+
+    @property
+    def count(self) -> int:
+        """Number of samples received."""
+        return min(map(len, self.samples.values()))
+
+    @property
+    def faults(self) -> list[tuple[str, str]]:
+        """Faults that were reported, with the torque that the drives apply."""
+        error = bytes([Level.ERROR])
+        found = [one for one in self.diagnostics if one.level == error]
+        return [(one.message, values_of(one).get("applied", "")) for one in found]
+
+    def await_samples(self, number: int) -> None:
+        eventually(self.spinner, lambda: self.count >= number, f"{number} samples")
+
+    def command(self, *torque: float) -> None:
+        """Command a torque, and wait for the sample that follows."""
+        wanted = self.count + 1
+        self.commands.publish(torque)
+        self.await_samples(wanted)
+
+    def await_fault(self, words: str = "") -> tuple[str, str]:
+        """Wait for a fault with these words, and return the first such one."""
+
+        def found() -> list[tuple[str, str]]:
+            return [fault for fault in self.faults if words in fault[0]]
+
+        eventually(self.spinner, lambda: bool(found()), f"the fault {words}")
+        return found()[0]
+
+    def call(self, service: str) -> Trigger.Response:
+        client = self.node.create_client(Trigger, service)
+        eventually(self.spinner, client.service_is_ready, f"the service {service}")
+        future = client.call_async(Trigger.Request())
+        assert self.spinner.spin_until(future, PATIENCE)
+        return future.result()
