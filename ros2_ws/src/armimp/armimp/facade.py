@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +16,9 @@ from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.fit import Calibration
 from armimp_estimation.mbk import MBK
+from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
+from armimp_estimation.sampling import HIGHEST, LOWEST
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
 FloatArray = NDArray[np.float64]
@@ -36,12 +40,15 @@ class Recording:
     calibration : Calibration
         What is known of the torque transducers; by default what is assumed of any, 1 % of gain and
         of cross-talk.
+    problems : tuple of Problem
+        What was wrong with the trials when they were read.
     """
 
     trials: tuple[TrialRecord, ...]
     reading: TorqueReading = field(default_factory=TorqueReading)
     truth: MBK | None = None
     calibration: Calibration = field(default_factory=Calibration.undeclared)
+    problems: tuple[Problem, ...] = ()
 
     @classmethod
     def from_arrays(
@@ -82,7 +89,8 @@ class Recording:
         Raises
         ------
         DataError
-            If shapes disagree or a sample is not finite.
+            If shapes disagree, a sample is not finite or not real, the perturbation of a trial is
+            zero, or the rate is not from 200 to 4000 Hz.
         ConfigurationError
             If the timing is unknown or the delay impossible.
         """
@@ -93,20 +101,31 @@ class Recording:
         if command is not None:
             signals.append(command)
         try:
-            trials = [
-                [np.asarray(one, dtype=np.float64) for one in trial]
-                for trial in zip(*map(list, signals), strict=True)
-            ]
-        except ValueError as error:
-            raise DataError(f"signals do not make trials: {error}") from None
+            listed = [[_numbers(trial) for trial in signal] for signal in signals]
+        except (TypeError, ValueError) as error:
+            raise DataError(f"signals are no arrays of numbers: {error}") from None
+        counts = [len(signal) for signal in listed]
+        if len(set(counts)) > 1:
+            raise DataError(f"signals must have one array for each trial, but have {counts}")
+        trials = list(zip(*listed, strict=True))
         if not trials or any(one.ndim != 2 for trial in trials for one in trial):
             raise DataError("each signal needs an array of shape (joints, samples) for each trial")
+        for number, (pushed, *_) in enumerate(trials, start=1):
+            if len(pushed) > pushed.shape[1]:
+                raise DataError(
+                    f"trial {number} has {len(pushed)} joints and {pushed.shape[1]} samples: "
+                    "arrays must be of shape (joints, samples)"
+                )
+            if not pushed.any():
+                raise DataError(f"trial {number}: the perturbation is zero throughout")
+        if not (isinstance(rate, Real) and LOWEST <= rate <= HIGHEST):
+            raise DataError(f"rate: {rate!r} is not from {LOWEST:g} to {HIGHEST:g} Hz")
         names = tuple(joint_names or (f"joint_{i + 1}" for i in range(len(trials[0][0]))))
         records = [
             TrialRecord(
                 trial=number,
                 perturbed_joint=int(np.argmax(np.sum(trial[0] ** 2, axis=1))),
-                rate=rate,
+                rate=float(rate),
                 joint_names=names,
                 perturbation=trial[0],
                 position=trial[1],
@@ -122,6 +141,14 @@ class Recording:
         except ValueError:
             raise ConfigurationError(f"torque_delay: {torque_delay} s is impossible") from None
         return cls(trials=tuple(records), reading=reading)
+
+
+def _numbers(values: ArrayLike) -> FloatArray:
+    """The values as they are; samples that are masked are NaN."""
+    found: Any = np.ma.asarray(values)
+    if np.iscomplexobj(found):
+        raise ValueError("they are complex")
+    return np.ma.filled(found.astype(np.float64), np.nan)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -219,13 +246,15 @@ def simulate(**options: Any) -> Recording:
     )
 
 
-def read_bag(*bags: str | Path) -> Recording:
+def read_bag(*bags: str | Path, rate: float | None = None) -> Recording:
     """Read the trials of bags that belong to one experiment.
 
     Parameters
     ----------
     *bags : str or Path
         rosbag2 directories, ``.mcap`` or ``.db3`` files.
+    rate : float, optional
+        Samples per second that the stamps must give, Hz; needed where that is unusual.
 
     Raises
     ------
@@ -236,16 +265,28 @@ def read_bag(*bags: str | Path) -> Recording:
     """
     from armimp_bringup.offline_estimate import read_bags
     from armimp_estimation.metadata import Metadata, latest_metadata
+    from armimp_estimation.result import problems_of
 
+    if not bags:
+        raise DataError("no bag is given")
     contents = read_bags([Path(bag) for bag in bags])
+    trials = [trial for content in contents for trial in content.trials]
     records = []
-    for trial in (trial for content in contents for trial in content.trials):
+    for trial in trials:
         record, *others = trial.intact()
         if others:
             raise DataError(f"trial {record.trial}: clipped commands divide it: armimp estimate")
         records.append(record)
-    known = Metadata.of(latest_metadata([content.metadata for content in contents]))
-    return Recording(trials=tuple(records), reading=known.reading, calibration=known.calibration)
+    metadata = latest_metadata([content.metadata for content in contents])
+    if rate is not None:
+        metadata["sampling_rate"] = json.dumps(float(rate))
+    known = Metadata.of(metadata)
+    return Recording(
+        trials=tuple(records),
+        reading=known.reading,
+        calibration=known.calibration,
+        problems=tuple(problems_of(trials, known)),
+    )
 
 
 def identify(recording: Recording, estimator: str = "lpm_full", model: str = "auto") -> Result:
@@ -283,6 +324,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str = "au
         calibration=recording.calibration,
     )
     found = identify_trials(data, [estimator], recording.truth, config)
+    found = replace(found, problems=(*recording.problems, *found.problems))
     one = found.estimators[estimator]
     best = supported(one.models)
     return Result(

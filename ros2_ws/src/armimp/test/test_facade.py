@@ -1,6 +1,7 @@
 """The facade: recordings of any origin give the same result, with intervals that hold the truth."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +72,12 @@ def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_
         (lambda one: one[:, :-1], "trial 1: position has 19999 samples"),
         (lambda one: np.where(np.arange(20000) == 7, math.nan, one), "is nan at sample 7"),
         (lambda one: one[0], "shape"),
+        (lambda one: one + 1j, "complex"),
+        (
+            lambda one: np.ma.masked_array(one, mask=np.arange(20000) == 3 * np.ones((2, 1))),
+            "nan at sample 3",
+        ),
+        (lambda one: np.full(one.shape, "N·m"), "no arrays of numbers"),
     ],
 )
 def test_when_arrays_are_no_good_expect_one_line_that_says_where(
@@ -87,6 +94,28 @@ def test_when_arrays_are_no_good_expect_one_line_that_says_where(
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"perturbation": np.zeros((1, 1, 5000))}, "the perturbation is zero"),
+        (
+            {name: np.ones((1, 5000, 1)) for name in ("perturbation", "position", "torque")},
+            "5000 joints",
+        ),
+        ({"position": np.ones((2, 1, 5000))}, r"one array for each trial, but have \[1, 2, 1\]"),
+        ({"position": None}, "no arrays of numbers"),
+        ({"rate": 100.0}, "rate: 100"),
+        ({"rate": "1000"}, "rate: '1000'"),
+    ],
+)
+def test_when_arrays_are_no_trials_of_a_rig_expect_what_is_wrong_before_any_estimate(
+    changed: dict[str, object], message: str
+) -> None:
+    signals = dict.fromkeys(("perturbation", "position", "torque"), np.ones((1, 1, 5000)))
+    with pytest.raises(armimp.ArmimpError, match=message):
+        armimp.Recording.from_arrays(**(signals | {"rate": 1000.0} | changed))  # type: ignore[arg-type]
+
+
 def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
     with pytest.raises(armimp.ArmimpError, match="frictoin"):
         armimp.simulate(frictoin=3)
@@ -96,15 +125,31 @@ def test_when_an_option_is_unknown_or_out_of_range_expect_its_name() -> None:
         armimp.Recording.from_arrays([], [], [], rate=1.0, timing="never")
 
 
-def test_a_bag_becomes_a_recording_of_its_trials(tmp_path: Path) -> None:
+def written(directory: Path) -> Path:
     made = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10)
-    writer = BagWriter(tmp_path / "bag", metadata={})
+    writer = BagWriter(directory / "bag", metadata={})
     for topic, time_ns, raw in made.messages:
         writer.write(topic, raw, time_ns)
     writer.close()
+    return directory / "bag"
 
-    recording = armimp.read_bag(tmp_path / "bag")
 
+def test_what_was_wrong_with_stamps_of_a_bag_is_wrong_with_the_result(
+    recording: armimp.Recording, tmp_path: Path
+) -> None:
+    doubted = armimp.read_bag(written(tmp_path), rate=900.0)
+    assert [one.code.value for one in doubted.problems] == ["rate_unplanned"] * 2
+    result = armimp.identify(replace(recording, problems=doubted.problems))
+    assert not result.valid
+    assert "900 Hz were expected" in result.problems[0]
+    with pytest.raises(armimp.ArmimpError, match="no bag"):
+        armimp.read_bag()
+
+
+def test_a_bag_becomes_a_recording_of_its_trials(tmp_path: Path) -> None:
+    recording = armimp.read_bag(written(tmp_path))
+
+    assert recording.problems == ()
     assert [one.perturbed_joint for one in recording.trials] == [0, 1]
     assert [one.samples for one in recording.trials] == [2000, 2000]
     assert recording.truth is None

@@ -123,13 +123,9 @@ def conclude(
         If the metadata make no sense.
     """
     known = Metadata.of(metadata, len(joint_names))
-    found = [*problems, *([] if known.timing is None else known.timing.problems)]
-    for trial in trials:
-        found += (
-            one
-            for one in trial.judged(allow_gaps=allow_gaps, most_excluded=most_excluded)
-            if one not in found and not _rate_is_declared(one, known.sampling_rate)
-        )
+    found = list(problems)
+    of_trials = problems_of(trials, known, allow_gaps=allow_gaps, most_excluded=most_excluded)
+    found += (one for one in of_trials if one not in found)
     identification = None
     if not any(trial.refusals(allow_gaps=allow_gaps) for trial in trials):
         try:
@@ -162,6 +158,37 @@ def conclude(
         trials=tuple(trials),
         notes=tuple(trial.note for trial in trials if trial.note),
     )
+
+
+def problems_of(
+    trials: Sequence[Trial],
+    known: Metadata,
+    *,
+    allow_gaps: bool = False,
+    most_excluded: float = MOST_EXCLUDED,
+) -> list[Problem]:
+    """What is wrong with a recording, before anything is estimated from it.
+
+    Parameters
+    ----------
+    trials, allow_gaps, most_excluded
+        As :func:`conclude` takes them.
+    known : Metadata
+        What was recorded or declared beside the samples.
+    """
+    found = [] if known.timing is None else known.timing.problems
+    declared = known.sampling_rate
+    for trial in trials:
+        judged = trial.judged(allow_gaps=allow_gaps, most_excluded=most_excluded)
+        if declared is not None:
+            judged = [one for one in judged if one.code is not ProblemCode.RATE_UNCUSTOMARY]
+            rate = trial.segments[0].rate if trial.segments else declared
+            if abs(rate / declared - 1.0) > TOLERANCE:
+                values = {"rate": rate, "planned": declared}
+                code = ProblemCode.RATE_UNPLANNED
+                judged.append(Problem(code=code, trial=trial.trial, values=values))
+        found += judged
+    return found
 
 
 def load_result(directory: Path) -> Result:
@@ -219,13 +246,6 @@ def _trial_summary(
         rtf=trial.rtf,
         saved=trial.window.saved * PERIOD_NS / NS_PER_S,
     )
-
-
-def _rate_is_declared(one: Problem, declared: float | None) -> bool:
-    if one.code is not ProblemCode.RATE_UNCUSTOMARY or declared is None:
-        return False
-    rate = one.values["rate"]
-    return isinstance(rate, float) and abs(rate / declared - 1.0) <= TOLERANCE
 
 
 def _fitting(curves: Mapping[str, ImpedanceCurve], summary: Summary) -> dict[str, ImpedanceCurve]:
