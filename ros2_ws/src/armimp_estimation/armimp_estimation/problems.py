@@ -45,6 +45,7 @@ class ProblemCode(str, Enum):
     SAMPLES_REORDERED = "samples_reordered"
     SAMPLES_LOST = "samples_lost"
     STAMPS_DISAGREE = "stamps_disagree"
+    STAMPS_APART = "stamps_apart"
     COMMANDS_MISSING = "commands_missing"
     COMMANDS_FOREIGN = "commands_foreign"
     PERTURBATIONS_FOREIGN = "perturbations_foreign"

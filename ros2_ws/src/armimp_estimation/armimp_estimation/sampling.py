@@ -38,8 +38,14 @@ def sampling_period(streams: Mapping[str, Stamps]) -> float:
     Raises
     ------
     DataError
-        If the rate is not between :data:`LOWEST` and :data:`HIGHEST`.
+        If the rate is not between :data:`LOWEST` and :data:`HIGHEST`, or stamps don't advance.
     """
+    for topic, stamps in streams.items():
+        if stamps.size > 2.0 * (distinct := np.unique(stamps).size):
+            raise DataError(
+                f"{stamps.size} messages of {topic} have {distinct} different stamps: without "
+                "stamps that say when samples were taken there is no sampling rate"
+            )
     periods = [found for stamps in streams.values() if (found := _period(stamps)) is not None]
     if not periods:
         return float(PERIOD_NS)

@@ -27,6 +27,7 @@ from armimp_estimation.alignment.trial_windows import (
     MOST_TICKS,
     TrialWindow,
     infer_windows,
+    tick_numbers,
     windows_from_statuses,
 )
 from armimp_estimation.bags.statuses import decode_trial_statuses
@@ -371,16 +372,44 @@ def test_samples_that_are_not_finite_divide_the_record() -> None:
     assert_refused(trial, ProblemCode.SAMPLES_NOT_FINITE, healed=True)
 
 
-def test_streams_with_clocks_of_their_own_are_refused() -> None:
+def with_torque_stamps(shift: Callable[[int], float]) -> Trial:
     topics = RECORDING.by_topic()
     topics[TORQUE_SENSORS] = [
-        effort(START + (k - FIRST) * PERIOD_NS + 70, (0.0, 0.0)) for k in range(TICKS + 20)
+        effort(START + round((k - FIRST + shift(k)) * PERIOD_NS), (float(k - FIRST), 0.0))
+        for k in range(TICKS + 20)
     ]
-    trial = assemble(topics)
-    disagree = trial.problems[0]
-    assert disagree.code is ProblemCode.STAMPS_DISAGREE
-    assert disagree.values == {"count": TICKS, "apart_ns": 70}
+    return assemble(topics)
+
+
+@pytest.mark.parametrize("later", [-0.3, -0.1, 0.1, 0.3])
+def test_streams_stamped_a_fraction_of_a_period_apart_are_paired_with_a_note(later: float) -> None:
+    trial = with_torque_stamps(lambda _: later)
+    apart = only(trial, ProblemCode.STAMPS_APART)
+    assert apart.severity is Severity.NOTE
+    assert apart.values["apart_ms"] == pytest.approx(later)
+    (record,) = trial.intact()
+    np.testing.assert_array_equal(record.torque[0], np.arange(TICKS))
+
+
+def test_streams_whose_stamps_differ_by_nanoseconds_have_nothing_to_tell() -> None:
+    assert not with_torque_stamps(lambda k: 7e-5 * (k % 2)).problems
+
+
+@pytest.mark.parametrize("shift", [lambda _: 0.5, lambda k: 0.03 * k])
+def test_streams_whose_samples_cannot_be_paired_are_refused_with_that_alone(
+    shift: Callable[[int], float],
+) -> None:
+    trial = with_torque_stamps(shift)
+    disagree = only(trial, ProblemCode.STAMPS_DISAGREE)
+    assert disagree.values["stream"] == TORQUE_SENSORS
     assert trial.refusals(allow_gaps=True)
+
+
+def test_jitter_of_a_tenth_of_a_period_in_each_stream_loses_no_sample() -> None:
+    rng = np.random.default_rng(1)
+    stamps = 1e9 * np.arange(20_000.0) / 1000.0
+    found = tick_numbers(np.rint(stamps + 1e5 * rng.normal(size=stamps.size)).astype(np.int64))
+    assert np.array_equal(found, np.arange(stamps.size))
 
 
 def test_other_rate_is_named_and_does_not_refuse() -> None:

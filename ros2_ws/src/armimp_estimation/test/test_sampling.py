@@ -75,3 +75,8 @@ def test_when_streams_have_different_rates_expect_the_one_that_differs() -> None
 def test_when_a_rate_is_out_of_range_expect_it_refused_with_the_rate(rate: float) -> None:
     with pytest.raises(DataError, match=f"{rate:g} Hz"):
         sampling_period({"joint_states": stamps(rate)})
+
+
+def test_when_stamps_do_not_advance_expect_that_to_be_said() -> None:
+    with pytest.raises(DataError, match="joint_states have 1 different stamps"):
+        sampling_period({"joint_states": np.zeros(4000, np.int64)})

@@ -4,7 +4,7 @@ Live node, replay and offline estimate all come here with the decoded streams, s
 bit-identical arrays from the same messages.
 
 A sample belongs to the control period that its stamp names. Positions, torque readings and
-perturbation of one period carry exactly the same stamp. The periods that should be there are
+perturbation of one period carry the same stamp, or nearly. The periods that should be there are
 counted from the stamps of all streams together, so a sample that only one stream lost shows as
 well as one that all of them lost.
 """
@@ -46,6 +46,11 @@ from armimp_estimation.sampling import judge_stamps, sampling_period
 
 _LATE = 0.25
 """Periods by which a step between stamps may be too long."""
+_APART, _SCATTER = 0.4, 0.15
+"""Periods by which stamps of two streams may differ, and to which the difference may vary (rms):
+those of two streams that scatter by a tenth each."""
+_TOGETHER = 0.01
+"""Periods of difference that nobody need know of."""
 
 _HEALED = frozenset(
     {
@@ -329,24 +334,31 @@ def assemble_trial(
     stamps = _union([one.stamps for one in aligned.values()])
     numbers = tick_numbers(stamps, period)
     if stamps.size:
-        numbers += int(np.floor((stamps[0] - window.start_ns) / period + 0.5))
+        start = int(np.searchsorted(stamps, window.start_ns))
+        known = start < stamps.size and stamps[start] == window.start_ns
+        first = round((int(stamps[0]) - window.start_ns) / period)
+        numbers += -numbers[start] if known else first
     for one in aligned.values():
         one.number(stamps, numbers)
     span = _span(window, aligned)
-    inside = int(np.searchsorted(numbers, span))
-    stamps, numbers = stamps[:inside], numbers[:inside]
+    stamps = stamps[: int(np.searchsorted(numbers, span))]
     for one in aligned.values():
         one.cut(span)
 
     usable = np.ones(span, np.bool_)
     for one in aligned.values():
         usable &= np.isfinite(one.values).all(axis=0) & ~one.contradicted
-    last_ns = int(stamps[-1]) if inside else window.start_ns
+    last_ns = int(stamps[-1]) if stamps.size else window.start_ns
     counts = {topic: one.statistics(last_ns) for topic, one in aligned.items()}
     leading = aligned[PERTURBATION]
     counts[COMMANDS], foreign = _count_commands(streams, leading)
-    found = [*_of_window(window, stamps, numbers), *_of_streams(aligned, counts)]
-    found += _of_commands(window, leading, counts[COMMANDS], foreign)
+    found = [] if window.fault is None else [window.fault]
+    apart = _between_streams(aligned, period)
+    found += apart
+    disagree = any(one.code is ProblemCode.STAMPS_DISAGREE for one in apart)
+    if not disagree:
+        found += _of_streams(aligned, counts)
+        found += _of_commands(window, leading, counts[COMMANDS], foreign)
     for first, last in window.clipped_intervals:
         # A command acts until the next sample, which is the first to show it.
         usable[first : last + 2] = False
@@ -367,8 +379,9 @@ def assemble_trial(
         found.append(problem(ProblemCode.CLIPPED_UNKNOWN, count=window.clipped))
     if not segments and _ANY_REFUSED.isdisjoint(one.code for one in found):
         found.append(problem(ProblemCode.NOTHING_RECORDED))
-    within = {topic: one.stamps for topic, one in aligned.items()}
-    found += judge_stamps(within, period, trial=window.trial, planned=planned)
+    if not disagree:
+        within = {topic: one.stamps for topic, one in aligned.items()}
+        found += judge_stamps(within, period, trial=window.trial, planned=planned)
     return Trial(
         window=window,
         segments=segments,
@@ -390,7 +403,7 @@ class _Aligned:
         self.stream, self._start_ns, self._period = stream, start_ns, period
         stamps, order, contradicted = stream.ordered()
         self._orderly = order.size == stream.count and not (np.diff(order) < 0).any()
-        first = int(np.searchsorted(stamps, start_ns))
+        first = int(np.searchsorted(stamps, start_ns - period / 2.0))
         # Of each message that is kept: stamp (ns), place in the stream, number of its period.
         self.stamps, self.order = stamps[first:], order[first:]
         self._contradicted = contradicted[first:]
@@ -399,6 +412,8 @@ class _Aligned:
     def number(self, stamps: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
         """Take the period numbers from those of all stamps, and keep one message for each."""
         self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
+        early = int(np.searchsorted(self.numbers, 0))
+        self._keep(slice(early, None))
         single = np.diff(self.numbers, prepend=-1) > 0
         if not single.all():
             self._keep(single)
@@ -423,7 +438,8 @@ class _Aligned:
         received, reordered = distinct, 0
         if not self._orderly:
             stamps = self.stream.stamps
-            received = int(((stamps >= self._start_ns) & (stamps <= last_ns)).sum())
+            first_ns = self.stamps[0] if distinct else self._start_ns
+            received = int(((stamps >= first_ns) & (stamps <= last_ns)).sum())
             arrived = stamps[np.sort(self.order)]
             reordered = int((arrived[1:] < np.maximum.accumulate(arrived)[:-1]).sum())
         steps = np.diff(self.stamps) - self._period * np.diff(self.numbers)
@@ -471,16 +487,27 @@ def _span(window: TrialWindow, aligned: Mapping[str, _Aligned]) -> int:
     return span
 
 
-def _of_window(
-    window: TrialWindow, stamps: NDArray[np.int64], numbers: NDArray[np.int64]
-) -> Iterator[Problem]:
-    """Report faults that the controller announced, and stamps that do not belong together."""
-    if window.fault is not None:
-        yield window.fault
-    close = np.flatnonzero(np.diff(numbers) == 0)
-    if close.size:
-        apart = int(stamps[close[0] + 1] - stamps[close[0]])
-        yield problem(ProblemCode.STAMPS_DISAGREE, count=close.size, apart_ns=apart)
+def _between_streams(aligned: Mapping[str, _Aligned], period: float) -> list[Problem]:
+    """Report how far stamps of angles, torques and perturbation of one period are apart."""
+    found = []
+    one = aligned[JOINT_STATES]
+    for topic in (TORQUE_SENSORS, PERTURBATION):
+        other = aligned[topic]
+        _, mine, its = np.intersect1d(
+            one.numbers, other.numbers, assume_unique=True, return_indices=True
+        )
+        apart = (other.stamps[its] - one.stamps[mine]) / period
+        if not apart.any():
+            continue
+        mean, scatter = float(np.mean(apart)), float(np.std(apart))
+        far = abs(mean) > _APART or scatter > _SCATTER
+        if far or max(abs(mean), scatter) > _TOGETHER:
+            values: dict[str, float | str] = {"stream": topic, "other": JOINT_STATES}
+            values |= {"apart_ms": mean * period / 1e6, "scatter_ms": scatter * period / 1e6}
+            code = ProblemCode.STAMPS_DISAGREE if far else ProblemCode.STAMPS_APART
+            severity = Severity.ERROR if far else Severity.NOTE
+            found.append(Problem(code=code, severity=severity, values=values))
+    return found
 
 
 def _of_streams(

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, StoppingDecision, TrialStatus
@@ -22,6 +23,9 @@ MOST_TICKS: Final = 10_000_000
 _LATEST_NS: Final = 1 << 61  # the stamp of a message has 32 bits of seconds
 
 _MOST_TRIALS: Final = 1000
+
+_GRID: Final = 51
+"""Stamps from which the phase of the clock is taken: enough to average jitter out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -238,8 +242,8 @@ def infer_windows(
 def tick_numbers(stamps: NDArray[np.int64], period: float = PERIOD_NS) -> NDArray[np.int64]:
     """Number the control periods of ascending stamps, the first one 0.
 
-    Every step is rounded by itself to full periods, so neither jitter nor a clock that runs a
-    little fast or slow adds up.
+    Stamps are rounded to a grid whose phase is the circular mean of those around. So neither does
+    a clock that runs a little fast or slow add up, nor need steps between stamps be regular.
 
     Parameters
     ----------
@@ -251,12 +255,15 @@ def tick_numbers(stamps: NDArray[np.int64], period: float = PERIOD_NS) -> NDArra
     Returns
     -------
     ndarray, shape (N,)
-        Not descending; equal numbers where stamps are less than half a period apart.
+        Not descending; equal numbers where several stamps belong to one period.
     """
-    numbers = np.zeros(stamps.size, np.int64)
-    steps = np.floor(np.diff(stamps) / period + 0.5).astype(np.int64)
-    np.cumsum(steps, out=numbers[1:])
-    return numbers
+    if not stamps.size:
+        return np.zeros(0, np.int64)
+    turns = (stamps - stamps[0]) / period
+    clock = uniform_filter1d(np.exp(2j * np.pi * turns), _GRID, mode="nearest")
+    phase = np.unwrap(np.angle(clock)) / (2.0 * np.pi)
+    numbers = np.maximum.accumulate(np.rint(turns - phase).astype(np.int64))
+    return np.asarray(numbers - numbers[0])
 
 
 def require_few_trials(trials: int) -> None:
