@@ -273,6 +273,7 @@ def run_together(
                     trial=segment.joint * n + joint + 1,
                     ticks=segment.ticks,
                     seed=rig.seed,
+                    prior=rig.priors[joint],
                 )
             for lane, matrix in enumerate(mixing or ()):
                 tau_delta[:, lane] = tau_delta[:, lane] @ matrix.T

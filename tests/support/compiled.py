@@ -8,6 +8,7 @@ from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import Rig
 from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
+from armimp_control.optimal_spectrum import JointPrior
 from armimp_control.sequence import SequenceParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig
@@ -31,6 +32,7 @@ def brief_rig(*, joints: int = 2, friction: int = 2, level: int = 3, seed: int =
         # In so short a perturbation, scaled to its peak, joints are faster than in a long one.
         safety=torque_only(80.0),
         perturbation=control_presets.perturbation(level, joints),
+        priors=(JointPrior(arm=(0.2, 0.7, 8.0), target=(0.2, 2.0, 10.0)),) * joints,
         sequence=SequenceParameters(duration=0.4, settle=0.05, rest=0.06),
         seed=seed,
     )

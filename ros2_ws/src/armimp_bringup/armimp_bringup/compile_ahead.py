@@ -55,7 +55,7 @@ def _compile_law(parameters: NodeParameters) -> None:
     controller.compute()
     controller.stop()
     controller.continue_ramp(1)
-    perturbation(rig.perturbation, joint=0, trial=1, ticks=1, seed=rig.seed)
+    perturbation(rig.perturbation, joint=0, trial=1, ticks=1, seed=rig.seed, prior=rig.priors[0])
 
 
 def _compile_plant(parameters: SimulatorParameters) -> None:

@@ -21,6 +21,7 @@ from pydantic import (
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Loader, check_names, explain, load_yaml
 from armimp_common.topics import SIM_NODE
+from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.atomic_write import read_text, require_text
 
 Overrides = dict[str, JsonValue]
@@ -78,10 +79,11 @@ class ExperimentConfig(BaseModel):
         description="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder "
         "and 1.8, 3.6, 5.4 N·m at the elbow.",
     )
-    perturbation_kind: Literal["noise", "multisine"] = Field(
+    perturbation_kind: PerturbationKind = Field(
         default="noise",
-        description="Kind of the perturbing torque: noise, or multisine, periodic with the rms of "
-        "that noise and half its peak, which tells noise, distortion and change over time apart.",
+        description="Kind of the perturbing torque: noise; multisine, periodic with the rms of "
+        "that noise and half its peak, which tells noise, distortion and change over time apart; "
+        "or optimal, a multisine with the peak of that noise at the frequencies that tell most.",
     )
     rig: Literal["paper", "realistic"] = Field(
         default="paper",

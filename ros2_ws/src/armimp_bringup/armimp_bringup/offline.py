@@ -173,6 +173,7 @@ def run_offline(rigs: Sequence[Rig]) -> list[list[TrialRecord]]:
                     trial=segment.trial,
                     ticks=segment.ticks,
                     seed=rig.seed,
+                    prior=rig.priors[segment.joint],
                 )
         return tau_delta, segment.joint
 

@@ -17,6 +17,7 @@ from armimp_common.schema import build, dotted, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, NS_PER_S, PERIOD_NS, SIM_NODE
 from armimp_common.versions import git_revision, versions
 from armimp_control.laws.law import LawConfig
+from armimp_control.optimal_spectrum import JointPrior
 from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import PerturbationParameters
 from armimp_control.presets import LawName
@@ -44,6 +45,7 @@ class Rig:
     controller : the law: target impedance, and internal model or gains
     safety : limits of the command
     perturbation : τ_Δ
+    priors : what is expected of each joint while it is perturbed
     sequence, tare : phases of the trials
     seed : of perturbation and voluntary torque
 
@@ -59,6 +61,7 @@ class Rig:
     controller: LawConfig
     safety: SafetyParameters
     perturbation: PerturbationParameters
+    priors: tuple[JointPrior, ...]
     sequence: SequenceParameters
     seed: int
     tare: TareParameters = field(default_factory=TareParameters)
@@ -103,6 +106,7 @@ class NodeParameters:
             controller=self.controller.law_config(),
             safety=self.controller.safety,
             perturbation=self.controller.perturbation,
+            priors=self.controller.priors(),
             sequence=self.controller.sequence,
             tare=self.controller.tare,
             seed=self.controller.seed,

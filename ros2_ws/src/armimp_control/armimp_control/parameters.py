@@ -15,6 +15,7 @@ from armimp_control import presets
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import LawConfig
 from armimp_control.laws.pd import PdConfig
+from armimp_control.optimal_spectrum import JointPrior
 from armimp_control.perturbation import PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD, SequenceParameters, TareParameters
@@ -113,13 +114,23 @@ class LawParameters(Schema):
 
 
 class KnownParameters(RigDynamics):
-    """What is known of rig and arm beforehand: for the stability check, and gains of pd."""
+    """What is known beforehand: for the stability check, gains of pd, and the perturbation."""
 
     robot_inertia: Vector = Field(
         description="inertia of the robot in the posture, M_r(θ_0), n×n row by row (kg·m²)"
     )
     arm_inertia: Vector = Field(
         description="expected inertia of the arm, M_h, n×n row by row (kg·m²)"
+    )
+    arm_frequency: Vector = Field(
+        default=(8.0,),
+        description="expected natural frequency of the arm, sqrt(K_kk/M_kk), for optimal "
+        "perturbations and limits of the angle (rad/s); one value for all joints or one for each",
+    )
+    arm_damping_ratio: Vector = Field(
+        default=(0.3,),
+        description="expected damping ratio of the arm, B_kk/(2·sqrt(K_kk·M_kk)) (–); one value "
+        "for all joints or one for each",
     )
 
 
@@ -164,7 +175,7 @@ class ControllerParameters(Schema):
         posture : (n,) θ_0, rad
         robot_inertia, arm_inertia : (n, n) M_r(θ_0) and expected M_h, kg·m²
         perturbation : level, 1 to 3
-        perturbation_kind : noise or multisine
+        perturbation_kind : noise, multisine or optimal
         duration : of every perturbation, s
         seed : of the perturbation
         encoder_resolution : rad per count, for the dither of locked joints and the observer
@@ -226,16 +237,34 @@ class ControllerParameters(Schema):
         )
 
     def _observer(self) -> Observer:
-        law, n = self.law, len(self.joints)
-        walks: dict[str, NDArray[np.float64]] = {}
-        for name, values in (("perturbed", law.perturbed_walk), ("locked", law.locked_walk)):
-            if len(values) not in {1, n} or not min(values) > 0.0:
-                raise ConfigurationError(
-                    f"parameter 'law.{name}_walk' needs 1 or {n} positive values: {list(values)}"
-                )
-            walks[name] = np.broadcast_to(values, n).astype(np.float64)
-        delay = self.known.command_delay
-        return Observer(resolution=law.encoder_resolution, delay=delay, **walks)
+        law = self.law
+        return Observer(
+            resolution=law.encoder_resolution,
+            delay=self.known.command_delay,
+            perturbed=self._for_each("law.perturbed_walk", law.perturbed_walk),
+            locked=self._for_each("law.locked_walk", law.locked_walk),
+        )
+
+    def priors(self) -> tuple[JointPrior, ...]:
+        """What is expected of each joint while it is perturbed."""
+        known, target = self.known, self.target
+        inertia = np.diag(self._matrix("known.arm_inertia", known.arm_inertia))
+        omega = self._for_each("known.arm_frequency", known.arm_frequency)
+        zeta = self._for_each("known.arm_damping_ratio", known.arm_damping_ratio)
+        arm = np.stack([inertia, 2.0 * zeta * omega * inertia, omega**2 * inertia], axis=1)
+        targets = zip(target.inertia, target.damping, target.stiffness, strict=True)
+        return tuple(
+            JointPrior(arm=tuple(one), target=of_target)
+            for one, of_target in zip(arm.tolist(), targets, strict=True)
+        )
+
+    def _for_each(self, name: str, values: Vector) -> NDArray[np.float64]:
+        n = len(self.joints)
+        if len(values) not in {1, n} or not min(values) > 0.0:
+            raise ConfigurationError(
+                f"parameter '{name}' needs 1 or {n} positive values: {list(values)}"
+            )
+        return np.broadcast_to(values, n).astype(np.float64)
 
     def pd_config(self) -> PdConfig:
         """The negative control, whichever was chosen; its gains follow from diag(M_r(θ_0))."""
@@ -271,6 +300,12 @@ class ControllerParameters(Schema):
                 raise ConfigurationError(
                     f"parameter '{name}' has {len(values)} values for {len(self.joints)} joints"
                 )
+        if len(self.perturbation.angle_limit) not in {1, len(self.joints)}:
+            raise ConfigurationError(
+                f"parameter 'perturbation.angle_limit' needs 1 or {len(self.joints)} values: "
+                f"{list(self.perturbation.angle_limit)}"
+            )
+        self.priors()
         self.safety.rules(law.target_posture, PERIOD)
         return check_stability(
             law,

@@ -9,15 +9,17 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from armimp_common.compiled import compiled_entry
+from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
 from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_control.optimal_spectrum import JointPrior, optimal_power
 
 Array = NDArray[np.float64]
 _RATE = NS_PER_S / PERIOD_NS
 _STREAM = 1  # keeps these random streams apart from that of the voluntary torque
 _LINES = 7  # and that of the lines of a multisine, which all trials have in common
 
-PerturbationKind: TypeAlias = Literal["noise", "multisine"]
+PerturbationKind: TypeAlias = Literal["noise", "multisine", "optimal"]
 
 CREST_OF_NOISE = 3.65
 """Peak of the noise over its rms: mean of trials of 50 s, which have 3.2 to 4.3."""
@@ -27,20 +29,45 @@ _GROUP = 4
 _GRID = 16
 _ROUNDS = 600
 _CLIP = 0.9
+_DRAWS = 4
+CREST = 1.8
+"""Crest factor above which phases are drawn again."""
+_EXPECTED_CREST = 1.7
+_SPREADS = (0.2, 0.3, 0.45, 0.7)
+"""Shares of the torque's power that all lines have in equal parts, whatever the prior says.
+
+They show arms that are not of the form of M, B and K.
+"""
 
 
 class PerturbationParameters(Schema):
-    """The perturbation τ_Δ: noise through a low-pass, or a multisine of the same rms."""
+    """The perturbation τ_Δ: noise through a low-pass, or a multisine, flat or optimal."""
 
     kind: PerturbationKind = Field(
         default="noise",
         description="kind of the perturbation: noise, uniform, through a Butterworth low-pass; or "
         "multisine, odd harmonics with random phases and a low crest factor, of equal amplitudes "
-        "up to the cut-off frequency",
+        "up to the cut-off frequency; or optimal, the same with the amplitudes that tell most of "
+        "M, B and K of the expected arm",
     )
     peak: tuple[float, ...] = Field(
         description="largest perturbation torque of each joint while it is perturbed (N·m); a "
-        "multisine has the rms that noise with this peak has, and half the peak"
+        "multisine has the rms that noise with this peak has, and half the peak; an optimal one "
+        "has this peak if the angle allows it"
+    )
+    angle_limit: tuple[float, ...] = Field(
+        default=(0.0,),
+        description="largest rms angle that the perturbation may move each joint by, as far as the "
+        "expected arm tells (rad); what would move it more is made smaller; one value for all "
+        "joints or one for each; 0: no limit, or, of optimal, the angle of a multisine with this "
+        "peak",
+    )
+    disturbance_cutoff: float = Field(
+        default=2.0,
+        gt=0.0,
+        le=0.5 * _RATE,
+        description="frequency up to which a person is expected to move by intention (Hz); an "
+        "optimal perturbation keeps above it as far as it pays",
     )
     cutoff: float = Field(
         default=15.0,
@@ -65,9 +92,22 @@ class PerturbationParameters(Schema):
             raise ValueError("must be positive")
         return peak
 
+    @field_validator("angle_limit")
+    @classmethod
+    def _not_negative(cls, limit: tuple[float, ...]) -> tuple[float, ...]:
+        if not limit or not all(value >= 0.0 for value in limit):
+            raise ValueError("must be one value or one for each joint, not negative")
+        return limit
+
 
 def perturbation(
-    parameters: PerturbationParameters, *, joint: int, trial: int, ticks: int, seed: int
+    parameters: PerturbationParameters,
+    *,
+    joint: int,
+    trial: int,
+    ticks: int,
+    seed: int,
+    prior: JointPrior | None = None,
 ) -> Array:
     """Signal τ_Δ of one trial; the same for the same arguments.
 
@@ -80,45 +120,80 @@ def perturbation(
     trial : trial number, chooses an independent random stream
     ticks : number of samples
     seed : of the experiment, not negative
+    prior : what is expected of the joint; for optimal multisines and limits of the angle
 
     Returns
     -------
     (ticks,) NDArray
         N·m. The largest absolute value of noise is the peak.
+
+    Raises
+    ------
+    ConfigurationError
+        If a prior is needed and not there.
     """
-    if parameters.kind == "multisine":
-        period = multisine(parameters, trial=trial, ticks=ticks, seed=seed)
-        rms = parameters.peak[joint] / CREST_OF_NOISE
-        return np.resize(rms * period, ticks)
+    peak = parameters.peak[joint]
+    limits = parameters.angle_limit
+    limit = limits[joint if len(limits) > 1 else 0]
+    if prior is None and (limit or parameters.kind == "optimal"):
+        raise ConfigurationError("limits of the angle need an expectation of the arm")
     random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
-    white = random.uniform(-1.0, 1.0, ticks)
-    coloured = filtered(butterworth(parameters.order, parameters.cutoff, _RATE), white)
-    # In this order, the largest value is the peak exactly.
-    scaled: Array = coloured / np.max(np.abs(coloured)) * parameters.peak[joint]
-    return scaled
+    if parameters.kind == "noise":
+        white = random.uniform(-1.0, 1.0, ticks)
+        coloured = filtered(butterworth(parameters.order, parameters.cutoff, _RATE), white)
+        # In this order, the largest value is the peak exactly.
+        signal = coloured / np.max(np.abs(coloured)) * peak
+    else:
+        lines, period = multisine_lines(parameters, ticks=ticks, seed=seed)
+        power = np.full(lines.size, (peak / CREST_OF_NOISE) ** 2 / lines.size)
+        if prior is None or parameters.kind == "multisine":
+            signal = multisine(lines, power, period, random)
+        else:
+            f = lines * (_RATE / period)
+            limit = limit or prior.rms_angle(f, power)
+            cutoff = parameters.disturbance_cutoff
+            # Few lines beat, so where the crest factor is high, there have to be more.
+            for spread in _SPREADS:
+                power = optimal_power(
+                    f,
+                    prior,
+                    torque=peak / _EXPECTED_CREST,
+                    angle=limit,
+                    cutoff=cutoff,
+                    spread=spread,
+                )
+                signal = multisine(lines, power, period, random)
+                if crest_factor(signal) < CREST:
+                    break
+            signal *= peak / np.max(np.abs(signal))
+    if prior is not None and limit:
+        f = np.fft.rfftfreq(signal.size, 1.0 / _RATE)
+        power = 2.0 * np.abs(np.fft.rfft(signal) / signal.size) ** 2
+        signal *= min(1.0, limit / prior.rms_angle(f, power))
+    repeated: Array = np.resize(signal, ticks)
+    return repeated
 
 
-def multisine(parameters: PerturbationParameters, *, trial: int, ticks: int, seed: int) -> Array:
-    """One period of a random-phase multisine with an rms of 1.
+def multisine_lines(
+    parameters: PerturbationParameters, *, ticks: int, seed: int
+) -> tuple[NDArray[np.intp], int]:
+    """Harmonics of a multisine: odd ones, but for one of each four neighbours.
 
-    It has odd harmonics of equal amplitudes, but for one of each four neighbours, by chance the
-    same in all trials of an experiment. Even distortion then shows at even harmonics, odd at those
-    that are left out (Pintelon & Schoukens, *System Identification: A Frequency Domain Approach*,
-    2nd ed., ch. 4). The phases begin at random; then, in turn, all beyond a level is clipped, and
-    the amplitudes are put right again (van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum.
-    Meas. 37(1), 1988), which leaves a crest factor of 1.5 to 1.8.
+    Which ones are left out is by chance, the same in all trials of an experiment. Even distortion
+    then shows at even harmonics, odd at those that are left out (Pintelon & Schoukens, *System
+    Identification: A Frequency Domain Approach*, 2nd ed., ch. 4).
 
     Parameters
     ----------
     parameters : PerturbationParameters
-    trial : trial number, chooses the phases
     ticks : number of samples of the trial
     seed : of the experiment, not negative
 
     Returns
     -------
-    (period,) NDArray
-        Begins where it is nearest to zero.
+    lines : (n_lines,) NDArray
+    period : int
+        Samples.
     """
     period = round(parameters.period * _RATE)
     while _FEWEST_PERIODS * period > ticks and period >= 2.0 * _SHORTEST_PERIOD * _RATE:
@@ -129,22 +204,59 @@ def multisine(parameters: PerturbationParameters, *, trial: int, ticks: int, see
     groups = count // _GROUP
     left_out = _GROUP * np.arange(groups) + choice.integers(_GROUP, size=groups)
     # The slowest tells most of the stiffness.
-    lines = np.delete(lines, left_out[left_out > 0])
-    random = np.random.default_rng(np.random.SeedSequence([seed, _STREAM, trial]))
-    values = np.exp(2j * np.pi * random.uniform(size=lines.size))
+    return np.delete(lines, left_out[left_out > 0]), period
+
+
+def multisine(
+    lines: NDArray[np.intp], power: Array, period: int, random: np.random.Generator
+) -> Array:
+    """One period of a multisine with a low crest factor.
+
+    The phases begin at random; then, in turn, all beyond a level is clipped, and the amplitudes are
+    put right again (van der Ouderaa, Schoukens & Renneboog, IEEE Trans. Instrum. Meas. 37(1),
+    1988), which leaves a crest factor of 1.5 to 1.8; from others it begins again.
+
+    Parameters
+    ----------
+    lines : (n_lines,) harmonics
+    power : (n_lines,) of each, (N·m)²
+    period : samples
+    random : gives the phases
+
+    Returns
+    -------
+    (period,) NDArray
+        N·m. Begins where it is nearest to zero.
+    """
+    amplitudes = np.sqrt(2.0 * power)
     grid = _GRID * int(lines[-1] + 1)
-    spectrum = np.zeros(grid // 2 + 1, dtype=np.complex128)
-    for _ in range(_ROUNDS):
-        spectrum[lines] = values
+    best, least = np.zeros(0, dtype=np.complex128), np.inf
+    for _ in range(_DRAWS):
+        values = np.exp(2j * np.pi * random.uniform(size=lines.size))
+        spectrum = np.zeros(grid // 2 + 1, dtype=np.complex128)
+        for _ in range(_ROUNDS):
+            spectrum[lines] = amplitudes * values
+            signal = np.fft.irfft(spectrum, grid)
+            level = _CLIP * np.max(np.abs(signal))
+            clipped = np.fft.rfft(np.clip(signal, -level, level))[lines]
+            values = clipped / np.abs(clipped)
+        spectrum[lines] = amplitudes * values
         signal = np.fft.irfft(spectrum, grid)
-        level = _CLIP * np.max(np.abs(signal))
-        clipped = np.fft.rfft(np.clip(signal, -level, level))[lines]
-        values = clipped / np.abs(clipped)
+        crest = crest_factor(signal)
+        if crest < least:
+            best, least = values, crest
+        if crest < CREST:
+            break
     spectrum = np.zeros(period // 2 + 1, dtype=np.complex128)
-    spectrum[lines] = values * period / np.sqrt(2.0 * lines.size)
+    spectrum[lines] = 0.5 * period * amplitudes * best
     signal = np.fft.irfft(spectrum, period)
     begun: Array = np.roll(signal, -int(np.argmin(np.abs(signal))))
     return begun
+
+
+def crest_factor(signal: Array) -> float:
+    """Largest absolute value over the rms."""
+    return float(np.max(np.abs(signal)) / np.sqrt(np.mean(signal**2)))
 
 
 def butterworth(order: int, cutoff: float, rate: float) -> Array:

@@ -247,6 +247,7 @@ class TrialSequencer:
             trial=joint + 1,
             ticks=self._planned,
             seed=self._parameters.seed,
+            prior=self._parameters.priors()[joint],
         )
 
     def _control(self, theta: Sequence[float], tau_h: Sequence[float]) -> None:
