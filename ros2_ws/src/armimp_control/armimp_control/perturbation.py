@@ -149,7 +149,7 @@ def perturbation(
         if prior is None or parameters.kind == "multisine":
             signal = multisine(lines, power, period, random)
         else:
-            f = lines * (_RATE / period)
+            f = np.asarray(lines * (_RATE / period), dtype=np.float64)
             limit = limit or prior.rms_angle(f, power)
             cutoff = parameters.disturbance_cutoff
             # Few lines beat, so where the crest factor is high, there have to be more.
@@ -167,7 +167,7 @@ def perturbation(
                     break
             signal *= peak / np.max(np.abs(signal))
     if prior is not None and limit:
-        f = np.fft.rfftfreq(signal.size, 1.0 / _RATE)
+        f = np.asarray(np.fft.rfftfreq(signal.size, 1.0 / _RATE), dtype=np.float64)
         power = 2.0 * np.abs(np.fft.rfft(signal) / signal.size) ** 2
         signal *= min(1.0, limit / prior.rms_angle(f, power))
     repeated: Array = np.resize(signal, ticks)

@@ -325,7 +325,8 @@ class _Problem:
         self.weights = np.zeros(estimate.Z.shape)
         for at in np.ndindex(n, n):
             Z, variance = estimate.Z[at], estimate.variance[at]
-            self.weights[at] = fit_weights(estimate.f, Z, variance, floor, config.smoothing)
+            power = None if estimate.line_power is None else estimate.line_power[at[1]]
+            self.weights[at] = fit_weights(estimate.f, Z, variance, floor, config.smoothing, power)
         # Weights are relative, with the largest of each element 1: rows differ in their noise.
         least = np.min(estimate.variance + (floor * np.abs(estimate.Z)) ** 2, axis=2)
         self.weights /= least[:, :, None]

@@ -389,6 +389,7 @@ def fit_column(
     *,
     delay_uncertainty: float | None = None,
     delay_unknown: float = 0.0,
+    line_power: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Fit the elements of one column as :func:`fit_impedance` does those of a matrix.
 
@@ -404,6 +405,8 @@ def fit_column(
         Options.
     delay_uncertainty, delay_unknown : float, optional
         As those of an :class:`ImpedanceEstimate`, s.
+    line_power : ndarray, shape (n_freq,), optional
+        That of the trial, as in an :class:`ImpedanceEstimate`.
 
     Returns
     -------
@@ -427,6 +430,7 @@ def fit_column(
         correlation=correlation,
         freedom=math.inf,
         options=config,
+        line_power=None if line_power is None else np.tile(line_power, (len(impedance), 1)),
     )
     if delay_uncertainty is not None:
         problem, _ = _with_delay(problem, delay_uncertainty, delay_unknown)
@@ -447,6 +451,8 @@ class _Elements:
     calibration: tuple[ComplexArray, ...] = ()
     whole: bool = False
     """Whether these are the n² elements of a matrix, row by row."""
+    line_power: FloatArray | None = None
+    """Power of the perturbation behind each element, (elements, n_freq), if it is not chance."""
 
     @classmethod
     def of(cls, estimate: ImpedanceEstimate, options: FitConfig) -> _Elements:
@@ -461,6 +467,9 @@ class _Elements:
             freedom=estimate.averages - 1.0,
             options=options,
             whole=True,
+            line_power=None
+            if estimate.line_power is None
+            else np.tile(estimate.line_power, (estimate.joints, 1)),
         )
 
     @property
@@ -590,9 +599,10 @@ class _Elements:
     @cached_property
     def _all_weights(self) -> list[FloatArray]:
         floor, smoothing = self.options.weight_floor, self.options.smoothing
+        powers = [None] * len(self.Z) if self.line_power is None else self.line_power
         return [
-            fit_weights(self.f, Z, variance, floor, smoothing)
-            for Z, variance in zip(self.Z, self.total, strict=True)
+            fit_weights(self.f, Z, variance, floor, smoothing, power)
+            for Z, variance, power in zip(self.Z, self.total, powers, strict=True)
         ]
 
     def lack(self, values: FloatArray) -> FloatArray:
@@ -718,19 +728,34 @@ def fit_weights(
     variance: FloatArray,
     weight_floor: float,
     smoothing: float,
+    line_power: FloatArray | None = None,
 ) -> FloatArray:
-    """Inverse of the floored variance, smoothed over frequency (geometric mean), at most 1."""
+    """Inverse of the floored variance, smoothed over frequency (geometric mean), at most 1.
+
+    Where the power of the lines is known, the variance is smoothed as far as it is chance, per
+    power, and floored afterwards.
+    """
     # Even with no floor a variance below rounding means nothing.
     rounding = np.finfo(np.float64).eps * float(np.max(np.abs(impedance)))
     floor = (weight_floor * np.abs(impedance)) ** 2 + rounding**2
-    logarithm = np.log(np.maximum(variance + floor, np.finfo(np.float64).tiny))
+    tiny = np.finfo(np.float64).tiny
+    if line_power is not None:
+        smooth = _smooth(f, np.log(variance * line_power + tiny), smoothing)
+        smooth = np.log(np.exp(smooth) / line_power + floor)
+    else:
+        smooth = _smooth(f, np.log(np.maximum(variance + floor, tiny)), smoothing)
+    weights: FloatArray = np.exp(np.min(smooth) - smooth)
+    return weights
+
+
+def _smooth(f: FloatArray, logarithm: FloatArray, smoothing: float) -> FloatArray:
+    """Mean over the neighbours of each frequency, (n_freq,)."""
     reach = smoothing * (1.0 + 1e-9)
     below = np.searchsorted(f, f - reach, side="left")
     above = np.searchsorted(f, f + reach, side="right")
     sums = np.concatenate(([0.0], np.cumsum(logarithm)))
-    smooth = (sums[above] - sums[below]) / (above - below)
-    weights: FloatArray = np.exp(np.min(smooth) - smooth)
-    return weights
+    smooth: FloatArray = (sums[above] - sums[below]) / (above - below)
+    return smooth
 
 
 def _sandwich(

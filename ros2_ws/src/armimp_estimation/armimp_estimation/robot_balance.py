@@ -295,7 +295,8 @@ def _least_squares(
     """Real coefficients (p,) of regressors (p, n_freq) in an element, and their covariance."""
     options = FitConfig()
     f, Z, variance = estimate.f, estimate.Z[i, j], estimate.variance[i, j]
-    weights = fit_weights(f, Z, variance, options.weight_floor, options.smoothing)
+    power = None if estimate.line_power is None else estimate.line_power[j]
+    weights = fit_weights(f, Z, variance, options.weight_floor, options.smoothing, power)
     scale = np.linalg.norm(np.sqrt(weights) * regressors, axis=1)
     scale[scale == 0.0] = 1.0
     design = regressors / scale[:, None]

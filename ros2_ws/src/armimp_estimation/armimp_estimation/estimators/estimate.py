@@ -103,6 +103,9 @@ class ImpedanceEstimate:
         ``E[V_ik conj(V_mk)]`` by k, i, m for the ``V = T - Z R`` that the disturbances leave.
     inverse : ndarray, shape (n, n, n_freq), or None
         What takes it to the errors of the impedance: ``δZ = V · inverse``.
+    line_power : ndarray, shape (n, n_freq), or None
+        Power of the perturbation of each trial by frequency, up to a factor, if it is not chance:
+        variances go with its inverse.
     weight_floor : float or None
         Relative error beside the variance that the M-B-K fit should allow for in its weights, see
         :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit.
@@ -132,6 +135,7 @@ class ImpedanceEstimate:
     covariance: ComplexArray | None = None
     disturbance: ComplexArray | None = None
     inverse: ComplexArray | None = None
+    line_power: FloatArray | None = None
     weight_floor: float | None = None
     friction_skew: ComplexArray | None = None
     delay_uncertainty: float | None = None

@@ -93,6 +93,8 @@ class LocalResponse:
         First bin of each window.
     freedom : int
         Complex degrees of freedom behind the noise, at the frequency that has the fewest.
+    line_power : ndarray, shape (n_freq,), or None
+        Power of a periodic input at its lines.
     """
 
     f: FloatArray
@@ -101,6 +103,7 @@ class LocalResponse:
     weights: ComplexArray
     first: NDArray[np.intp]
     freedom: int
+    line_power: FloatArray | None = None
 
     @property
     def gain(self) -> FloatArray:
@@ -151,7 +154,8 @@ class LocalResponse:
                 products = lower[rows, apart:] * upper[rows, : max(window - apart, 0)]
                 sums[rows] = np.sum(products, axis=1).real
             correlation[lag, :-lag] = sums / (deviation[lag:] * deviation[:-lag])
-        return correlation
+        overlapping = np.flatnonzero(correlation.any(axis=1))
+        return correlation[: overlapping[-1] + 1]
 
 
 def bins_in_band(samples: int, rate: float, f_low: float, f_high: float) -> NDArray[np.intp]:
@@ -295,6 +299,7 @@ def _periodic_response(
         weights=weights.astype(np.complex128),
         first=first,
         freedom=int(np.min(freedom)),
+        line_power=np.abs(inputs) ** 2,
     )
 
 

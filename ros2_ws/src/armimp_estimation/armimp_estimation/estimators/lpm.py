@@ -32,6 +32,8 @@ ComplexArray = NDArray[np.complex128]
 
 # Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
 _SPARE_BINS = 3
+LINE_FLOOR = 0.001
+"""Relative error that responses at the lines of a multisine are allowed beside their variance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,7 +160,6 @@ class LpmFull:
 
     def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
         """As :meth:`estimate`, from one record for each joint, in their order."""
-        options = self.config
         jump = self.jump(records)
         columns = self._columns(records, with_steps=jump is not None)
         f, n = columns[0].f, len(records)
@@ -195,7 +196,8 @@ class LpmFull:
             T=torque,
             R=R,
             systematics=systematics,
-            weight_floor=options.weight_floor,
+            line_power=_line_power(columns),
+            weight_floor=self._floor(columns[0]),
             friction_skew=added.real.astype(np.complex128),
             delay_uncertainty=delay_uncertainty,
             delay_unknown=half_period,
@@ -235,7 +237,7 @@ class LpmFull:
         """
         by_joint = {one.perturbed_joint: _without_drift(one) for one in (*others, record)}
         n, k = record.joints, record.perturbed_joint
-        options = replace(fit or FitConfig(), weight_floor=self.config.weight_floor)
+        options = fit or FitConfig()
         if len(by_joint) == n:
             found = self._estimate([by_joint[joint] for joint in range(n)])
             fitted = fit_mbk(found, options)
@@ -269,11 +271,16 @@ class LpmFull:
             variance,
             systematics,
             correlation,
-            options,
+            replace(options, weight_floor=self._floor(response)),
             delay_uncertainty=self._delay_uncertainty(jump, record.rate),
             delay_unknown=0.5 / record.rate,
+            line_power=response.line_power,
         )
         return FittedColumn(joint=k, values=values, errors=errors, preliminary=True)
+
+    def _floor(self, column: LocalResponse) -> float:
+        """Relative error in the weights beside the variance: lines have none of polynomials."""
+        return self.config.weight_floor if column.line_power is None else LINE_FLOOR
 
     def _doubts(
         self, correction: ComplexArray, reversing: FloatArray | float
@@ -351,6 +358,11 @@ class LpmFull:
             )
             columns.append(column)
         return columns
+
+
+def _line_power(columns: Sequence[LocalResponse]) -> FloatArray | None:
+    powers = [column.line_power for column in columns if column.line_power is not None]
+    return np.stack(powers) if powers else None
 
 
 def _without_drift(record: TrialRecord) -> TrialRecord:
