@@ -116,6 +116,24 @@ def test_trials_perturb_one_joint_after_the_other(composed: FinishedRun) -> None
         assert [status.joint_name for status in trial.statuses] == [names[k]] * 3
 
 
+def test_an_optimal_multisine_goes_the_same_way(run: Run) -> None:
+    options: dict[str, Any] = {"perturbation_kind": "optimal", "duration": 5.0}
+    finished = run(**options)
+
+    records = offline(**options)
+    finished.assert_same_as_offline(records)
+    assert [one.periods.count for one in records if one.periods is not None] == [4, 4]
+    assert finished.summary.problems == []
+
+
+@pytest.mark.slow
+def test_a_multisine_on_a_realistic_rig_ends_when_it_has_told_enough(run: Run) -> None:
+    finished = run(perturbation_kind="multisine", rig="realistic", duration=60.0, target_error=0.2)
+
+    assert finished.summary.valid, finished.summary.problems
+    assert [trial.ticks < 60_000 for trial in finished.summary.trials] == [True, True]
+
+
 @pytest.mark.slow
 def test_three_joints_go_the_same_way(run: Run) -> None:
     finished = run(joints=3)

@@ -69,7 +69,11 @@ def variances(f: Array, power: Array, prior: JointPrior, cutoff: float) -> Array
     cutoff : of the disturbance, Hz
     """
     slopes, told = _slopes(f, prior, cutoff)
-    return np.asarray(np.diag(np.linalg.inv((slopes * (told * power)) @ slopes.conj().T).real))
+    return np.diag(_covariance(slopes, told * power))
+
+
+def _covariance(slopes: ComplexArray, weights: Array) -> Array:
+    return np.linalg.inv(((slopes * weights) @ slopes.conj().T).real)
 
 
 def _slopes(f: Array, prior: JointPrior, cutoff: float) -> tuple[ComplexArray, Array]:
@@ -106,7 +110,7 @@ def optimal_power(
         cost = of_limits @ limits
         free *= (1.0 - spread) / (cost @ free)
         power = free + spread / np.sum(cost)
-        covariance = np.linalg.inv(((slopes * (told * power)) @ slopes.conj().T).real)
+        covariance = _covariance(slopes, told * power)
         of_errors = of_errors * np.diag(covariance)
         of_errors /= np.sum(of_errors)
         used = limits @ power

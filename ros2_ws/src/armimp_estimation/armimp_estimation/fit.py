@@ -379,7 +379,7 @@ def _coherency(
     return ratio
 
 
-def fit_column(
+def fit_column(  # noqa: PLR0913 (each is a fact of its own)
     f: FloatArray,
     impedance: ComplexArray,
     variance: FloatArray,
