@@ -37,7 +37,7 @@ PATIENCE = 30.0
 MOMENT = 0.2
 """How long to wait for what must not happen (s)."""
 
-CLOCK_STEPS = (-600.0, 3600.0)
+CLOCK_STEPS = (-20.0, -600.0, 3600.0)
 """By how much somebody sets the clock (s)."""
 
 

@@ -10,6 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from armimp_common.cdr import stamp_of
 from armimp_common.errors import ArmimpError, DataError, MalformedMessageError
 from armimp_common.status import Phase, Progress, StoppingDecision, TrialStatus
@@ -49,6 +52,8 @@ _DRIFT, _MOST_DRIFT_NS = 2e-4, 250_000_000
 """By how much the clock of a driver may be slow: as a share of the time, and in all (ns)."""
 _STEP_BACK_NS = 1_000_000_000
 """Stamps that step back by more than this (ns) belong to another run."""
+_STRAY = 50
+"""As many messages show together what time it is, even if some are somebody else's."""
 _OVERDUE_NS = 2_000_000_000
 """What is missing this long after the planned end (ns) is lost: queues do not hold more."""
 
@@ -98,7 +103,6 @@ class TrialRecorder:
         self._past: list[TrialRecord] = []
         self._between = {topic: deque[bytes](maxlen=_KEPT_BETWEEN) for topic in DATA_STREAMS}
         """Messages since the perturbation of the last trial was over."""
-        self._between_ns = -1
         self._later: deque[TrialStatus] = deque()
         """Statuses of trials after the present one."""
         self.timing: Timing | None = None
@@ -316,16 +320,9 @@ class TrialRecorder:
         return after
 
     def _wait(self, messages: Mapping[str, Sequence[bytes]]) -> None:
-        """Let messages wait for the next trial; those from before a step back in time are over."""
-        first = 0
-        for number, stamp_ns in enumerate(map(_stamp, messages.get(PERTURBATION, ()))):
-            if stamp_ns < self._between_ns - _STEP_BACK_NS and stamp_ns >= 0:
-                first = number
-                for waiting in self._between.values():
-                    waiting.clear()
-            self._between_ns = stamp_ns if stamp_ns >= 0 else self._between_ns
+        """Let messages wait for the next trial."""
         for topic, raws in messages.items():
-            self._between[topic].extend(raws[first:])
+            self._between[topic].extend(raws)
 
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
@@ -340,11 +337,14 @@ class TrialRecorder:
             lpm=self._lpm,
             others=self._past,
         )
-        waiting = {topic: list(raws) for topic, raws in self._between.items()}
+        stamps = np.array([_stamp(message) for message in self._between[PERTURBATION]])
+        first = _last_step_back(stamps, start_ns)
+        waiting = {topic: list(raws)[first:] for topic, raws in self._between.items()}
         for raws in self._between.values():
             raws.clear()
+        latest_ns = start_ns + status.ticks * PERIOD_NS + _STEP_BACK_NS
         # Of a trial at a later time, as when bags are replayed in any order, nothing is kept.
-        if self._between_ns <= start_ns + status.ticks * PERIOD_NS + _STEP_BACK_NS:
+        if not stamps.size or np.median(stamps[-_STRAY:]) <= latest_ns:
             self._keep(waiting)
 
     def _keep(self, messages: Mapping[str, Sequence[bytes]]) -> None:
@@ -452,6 +452,17 @@ class TrialRecorder:
         if trials[0].record is not None:
             self._past.append(trials[0].record)
         return trials[0]
+
+
+def _last_step_back(stamps: NDArray[np.int64], start_ns: int) -> int:
+    """Index of the first message after time stepped back to a trial; 0 if it did not.
+
+    A few stray messages between the others are no step: they stay where they are, to be found.
+    """
+    for first in reversed(np.flatnonzero(np.diff(stamps) < -_STEP_BACK_NS) + 1):
+        if np.median(stamps[max(first - _STRAY, 0) : first]) > start_ns + _STEP_BACK_NS:
+            return int(first)
+    return 0
 
 
 def _stamp(message: bytes) -> int:

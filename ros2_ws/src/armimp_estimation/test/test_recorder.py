@@ -162,6 +162,24 @@ def test_however_late_a_stream_is_each_trial_has_exactly_its_samples_also_replay
             assert trial.segments[0].command is not None
 
 
+@pytest.mark.parametrize("stamp_ns", [0, 60_000_000_000], ids=["past", "future"])
+@pytest.mark.parametrize("place", [SETTLE + TICKS + REST // 2, 2 * SETTLE + TICKS + REST - 2])
+def test_a_perturbation_of_somebody_else_between_trials_is_found_and_costs_no_sample(
+    stamp_ns: int, place: int
+) -> None:
+    recording = synthetic_recording(
+        perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST, start_ns=30_000_000_000
+    )
+    at_ns = recording.messages[0][1] + place * PERIOD_NS
+    stray = JointStateEncoder(NAMES, VALUE_FIELD[PERTURBATION]).encode(stamp_ns, (0.1, 0.1))
+    desk = Desk(None)
+    desk.feed(sorted((*recording.messages, (PERTURBATION, at_ns, stray)), key=lambda m: m[1]))
+    desk.recorder.stop()
+    codes = [{problem.code for problem in trial.problems} for trial in desk.finished]
+    assert codes == [set(), {ProblemCode.PERTURBATIONS_FOREIGN}]
+    assert_equal(desk.finished[1].segments[0], recording.records[1])
+
+
 @settings(max_examples=20, deadline=None)
 @given(
     lost=st.fixed_dictionaries(
