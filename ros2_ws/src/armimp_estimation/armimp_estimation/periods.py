@@ -25,7 +25,7 @@ Perturbations that are recorded with six digits are within it.
 """
 _LINE = 1e-3
 """Amplitude relative to the largest from which on a harmonic is a line."""
-_FEWEST_LINES = 3
+FEWEST_LINES = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -97,7 +97,7 @@ class Periods:
         count = size // samples
         amplitudes = np.abs(np.fft.rfft(signal[size - samples :]))
         lines = 1 + np.flatnonzero(amplitudes[1:] > _LINE * np.max(amplitudes[1:]))
-        if lines.size < _FEWEST_LINES:
+        if lines.size < FEWEST_LINES:
             return None
         found = cls(samples=samples, count=count, lines=lines)
         return found if 2 * found.segment <= size else None

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.periods import Periods
+from armimp_estimation.periods import FEWEST_LINES, Periods
+from armimp_estimation.spectra import WelchConfig
 
 FloatArray = NDArray[np.float64]
 
@@ -122,5 +123,8 @@ class TrialRecord:
 
     @cached_property
     def periods(self) -> Periods | None:
-        """Those of the perturbation, if it repeats itself."""
-        return Periods.of(self.perturbation[self.perturbed_joint])
+        """Those of the perturbation, if it repeats itself with lines enough in the band."""
+        found = Periods.of(self.perturbation[self.perturbed_joint])
+        band = (WelchConfig.f_low, WelchConfig.f_high)
+        few = found is None or found.lines_in(self.rate, band).size < FEWEST_LINES
+        return None if few else found

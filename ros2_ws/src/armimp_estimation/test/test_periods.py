@@ -81,6 +81,9 @@ def test_segments_are_periods_where_all_trials_have_the_same_ones() -> None:
     periodic = dataclasses.replace(record, perturbation=np.stack([multisine(12.3)[:50_000]] * 2))
     assert segments_for([[periodic], [periodic]]) == WelchConfig(segment=4096, overlap=3072)
     assert segments_for([[periodic], [record]]) == WelchConfig()
+    above_the_band = np.resize([0.5, 0.1, -0.4, -0.6, 0.2, 0.7, -0.5], record.perturbation.shape)
+    quick = dataclasses.replace(record, perturbation=above_the_band)
+    assert segments_for([[quick]]) == WelchConfig()
 
 
 def test_response_at_the_lines_is_free_of_the_transient_and_scatter_tells_its_error() -> None:
