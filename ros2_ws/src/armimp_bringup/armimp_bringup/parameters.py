@@ -151,6 +151,7 @@ def _simulator(config: ExperimentConfig) -> SimulatorParameters:
 
 def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> ControllerParameters:
     plant = simulator.plant_config()
+    overrides = {**_time_of(config), **_known_of(simulator), **config.imbic_controller}
     preset = ControllerParameters.preset(
         joints=simulator.joints,
         posture=plant.arm.posture,
@@ -161,9 +162,8 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
         duration=config.duration,
         seed=config.seed,
         encoder_resolution=plant.sensors.position.resolution,
-        law=_law(config),
+        law=_law(config, overrides),
     )
-    overrides = {**_time_of(config), **_known_of(simulator), **config.imbic_controller}
     if config.target_error:
         overrides["sequence.may_end_early"] = True
     controller = _overridden(preset, CONTROLLER_NODE, overrides)
@@ -176,11 +176,12 @@ def _controller(config: ExperimentConfig, simulator: SimulatorParameters) -> Con
     return controller
 
 
-def _law(config: ExperimentConfig) -> LawName:
+def _law(config: ExperimentConfig, overrides: Overrides) -> LawName:
+    """The preset of the law; with drives or transducers that are known to lag, the patient one."""
     if config.as_in_paper:
         return "paper"
-    patient = config.rig == "realistic" and config.internal_model == "observer"
-    return "patient" if patient else config.internal_model
+    lags = any(value for name, value in dotted(overrides).items() if name.startswith("known."))
+    return "patient" if lags and config.internal_model == "observer" else config.internal_model
 
 
 def _estimator(
