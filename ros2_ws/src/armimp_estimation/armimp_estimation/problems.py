@@ -96,6 +96,7 @@ class ProblemCode(str, Enum):
     ROBOT_INERTIA_IMPOSSIBLE = "robot_inertia_impossible"
     CLIPPED = "clipped"
     STUCK = "stuck"
+    DROPPED = "dropped"
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
     HYSTERESIS = "hysteresis"

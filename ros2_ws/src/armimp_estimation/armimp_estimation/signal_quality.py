@@ -30,6 +30,12 @@ STUCK = 0.1
 """Time for which a signal that moves may keep one value, s; longer where it moves slowly."""
 _STUCK_TIMES = 6.0
 _RESTING = 0.3
+_JUMP = 12.0
+_HELD_TIMES = 3.0
+_LEAST_HELD = 5
+_LEAST_DIPS = 3
+DROPPED = 0.002
+"""Share of the samples that may be dropped; as large is the bias of what is lost."""
 _TELLING_COUNTS = 50.0
 _TELLING_SAMPLES = 4096
 _LOST = 0.16
@@ -63,11 +69,16 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 counts = counts_of(signal)
                 if counts < RESOLVED and not (stream == TORQUE_SENSORS and counts == 0.0):
                     found.append((ProblemCode.UNRESOLVED, {"counts": counts}))
-                partner = (record.torque if stream == JOINT_STATES else record.position)[joint]
+                k = record.perturbed_joint
+                partner = (record.torque if stream == JOINT_STATES else record.position)[k]
                 longest, count, limit = sticking(signal, record.rate, partner)
                 if count:
                     about = {"longest": longest, "count": count, "limit": limit}
                     found.append((ProblemCode.STUCK, about))
+                dropped, share = dropouts(signal, partner)
+                if share > DROPPED:
+                    about = {"count": dropped, "percent": 100.0 * share}
+                    found.append((ProblemCode.DROPPED, about))
             problems += [
                 Problem(
                     code=code, trial=record.trial, values={"stream": stream, "name": name, **values}
@@ -229,9 +240,41 @@ def sticking(
     return max(long, default=int(np.max(runs))) / rate, len(long), limit / rate
 
 
+def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
+    """How often a signal drops out, and in which share of its samples.
+
+    It does where it keeps one value for 3 times longer than but in one of a hundred moments, while
+    its partner moves, and then jumps by 12 times the usual step to where it should be; and where it
+    jumps so to and from a value, mostly the same one, as 0.
+
+    Parameters
+    ----------
+    signal : ndarray, shape (N,)
+    partner : ndarray, shape (N,)
+        As :func:`sticking` takes it.
+    """
+    steps = np.diff(signal)
+    edges = np.flatnonzero(steps)
+    if edges.size <= _TELLING_COUNTS:
+        return 0, 0.0
+    sizes = np.abs(steps[edges])
+    jumps = sizes > _JUMP * float(np.median(sizes))
+    starts, runs = edges[:-1] + 1, np.diff(edges)
+    long = max(_HELD_TIMES * float(np.quantile(runs, 0.99)), _LEAST_HELD)
+    found = (runs >= long) & jumps[1:]
+    for place in np.flatnonzero(found):
+        found[place] = not _rests(partner, int(starts[place]), int(runs[place]))
+    dips = jumps[:-1] & jumps[1:]
+    values, counts = np.unique(signal[starts[dips]], return_counts=True)
+    if counts.size and np.max(counts) >= max(_LEAST_DIPS, np.sum(dips) / 2):
+        found |= dips & (signal[starts] == values[np.argmax(counts)])
+    return int(np.sum(found)), float(np.sum(runs[found])) / signal.size
+
+
 def _rests(signal: FloatArray, start: int, run: int) -> bool:
-    """Whether a signal moves far less over a run than it mostly does over as many samples."""
+    """Whether a signal moves far less over a run than it can over as many samples."""
     whole = signal[: signal.size // run * run].reshape(-1, run)
-    return float(np.ptp(signal[start : start + run])) < _RESTING * float(
-        np.median(np.ptp(whole, axis=1))
-    )
+    usual = float(np.quantile(np.ptp(whole, axis=1), 0.9))
+    # A torque is ahead of the angle that it begins to move, by up to some milliseconds.
+    within = signal[start + run // 10 : start + run - run // 10]
+    return float(np.ptp(within)) < _RESTING * usual

@@ -6,8 +6,10 @@ from scipy.signal import butter, sosfilt
 
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
+    DROPPED,
     clipping,
     counts_of,
+    dropouts,
     lost_motion,
     sticking,
     unseen_share,
@@ -64,6 +66,49 @@ def test_a_signal_that_keeps_its_value_for_too_long_is_stuck(seconds: float) -> 
     longest, count, limit = sticking(signal, RATE)
     assert count == 1
     assert limit < longest == pytest.approx(seconds, abs=0.05)
+
+
+def test_a_joint_that_rests_most_of_the_time_between_pulses_is_not_stuck() -> None:
+    pulses = np.zeros(50_000)
+    for start in range(3000, 50_000, 4000):
+        pulses[start : start + 1000] = np.round(100.0 * np.sin(np.arange(1000) / 100.0))
+    torque = np.roll(pulses, -5) + np.random.default_rng(1).integers(0, 2, pulses.size)
+    assert sticking(pulses, RATE, torque)[1] == 0
+
+
+def replaced(length: int, value: float | None) -> np.ndarray:
+    """Motion of which bursts, 2 % of it, keep their first value, or one that is given."""
+    signal = motion(1, 1e-3)
+    for start in np.random.default_rng(2).integers(1, signal.size - length, 1000 // length):
+        signal[start : start + length] = signal[start] if value is None else value
+    return signal
+
+
+@pytest.mark.parametrize(
+    ("length", "value"), [(1, 0.0), (10, 0.0), (10, 5.0), (20, None), (50, None)]
+)
+def test_a_signal_that_drops_out_for_milliseconds_is_found(
+    length: int, value: float | None
+) -> None:
+    count, share = dropouts(replaced(length, value), motion(3, 1e-3))
+    assert count >= 500 // length / 2
+    assert 0.005 < share < 0.03
+
+
+@pytest.mark.parametrize("every", [1, 2, 4, 10])
+@pytest.mark.parametrize("step", [1e-3, 1e-2, 0.1])
+def test_a_slow_or_coarse_signal_doesn_t_drop_out(every: int, step: float) -> None:
+    signal = np.repeat(motion(1, step)[::every], every)
+    assert dropouts(signal, motion(3, 1e-3)) == (0, 0.0)
+
+
+def test_torque_that_jumps_with_the_perturbation_and_rests_with_the_joint_doesn_t_drop_out() -> (
+    None
+):
+    angle = np.repeat(np.random.default_rng(1).normal(size=50), 1000)
+    angle = sosfilt(butter(1, 10.0, fs=RATE, output="sos"), angle)
+    torque = np.round(angle + np.gradient(np.repeat(np.sign(angle[::1000]), 1000)), 1)
+    assert dropouts(torque, angle)[1] < DROPPED
 
 
 def test_counts_are_steps_of_the_resolution() -> None:
