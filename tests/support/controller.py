@@ -29,6 +29,7 @@ POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
 STILL = (0.0, 0.0)
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 Sample = tuple[int, tuple[float, ...]]
+Reading = Sequence[float] | NDArray[np.float64]
 
 
 def controller_parameters(
@@ -69,15 +70,13 @@ class SequencerBench:
         self.perturbations: list[NDArray[np.float64]] = []
         self.experiment = TrialSequencer(parameters, self.statuses.append)
 
-    def answer(
-        self, theta: Sequence[float] | NDArray[np.float64], tau_h: Sequence[float] = STILL
-    ) -> None:
+    def answer(self, theta: Reading, tau_h: Reading = STILL) -> None:
         self.experiment.answer(self.stamp_ns, tuple(theta), tuple(tau_h))
         self.commands.append(self.experiment.command.copy())
         self.perturbations.append(self.experiment.tau_delta.copy())
         self.stamp_ns += PERIOD_NS
 
-    def run(self, ticks: int, tau_h: Sequence[float] = STILL) -> list[NDArray[np.float64]]:
+    def run(self, ticks: int, tau_h: Reading = STILL) -> list[NDArray[np.float64]]:
         """Feed the posture and a torque on the arm; return the commands."""
         for _ in range(ticks):
             self.answer(POSTURE, tau_h)
@@ -111,8 +110,8 @@ class ScriptedController:
 
     Attributes
     ----------
-    samples
-        Stamps (ns) and values received, by topic.
+    positions, torques
+        Stamps (ns) and values received.
     answer
         Torque (N·m) that answers each sample at once; None for no answer.
     diagnostics
@@ -123,7 +122,9 @@ class ScriptedController:
         self.node, self.spinner = node, spinner
         self.answer: tuple[float, ...] | None = None
         self.diagnostics: list[DiagnosticStatus] = []
-        self.samples: dict[str, list[Sample]] = {JOINT_STATES: [], TORQUE_SENSORS: []}
+        self.positions: list[Sample] = []
+        self.torques: list[Sample] = []
+        self.samples = {JOINT_STATES: self.positions, TORQUE_SENSORS: self.torques}
         self.commands = CommandPublisher(node, topics.COMMANDS, len(names))
         self.received = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
         self.subscriptions = [
@@ -187,9 +188,15 @@ class ScriptedController:
         eventually(self.spinner, lambda: bool(found()), f"the fault {words}")
         return found()[0]
 
-    def call(self, service: str) -> Trigger.Response:
-        client = self.node.create_client(Trigger, service)
-        eventually(self.spinner, client.service_is_ready, f"the service {service}")
-        future = client.call_async(Trigger.Request())
-        assert self.spinner.spin_until(future, PATIENCE)
-        return future.result()
+    def call(self, service: str) -> tuple[bool, str]:
+        return ask(self.node, self.spinner, service)
+
+
+def ask(node: Node, spinner: Spinner, service: str) -> tuple[bool, str]:
+    """Call a service without arguments; return whether it succeeded, and its message."""
+    client = node.create_client(Trigger, service)
+    eventually(spinner, client.service_is_ready, f"the service {service}")
+    future = client.call_async(Trigger.Request())
+    assert spinner.spin_until(future, PATIENCE)
+    response = future.result()
+    return response.success, response.message

@@ -1,19 +1,16 @@
 """The controller node over real DDS: answers, faults, watchdog, parameters, life cycle."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.context import Context
-from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
 from armimp_common.errors import GraphError
@@ -23,13 +20,22 @@ from armimp_common.schema import Value
 from armimp_common.status import Level, Phase, to_time, values_of
 from armimp_common.topics import PERIOD_NS
 from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
-from armimp_control.sequence import SequenceParameters
-from armimp_control.trial_sequencer import TrialSequencer
+from support.controller import (
+    FAILURE,
+    NAMES,
+    POSTURE,
+    SUCCESS,
+    Sample,
+    SequencerBench,
+    ask,
+    controller_parameters,
+    wobble,
+)
 from support.graph import (
     CLOCK_STEPS,
     PATIENCE,
+    Launch,
     ScriptedDriver,
     a_moment,
     eventually,
@@ -37,72 +43,31 @@ from support.graph import (
     set_clock,
 )
 
-NAMES = ("shoulder", "elbow")
-POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
 SETTLE, PERTURB, REST = 50, 100, 50
-SUCCESS = TransitionCallbackReturn.SUCCESS
-FAILURE = TransitionCallbackReturn.FAILURE
 START = 5_000_000_000
-
-PARAMETERS = ControllerParameters.preset(
-    joints=NAMES,
-    posture=np.array(POSTURE),
-    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-).model_copy(
-    update={
-        "sequence": SequenceParameters(
-            duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
-        ),
-        # So patient that no test sees the watchdog by accident.
-        "safety": SafetyParameters(slowest_tick=10.0),
-    }
+# So patient that no test sees the watchdog by accident.
+PARAMETERS = controller_parameters(
+    SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
 LONGER_THAN_PATIENCE = 0.5
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
 
 
-def wobble(ticks: int) -> list[tuple[tuple[float, float], tuple[float, float]]]:
-    rng = np.random.default_rng(4)
-    theta = POSTURE + np.cumsum(rng.normal(scale=1e-6, size=(ticks, 2)), axis=0)
-    tau_h = rng.normal(scale=0.1, size=(ticks, 2))
-    return [
-        ((a[0], a[1]), (b[0], b[1])) for a, b in zip(theta.tolist(), tau_h.tolist(), strict=True)
-    ]
-
-
-def expected_answers(
-    samples: Sequence[tuple[Sequence[float], Sequence[float]]],
-) -> tuple[list[tuple[float, ...]], list[tuple[int, tuple[float, ...]]]]:
-    experiment = TrialSequencer(PARAMETERS, lambda _: None)
-    commands, perturbations = [], []
-    for tick, (theta, tau_h) in enumerate(samples):
-        stamp_ns = START + tick * PERIOD_NS
-        experiment.answer(stamp_ns, theta, tau_h)
-        commands.append(tuple(experiment.command.tolist()))
-        perturbations.append((stamp_ns, tuple(experiment.tau_delta.tolist())))
-    return commands, perturbations
+def expected_answers(ticks: int) -> tuple[list[tuple[float, ...]], list[Sample]]:
+    bench = SequencerBench(PARAMETERS, START)
+    bench.wobble(ticks)
+    stamps = [START + tick * PERIOD_NS for tick in range(ticks)]
+    perturbations = [tuple(one.tolist()) for one in bench.perturbations]
+    commands = [tuple(one.tolist()) for one in bench.commands]
+    return commands, list(zip(stamps, perturbations, strict=True))
 
 
 MakeController = Callable[..., ImbicControllerNode]
 
 
 @pytest.fixture
-def make(context: Context, spinner: Spinner) -> Iterator[MakeController]:
-    made: list[ImbicControllerNode] = []
-
-    def factory(changes: Mapping[str, Value] | None = None, **kwargs: Any) -> ImbicControllerNode:
-        controller = ImbicControllerNode(
-            context=context, parameter_overrides=overrides(PARAMETERS, changes), **kwargs
-        )
-        made.append(controller)
-        spinner.add_node(controller)
-        return controller
-
-    yield factory
-    for controller in made:
-        spinner.remove_node(controller)
-        controller.destroy_node()
+def make(launch: Launch) -> MakeController:
+    return lambda *changes: launch(ImbicControllerNode, PARAMETERS, *changes)
 
 
 @pytest.fixture
@@ -116,6 +81,15 @@ def bring_up(controller: ImbicControllerNode, driver: ScriptedDriver) -> None:
     driver.wait_for_controller()
 
 
+def start(controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner) -> None:
+    """Bring a controller up, and have it command torque."""
+    bring_up(controller, driver)
+    for theta, tau_h in wobble(60):
+        driver.feed(theta, tau_h)
+    eventually(spinner, lambda: driver.answered, "an answer to every sample")
+    assert driver.commands[-1] != (0.0, 0.0)
+
+
 def feed_still(driver: ScriptedDriver, ticks: int) -> None:
     for _ in range(ticks):
         driver.feed(POSTURE, (0.0, 0.0))
@@ -126,14 +100,12 @@ class TestAnswers:
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
     ) -> None:
         bring_up(make(), driver)
-        samples = wobble(SETTLE + 60)
-
-        for theta, tau_h in samples:
+        for theta, tau_h in wobble(SETTLE + 60):
             driver.feed(theta, tau_h)
         eventually(spinner, lambda: driver.answered, "an answer to every sample")
         a_moment(spinner)
 
-        commands, perturbations = expected_answers(samples)
+        commands, perturbations = expected_answers(SETTLE + 60)
         assert driver.commands == commands
         assert driver.perturbations == perturbations
         assert any(command != (0.0, 0.0) for command in commands)
@@ -221,15 +193,6 @@ MALFORMED = {
 
 
 class TestFaults:
-    def start(
-        self, controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        bring_up(controller, driver)
-        for theta, tau_h in wobble(60):
-            driver.feed(theta, tau_h)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        assert driver.commands[-1] != (0.0, 0.0)
-
     @pytest.mark.parametrize("topic", [topics.JOINT_STATES, topics.TORQUE_SENSORS])
     @pytest.mark.parametrize("message", MALFORMED.values(), ids=MALFORMED.keys())
     def test_when_a_sample_is_malformed_expect_zero_torque_and_an_abort(
@@ -242,7 +205,7 @@ class TestFaults:
     ) -> None:
         if message == MALFORMED["no values"] and topic == topics.TORQUE_SENSORS:
             message = encoded(NAMES, (0.0, 0.0))
-        self.start(make(), driver, spinner)
+        start(make(), driver, spinner)
 
         driver.channels[topic].publisher.publish(message)
         eventually(
@@ -267,7 +230,7 @@ class TestFaults:
     def test_when_a_reading_without_a_partner_is_not_finite_expect_zero_torque_at_once(
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, topic: str, what: str
     ) -> None:
-        self.start(make(), driver, spinner)
+        start(make(), driver, spinner)
 
         for _ in range(3):
             driver.channels[topic].publish(driver.stamp_ns + 10**15, (math.nan, 1.0))
@@ -292,7 +255,7 @@ class TestFaults:
     ) -> None:
         ramp_time = 0.05
         controller = make({**IMPATIENT, "safety.ramp_time": ramp_time})
-        self.start(controller, driver, spinner)
+        start(controller, driver, spinner)
         if clock_step is not None:
             set_clock(controller, clock_step)
 
@@ -329,52 +292,30 @@ class TestFaults:
         assert not driver.has_said(Phase.ABORTED)
 
 
-class Service:
-    """Asks a service of the controller."""
-
-    def __init__(self, node: Node, spinner: Spinner, name: str) -> None:
-        self._client = node.create_client(Trigger, name)
-        self._spinner = spinner
-
-    def __call__(self) -> tuple[bool, str]:
-        eventually(self._spinner, self._client.service_is_ready, "a service")
-        future = self._client.call_async(Trigger.Request())
-        assert self._spinner.spin_until(future, PATIENCE)
-        response = future.result()
-        assert response is not None
-        return response.success, response.message
+Ask = Callable[[], tuple[bool, str]]
 
 
 @pytest.fixture
-def emergency_stop(node: Node, spinner: Spinner) -> Service:
-    return Service(node, spinner, topics.CONTROLLER_STOP_SERVICE)
+def emergency_stop(node: Node, spinner: Spinner) -> Ask:
+    return partial(ask, node, spinner, topics.CONTROLLER_STOP_SERVICE)
 
 
 @pytest.fixture
-def reset(node: Node, spinner: Spinner) -> Service:
-    return Service(node, spinner, topics.CONTROLLER_RESET_SERVICE)
+def reset(node: Node, spinner: Spinner) -> Ask:
+    return partial(ask, node, spinner, topics.CONTROLLER_RESET_SERVICE)
 
 
 class TestServices:
-    def start(
-        self, controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        bring_up(controller, driver)
-        for theta, tau_h in wobble(60):
-            driver.feed(theta, tau_h)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
-        assert driver.commands[-1] != (0.0, 0.0)
-
     def test_emergency_stop_takes_the_torque_away_at_once_and_for_good(
         self,
         make: MakeController,
         driver: ScriptedDriver,
         spinner: Spinner,
-        emergency_stop: Service,
-        reset: Service,
+        emergency_stop: Ask,
+        reset: Ask,
     ) -> None:
         controller = make()
-        self.start(controller, driver, spinner)
+        start(controller, driver, spinner)
 
         success, message = emergency_stop()
         eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "an abort")
@@ -413,11 +354,11 @@ class TestServices:
         make: MakeController,
         driver: ScriptedDriver,
         spinner: Spinner,
-        reset: Service,
+        reset: Ask,
         theta: tuple[float, float],
         reason: str,
     ) -> None:
-        self.start(make(), driver, spinner)
+        start(make(), driver, spinner)
         for _ in range(20):
             driver.feed(theta, (0.0, 0.0))
         eventually(spinner, lambda: driver.answered, "an answer to every sample")
@@ -435,7 +376,7 @@ class TestServices:
         assert reset() == (True, "there was no fault")
 
     def test_emergency_stop_before_activation_keeps_the_node_from_it(
-        self, make: MakeController, driver: ScriptedDriver, emergency_stop: Service, reset: Service
+        self, make: MakeController, driver: ScriptedDriver, emergency_stop: Ask, reset: Ask
     ) -> None:
         controller = make()
         assert emergency_stop()[0]
@@ -556,7 +497,7 @@ class TestLife:
     ) -> None:
         controller = make()
         samples = wobble(30)
-        expected = expected_answers(samples)[0]
+        expected = expected_answers(30)[0]
         for _ in range(2):
             assert controller.trigger_configure() is SUCCESS
             for _ in range(2):
@@ -584,10 +525,7 @@ class TestLife:
         self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, how: str
     ) -> None:
         controller = make()
-        bring_up(controller, driver)
-        for theta, tau_h in wobble(60):
-            driver.feed(theta, tau_h)
-        eventually(spinner, lambda: driver.answered, "an answer to every sample")
+        start(controller, driver, spinner)
 
         getattr(controller, how)()
 

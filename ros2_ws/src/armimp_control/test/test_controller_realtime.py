@@ -3,55 +3,35 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import pytest
-from rclpy.context import Context
-from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 
 from armimp_common.executor import Spinner
-from armimp_common.schema import Value, build, flatten
+from armimp_common.schema import build, flatten
 from armimp_common.status import Phase
-from armimp_common.topics import PERIOD_NS
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
-from armimp_control.trial_sequencer import TrialSequencer
-from support.graph import ScriptedDriver, a_moment, eventually, overrides
+from support.controller import NAMES, POSTURE, SUCCESS, SequencerBench, controller_parameters
+from support.graph import Launch, ScriptedDriver, a_moment, eventually
 
 pytestmark = pytest.mark.alone
 
-NAMES = ("shoulder", "elbow")
-POSTURE = (1.09446, 1.34844)
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
-SUCCESS = TransitionCallbackReturn.SUCCESS
-FAILURE = TransitionCallbackReturn.FAILURE
-LOCKSTEP = ControllerParameters.preset(
-    joints=NAMES,
-    posture=np.array(POSTURE),
-    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-    duration=0.2,
-)
+LOCKSTEP = controller_parameters(300, 200, 300)
 PARAMETERS = build(ControllerParameters, {**flatten(LOCKSTEP), "mode": "realtime"})
 SILENCE = "no sensor sample arrived any more"
-MakeController = Callable[..., ImbicControllerNode]
 
 
 def answers(parameters: ControllerParameters) -> list[tuple[bytes, bytes]]:
     """Commands and perturbations of a whole experiment with an arm that shakes a little."""
-    experiment = TrialSequencer(parameters, lambda _: None)
-    rng = np.random.default_rng(3)
-    found = []
-    tick = 0
-    while not experiment.finished:
-        theta = np.array(POSTURE) + rng.normal(scale=1e-6, size=2)
-        experiment.answer(tick * PERIOD_NS, theta.tolist(), rng.normal(scale=0.1, size=2).tolist())
-        found.append((experiment.command.tobytes(), experiment.tau_delta.tobytes()))
-        tick += 1
-    assert experiment.fault == ""
-    return found
+    bench = SequencerBench(parameters)
+    bench.wobble(1601)
+    assert bench.experiment.finished
+    assert bench.experiment.fault == ""
+    pairs = zip(bench.commands, bench.perturbations, strict=True)
+    return [(command.tobytes(), tau_delta.tobytes()) for command, tau_delta in pairs]
 
 
 def test_answers_are_those_of_lockstep_bit_for_bit() -> None:
@@ -64,22 +44,10 @@ def driver(node: Node) -> ScriptedDriver:
 
 
 @pytest.fixture
-def make(context: Context, spinner: Spinner) -> Iterator[MakeController]:
-    made: list[ImbicControllerNode] = []
-
-    def factory(changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
-        controller = ImbicControllerNode(
-            context=context, parameter_overrides=overrides(PARAMETERS, changes)
-        )
-        made.append(controller)
-        spinner.add_node(controller)
-        assert controller.trigger_configure() is SUCCESS, controller.transition_error
-        return controller
-
-    yield factory
-    for controller in made:
-        spinner.remove_node(controller)
-        controller.destroy_node()
+def controller(launch: Launch) -> ImbicControllerNode:
+    made: ImbicControllerNode = launch(ImbicControllerNode, PARAMETERS)
+    assert made.trigger_configure() is SUCCESS, made.transition_error
+    return made
 
 
 def under_torque(controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner) -> None:
@@ -93,9 +61,9 @@ def under_torque(controller: ImbicControllerNode, driver: ScriptedDriver, spinne
 
 
 def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
-    make: MakeController, driver: ScriptedDriver, spinner: Spinner
+    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
 ) -> None:
-    under_torque(make(), driver, spinner)
+    under_torque(controller, driver, spinner)
 
     eventually(
         spinner,
@@ -111,9 +79,8 @@ def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
 
 
 def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(
-    make: MakeController, driver: ScriptedDriver, spinner: Spinner
+    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
 ) -> None:
-    controller = make()
     under_torque(controller, driver, spinner)
     # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
     time.sleep(0.02)

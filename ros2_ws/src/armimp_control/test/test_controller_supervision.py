@@ -1,12 +1,9 @@
 """The controller and its surroundings: it ends the experiment when one of them is lost."""
 
-from collections.abc import Iterator
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from rclpy.context import Context
-from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import UInt64
@@ -18,25 +15,16 @@ from armimp_common.schema import Value
 from armimp_common.status import Phase
 from armimp_common.topics import ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters
-from support.graph import ScriptedDriver, a_moment, eventually, overrides
+from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
+from support.graph import Launch, ScriptedDriver, a_moment, eventually
 
-NAMES = ("shoulder", "elbow")
-POSTURE = (1.09446, 1.34844)
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
-SUCCESS = TransitionCallbackReturn.SUCCESS
-PARAMETERS = ControllerParameters.preset(
-    joints=NAMES,
-    posture=np.array(POSTURE),
-    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-)
 
 
 class Surroundings:
     """Stands for rig and recorder, with a controller under torque between them."""
 
-    def __init__(self, context: Context, node: Node, spinner: Spinner, mode: str) -> None:
+    def __init__(self, node: Node, spinner: Spinner, launch: Launch, mode: str) -> None:
         self.spinner = spinner
         self.driver = ScriptedDriver(node, NAMES)
         self.received: Publisher = node.create_publisher(UInt64, topics.RECEIVED, qos.LATCHED)
@@ -46,10 +34,9 @@ class Surroundings:
             "safety.slowest_tick": 10.0,
             "safety.watchdog_ticks": 100,
         }
-        self.controller = ImbicControllerNode(
-            context=context, parameter_overrides=overrides(PARAMETERS, changes)
+        self.controller: ImbicControllerNode = launch(
+            ImbicControllerNode, controller_parameters(), changes
         )
-        spinner.add_node(self.controller)
         assert self.controller.trigger_configure() is SUCCESS, self.controller.transition_error
 
     def activate(self) -> None:
@@ -87,12 +74,8 @@ def mode() -> str:
 
 
 @pytest.fixture
-def around(context: Context, node: Node, mode: str) -> Iterator[Surroundings]:
-    with Spinner([node]) as spinner:
-        surroundings = Surroundings(context, node, spinner, mode)
-        yield surroundings
-        spinner.remove_node(surroundings.controller)
-        surroundings.controller.destroy_node()
+def around(node: Node, spinner: Spinner, launch: Launch, mode: str) -> Surroundings:
+    return Surroundings(node, spinner, launch, mode)
 
 
 @pytest.mark.parametrize(

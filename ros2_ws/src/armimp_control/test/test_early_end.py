@@ -5,59 +5,29 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision, TrialStatus
-from armimp_common.topics import PERIOD_NS
-from armimp_control.parameters import ControllerParameters
+from armimp_common.status import NOTICE_TICKS, Cause, Phase, StoppingDecision
 from armimp_control.perturbation import perturbation
-from armimp_control.sequence import SequenceParameters
-from armimp_control.trial_sequencer import TrialSequencer
+from support.controller import SequencerBench, controller_parameters
 
-POSTURE = np.radians([62.708, 77.260])
 SETTLE, PERTURB, REST = 50, 1000, 60
 JUDGED = 300
 END = JUDGED + NOTICE_TICKS
-PARAMETERS = ControllerParameters.preset(
-    joints=("shoulder", "elbow"),
-    posture=POSTURE,
-    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-).model_copy(
-    update={
-        "sequence": SequenceParameters(
-            duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
-        )
-    }
-)
+PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
 ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
 ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
 NOT_YET = replace(ENOUGH, enough=False, due=600, largest=0.03)
 
 
-class Bench:
+class Bench(SequencerBench):
     """An experiment at rest in its posture, with what it says."""
-
-    def __init__(self) -> None:
-        self.statuses: list[TrialStatus] = []
-        self.perturbed: list[bool] = []
-        self.torques: list[float] = []
-        self.experiment = TrialSequencer(PARAMETERS, self.statuses.append)
-
-    def run(self, ticks: int) -> None:
-        for _ in range(ticks):
-            stamp_ns = self.experiment.tick * PERIOD_NS
-            self.experiment.answer(stamp_ns, tuple(POSTURE), (0.0, 0.0))
-            self.torques.append(float(self.experiment.tau_delta[0]))
 
     def run_into_perturbation(self, ticks: int) -> None:
         self.run(SETTLE + ticks)
 
-    def said(self, phase: Phase, trial: int) -> list[TrialStatus]:
-        return [one for one in self.statuses if (one.phase, one.trial) == (phase, trial)]
-
 
 @pytest.fixture
 def bench() -> Bench:
-    return Bench()
+    return Bench(PARAMETERS)
 
 
 def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(bench: Bench) -> None:
@@ -75,8 +45,9 @@ def test_when_a_trial_is_good_enough_expect_its_end_announced_and_kept(bench: Be
         PARAMETERS.perturbation, joint=0, trial=1, ticks=PERTURB, seed=PARAMETERS.seed
     )
     start = SETTLE
-    np.testing.assert_array_equal(bench.torques[start : start + END], signal[:END])
-    assert not any(bench.torques[start + END : start + END + REST])
+    torques = [one[0] for one in bench.perturbations]
+    np.testing.assert_array_equal(torques[start : start + END], signal[:END])
+    assert not any(torques[start + END : start + END + REST])
 
 
 def test_the_next_trial_follows_at_once_and_lasts_as_planned(bench: Bench) -> None:

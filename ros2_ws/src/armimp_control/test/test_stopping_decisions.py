@@ -1,13 +1,9 @@
 """The controller node and decisions: in lockstep samples wait for them, on a rig they do not."""
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.context import Context
-from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
@@ -16,29 +12,16 @@ from armimp_common.executor import Spinner
 from armimp_common.schema import Value
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, status_message
 from armimp_control.node import ImbicControllerNode
-from armimp_control.parameters import ControllerParameters
 from armimp_control.safety_limiter import SafetyParameters
-from armimp_control.sequence import SequenceParameters
 from armimp_control.trial_sequencer import Watchdog
-from support.graph import ScriptedDriver, a_moment, eventually, overrides
+from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
+from support.graph import Launch, ScriptedDriver, a_moment, eventually
 
-NAMES = ("shoulder", "elbow")
-POSTURE = tuple(np.radians([62.708, 77.260]).tolist())
 SETTLE, PERTURB, REST = 50, 600, 50
 JUDGED = 20
 END = JUDGED + NOTICE_TICKS
-PARAMETERS = ControllerParameters.preset(
-    joints=NAMES,
-    posture=np.array(POSTURE),
-    robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-    arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-).model_copy(
-    update={
-        "sequence": SequenceParameters(
-            duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
-        ),
-        "safety": SafetyParameters(slowest_tick=10.0),
-    }
+PARAMETERS = controller_parameters(
+    SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.2, "safety.watchdog_ticks": 5}
 ON_A_RIG: dict[str, Value] = {"mode": "realtime"}
@@ -62,21 +45,14 @@ def judge(node: Node) -> Publisher:
 
 
 @pytest.fixture
-def start(
-    context: Context, spinner: Spinner, driver: ScriptedDriver, judge: Publisher
-) -> Iterator[Start]:
+def start(launch: Launch, spinner: Spinner, driver: ScriptedDriver, judge: Publisher) -> Start:
     """Makes a controller which is in its first perturbation and knows of a decision to come."""
-    made: list[ImbicControllerNode] = []
 
-    def factory(changes: Mapping[str, Value] | None = None, **kwargs: Any) -> ImbicControllerNode:
+    def factory(changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
         changes = {"sequence.may_end_early": True, **(changes or {})}
-        controller = ImbicControllerNode(
-            context=context, parameter_overrides=overrides(PARAMETERS, changes), **kwargs
-        )
-        made.append(controller)
-        spinner.add_node(controller)
-        assert controller.trigger_configure() is TransitionCallbackReturn.SUCCESS
-        assert controller.trigger_activate() is TransitionCallbackReturn.SUCCESS
+        controller: ImbicControllerNode = launch(ImbicControllerNode, PARAMETERS, changes)
+        assert controller.trigger_configure() is SUCCESS
+        assert controller.trigger_activate() is SUCCESS
         driver.wait_for_controller()
         eventually(spinner, lambda: judge.get_subscription_count() == 1, "somebody who is judged")
         feed(driver, SETTLE + 1)
@@ -85,10 +61,7 @@ def start(
         a_moment(spinner)
         return controller
 
-    yield factory
-    for controller in made:
-        spinner.remove_node(controller)
-        controller.destroy_node()
+    return factory
 
 
 def feed(driver: ScriptedDriver, ticks: int) -> None:

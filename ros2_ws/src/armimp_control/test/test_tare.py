@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from armimp_common.status import Phase, TrialStatus
-from armimp_common.topics import PERIOD_NS
-from armimp_control.parameters import (
-    ControllerParameters,
-)
-from armimp_control.sequence import SequenceParameters, Tare, TareParameters
-from armimp_control.trial_sequencer import TrialSequencer
+from armimp_control.sequence import Tare, TareParameters
+from support.controller import SequencerBench, controller_parameters
 
-Array = NDArray[np.float64]
-POSTURE = np.radians([62.708, 77.260])
 WAIT, READ, SETTLE, PERTURB, REST = 100, 400, 50, 200, 60
 TRIAL = WAIT + READ + SETTLE + PERTURB + REST
 
@@ -42,47 +34,10 @@ def test_the_standard_error_covers_noise_and_shows_unrest() -> None:
     assert Tare.of(slow[None]).error[0] > 0.2
 
 
-def parameters(**values: Any) -> ControllerParameters:
-    preset = ControllerParameters.preset(
-        joints=("shoulder", "elbow"),
-        posture=POSTURE,
-        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-        # Locked joints do not listen to the arm, so that commands tell what the tare does.
-        law="tde",
-    )
-    return preset.model_copy(
-        update={
-            "sequence": SequenceParameters(
-                duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
-            ),
-            "tare": TareParameters(duration=READ / 1000, wait=WAIT / 1000, **values),
-        }
-    )
-
-
-@dataclass
-class Bench:
-    """An experiment with the arm in its posture, and what it says and answers."""
-
-    parameters: ControllerParameters
-    statuses: list[TrialStatus] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.experiment = TrialSequencer(self.parameters, self.statuses.append)
-        self.tick = 0
-
-    def run(self, ticks: int, torque: Array) -> list[Array]:
-        commands = []
-        for _ in range(ticks):
-            self.experiment.answer(self.tick * PERIOD_NS, tuple(POSTURE), tuple(torque))
-            commands.append(self.experiment.command.copy())
-            self.tick += 1
-        return commands
-
-    @property
-    def last(self) -> TrialStatus:
-        return self.statuses[-1]
+def tared(**values: Any) -> SequencerBench:
+    # Locked joints of this law do not listen to the arm, so that commands tell what the tare does.
+    tare = TareParameters(duration=READ / 1000, wait=WAIT / 1000, **values)
+    return SequencerBench(controller_parameters(SETTLE, PERTURB, REST, law="tde", tare=tare))
 
 
 OFFSET = np.array([0.8, -0.5])
@@ -90,7 +45,7 @@ OFFSET = np.array([0.8, -0.5])
 
 def test_an_offset_that_was_tared_does_not_move_the_joint_and_one_that_was_not_does() -> None:
     for shift, moved in ((0.0, False), (0.3, True)):
-        bench = Bench(parameters())
+        bench = tared()
         held = bench.run(WAIT + READ, OFFSET)
         # In its posture, without any torque to feel, a held joint needs none.
         assert np.max(np.abs(held)) == 0.0
@@ -99,7 +54,7 @@ def test_an_offset_that_was_tared_does_not_move_the_joint_and_one_that_was_not_d
 
 
 def test_the_tare_is_announced_with_the_perturbation_and_taken_anew_before_each_trial() -> None:
-    bench = Bench(parameters())
+    bench = tared()
     bench.run(WAIT + READ, OFFSET)
     assert [(one.phase, one.tare) for one in bench.statuses] == [(Phase.SETTLE, ())]
     bench.run(SETTLE + 1, OFFSET)
@@ -118,10 +73,10 @@ def test_the_tare_is_announced_with_the_perturbation_and_taken_anew_before_each_
 
 def test_no_joint_feels_torque_while_the_tare_is_taken() -> None:
     """A person who pushes then does not make the arm give way."""
-    bench = Bench(parameters(limit=100.0, noise=100.0))
+    bench = tared(limit=100.0, noise=100.0)
     rng = np.random.default_rng(1)
     for _ in range(WAIT + READ):
-        assert np.max(np.abs(bench.run(1, rng.uniform(-20.0, 20.0, 2)))) == 0.0
+        assert np.max(np.abs(bench.run(1, rng.uniform(-20.0, 20.0, 2).tolist()))) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -137,7 +92,7 @@ def test_no_joint_feels_torque_while_the_tare_is_taken() -> None:
 def test_a_tare_beyond_its_limits_ends_the_experiment_before_anything_is_perturbed(
     values: dict[str, float], words: str
 ) -> None:
-    bench = Bench(parameters(**values))
+    bench = tared(**values)
     bench.run(WAIT + READ // 2, OFFSET)
     bench.run(READ // 2, OFFSET + 1e-3)
     bench.run(1, OFFSET)

@@ -1,87 +1,33 @@
 """The controller without ROS: phases, perturbation, faults, the account of the samples."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_common.status import Cause, Phase, TrialStatus
+from armimp_common.status import Cause, Phase
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.laws.law import Controller
-from armimp_control.parameters import (
-    ControllerParameters,
-    LawParameters,
-)
+from armimp_control.parameters import ControllerParameters, LawParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters
-from armimp_control.sequence import SequenceParameters
 from armimp_control.trial_sequencer import TrialSequencer
+from support.controller import POSTURE, STILL, SequencerBench, controller_parameters
 
-POSTURE = np.radians([62.708, 77.260])
 SETTLE, PERTURB, REST = 50, 200, 60
 TRIAL = SETTLE + PERTURB + REST
 START = 7_000_000_000
-STILL = (0.0, 0.0)
 
 
-def parameters(*, seed: int = 1, torque_limit: float = 80.0) -> ControllerParameters:
-    preset = ControllerParameters.preset(
-        joints=("shoulder", "elbow"),
-        posture=POSTURE,
-        robot_inertia=np.array([[0.354, 0.191], [0.191, 0.180]]),
-        arm_inertia=np.array([[0.187, 0.084], [0.079, 0.060]]),
-        seed=seed,
-    )
-    return preset.model_copy(
-        update={
-            "sequence": SequenceParameters(
-                duration=PERTURB / 1000, settle=SETTLE / 1000, rest=REST / 1000
-            ),
-            "safety": SafetyParameters(torque_limit=torque_limit),
-        }
-    )
+PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
 
 
-@dataclass
-class Bench:
+class Bench(SequencerBench):
     """An experiment that is fed, with a diary of what it says and answers."""
 
-    parameters: ControllerParameters = field(default_factory=parameters)
-    stamp_ns: int = START
-    statuses: list[TrialStatus] = field(default_factory=list)
-    commands: list[NDArray[np.float64]] = field(default_factory=list)
-    perturbations: list[NDArray[np.float64]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.experiment = TrialSequencer(self.parameters, self.statuses.append)
-
-    def answer(
-        self, theta: Sequence[float] | NDArray[np.float64], tau_h: Sequence[float] = STILL
-    ) -> None:
-        self.experiment.answer(self.stamp_ns, tuple(theta), tau_h)
-        self.commands.append(self.experiment.command.copy())
-        self.perturbations.append(self.experiment.tau_delta.copy())
-        self.stamp_ns += PERIOD_NS
-
-    def run(self, ticks: int) -> None:
-        for _ in range(ticks):
-            self.answer(POSTURE)
-
-    def wobble(
-        self, ticks: int, seed: int = 0
-    ) -> list[tuple[NDArray[np.float64], tuple[float, ...]]]:
-        """Feed a random movement, and return it."""
-        rng = np.random.default_rng(seed)
-        samples = []
-        for theta in POSTURE + np.cumsum(rng.normal(scale=1e-6, size=(ticks, 2)), axis=0):
-            tau_h = tuple(rng.normal(scale=0.1, size=2).tolist())
-            self.answer(theta, tau_h)
-            samples.append((theta, tau_h))
-        return samples
+    def __init__(self, parameters: ControllerParameters = PARAMETERS) -> None:
+        super().__init__(parameters, START)
 
     @property
     def phases(self) -> list[tuple[Phase, int, int]]:
@@ -143,7 +89,7 @@ def test_commands_are_those_of_the_law_with_the_role_of_each_trial() -> None:
     expected = []
     for tick, (theta, tau_h) in enumerate(samples):
         law.perturb_joint(tick // TRIAL)
-        law.tick(theta, np.array(tau_h), bench.perturbations[tick])
+        law.tick(np.array(theta), np.array(tau_h), bench.perturbations[tick])
         expected.append(law.command.copy())
     np.testing.assert_array_equal(bench.commands, expected)
     assert np.abs(expected).max() > 0.1
@@ -239,7 +185,7 @@ def test_first_reason_of_an_abort_stays() -> None:
 
 
 def test_clipped_commands_are_counted_where_the_arm_is_perturbed() -> None:
-    bench = Bench(parameters=parameters(torque_limit=1e-3))
+    bench = Bench(PARAMETERS.model_copy(update={"safety": SafetyParameters(torque_limit=1e-3)}))
 
     bench.wobble(TRIAL + SETTLE + 20)
 
@@ -272,7 +218,7 @@ def test_when_a_joint_is_too_far_away_expect_the_torque_to_ramp_down_and_an_abor
     before = bench.commands[-1]
 
     for _ in range(20):
-        bench.answer(POSTURE - np.array([0.0, 0.51]))
+        bench.answer((POSTURE[0], POSTURE[1] - 0.51))
 
     ramp = np.array([before, *bench.commands[ticks:]])
     assert ramp[1] == pytest.approx(0.9 * before)
@@ -329,7 +275,7 @@ def test_samples_after_the_end_are_no_fault_wherever_the_arm_is() -> None:
     bench = Bench()
     bench.run(2 * TRIAL + 1)
 
-    bench.answer(POSTURE + 3.0)
+    bench.answer((POSTURE[0] + 3.0, POSTURE[1] + 3.0))
     bench.answer((math.nan, 0.0))
 
     assert bench.statuses[-1].phase is Phase.DONE
@@ -338,9 +284,7 @@ def test_samples_after_the_end_are_no_fault_wherever_the_arm_is() -> None:
 
 
 def test_when_the_loop_would_be_unstable_expect_a_refusal() -> None:
-    wild = parameters().model_copy(
-        update={"law": LawParameters(model_inertia=(9.0, 0.0, 0.0, 9.0))}
-    )
+    wild = PARAMETERS.model_copy(update={"law": LawParameters(model_inertia=(9.0, 0.0, 0.0, 9.0))})
 
     with pytest.raises(ConfigurationError, match="unstable when sampled"):
         TrialSequencer(wild, lambda _: None)

@@ -4,19 +4,17 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.node import Node
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.pubsub import CommandPublisher, subscribe_joint_states
-from armimp_common.status import Level
 from armimp_driver_template import node as template
 from armimp_driver_template.device import Frame
 from armimp_driver_template.node import ExoDriver
 from armimp_driver_template.parameters import DriverParameters
+from support.controller import ScriptedController
 from support.graph import PATIENCE, eventually
 
 PUSH, ZERO = (5.0, 0.0), (0.0, 0.0)
@@ -62,35 +60,15 @@ class FailingDevice:
         self.sent.append((self.silence, tuple(torque)))
 
 
-class World:
+class World(ScriptedController):
     """A driver with such a device, and somebody who answers each of its samples."""
 
     def __init__(self, node: Node, spinner: Spinner, device: FailingDevice) -> None:
-        self.spinner, self.device = spinner, device
-        self.torque = ZERO
-        self.faults: list[str] = []
-        self._commands = CommandPublisher(node, topics.COMMANDS, 2)
-        self._listeners = [
-            subscribe_joint_states(
-                node, topic, ("shoulder", "elbow"), topics.VALUE_FIELD[topic], answer
-            )
-            for topic, answer in (
-                (topics.JOINT_STATES, lambda *_: None),
-                (topics.TORQUE_SENSORS, self._answer),
-            )
-        ]
-        self._listener = node.create_subscription(
-            DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-        )
-
-    def _answer(self, stamp_ns: int, values: tuple[float, ...]) -> None:
-        self._commands.publish(self.torque)
-
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        self.faults += [s.message for s in array.status if s.level == bytes([Level.ERROR])]
+        super().__init__(node, spinner)
+        self.device, self.answer = device, ZERO
 
     def push(self) -> None:
-        self.torque = PUSH
+        self.answer = PUSH
         self.until(lambda: bool(self.device.sent) and self.device.sent[-1][1] == PUSH, "torque")
 
     def until(self, condition: Callable[[], bool], what: str) -> None:
@@ -121,13 +99,13 @@ def test_when_the_bus_is_silent_expect_zero_torque_within_200_milliseconds(world
     world.until(lambda: world.device.sent[-1][1] == ZERO, "zero torque")
     gone = min(when for when, torque in world.device.sent if when > 0.0 and torque == ZERO)
     assert gone < 0.2
-    world.until(lambda: any("nothing for 5 periods" in f for f in world.faults), "the fault told")
+    world.await_fault("nothing for 5 periods")
 
 
 def test_when_the_bus_takes_no_commands_expect_a_fault_and_a_node_that_lives(world: World) -> None:
     world.push()
     world.device.broken = True
-    world.until(lambda: any("no buffer space" in f for f in world.faults), "the fault told")
+    world.await_fault("no buffer space")
     world.device.broken = False
     # It is told zero as soon as it listens again, and nothing else before a reset.
     count = len(world.device.sent)

@@ -5,22 +5,21 @@ import time
 from collections.abc import Iterator
 
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.qos import qos_profile_system_default
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
 
-from armimp_common import qos, topics
+from armimp_common import topics
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.pubsub import CommandPublisher, subscribe_joint_states, wait_until_matched
-from armimp_common.status import Level, to_time
+from armimp_common.pubsub import wait_until_matched
+from armimp_common.status import to_time
 from armimp_common.topics import PERIOD_NS
 from armimp_ros2_control.node import EFFORTS, STATES, Ros2ControlBridge
 from armimp_ros2_control.parameters import BridgeParameters
+from support.controller import ScriptedController
 from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, overrides, set_clock
 
 JOINTS = ("shoulder", "elbow")
@@ -28,7 +27,7 @@ ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
 Sample = tuple[int, tuple[float, ...]]
 
 
-class World:
+class World(ScriptedController):
     """Both sides of a bridge: what a robot publishes and is told, what a controller hears and says.
 
     Each sample that comes out of the bridge is answered by a command and followed by the next joint
@@ -38,49 +37,25 @@ class World:
     manager: LifecycleManager
 
     def __init__(self, node: Node, spinner: Spinner) -> None:
-        self.spinner = spinner
+        super().__init__(node, spinner)
         self.tick = 0
-        self.torque = ZERO
-        self.running, self.answering = False, True
+        self.answer = ZERO
+        self.running = False
         self.next: dict[str, object] = {}
         self.told: list[tuple[float, ...]] = []
-        self.angles: list[Sample] = []
-        self.torques: list[Sample] = []
-        self.faults: list[str] = []
         self.states = node.create_publisher(JointState, STATES, qos_profile_system_default)
-        self.commands = CommandPublisher(node, topics.COMMANDS, 2)
-        # Kept, as they would end with the last reference.
-        self.listeners = [
-            node.create_subscription(
-                Float64MultiArray, EFFORTS, self._on_efforts, qos_profile_system_default
-            ),
-            subscribe_joint_states(node, topics.JOINT_STATES, JOINTS, "position", self._on_angles),
-            subscribe_joint_states(node, topics.TORQUE_SENSORS, JOINTS, "effort", self._on_torques),
-            node.create_subscription(
-                DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
-            ),
-        ]
-        self.services = {
-            name: node.create_client(Trigger, name)
-            for name in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE)
-        }
+        self.efforts = node.create_subscription(
+            Float64MultiArray, EFFORTS, self._on_efforts, qos_profile_system_default
+        )
 
     def _on_efforts(self, message: Float64MultiArray) -> None:
         self.told.append(tuple(message.data))
 
-    def _on_angles(self, stamp_ns: int, values: tuple[float, ...]) -> None:
-        self.angles.append((stamp_ns, values))
-
-    def _on_torques(self, stamp_ns: int, values: tuple[float, ...]) -> None:
-        self.torques.append((stamp_ns, values))
-        if self.running:
-            if self.answering:
-                self.commands.publish(self.torque)
+    def on_sample(self, topic: str, stamp_ns: int, values: tuple[float, ...]) -> None:
+        super().on_sample(topic, stamp_ns, values)
+        if topic == topics.TORQUE_SENSORS and self.running:
             changes, self.next = self.next, {}
             self.feed(**changes)  # type: ignore[arg-type]
-
-    def _on_diagnostics(self, array: DiagnosticArray) -> None:
-        self.faults += [s.message for s in array.status if s.level == bytes([Level.ERROR])]
 
     def feed(self, stamp_ms: float | None = None, **changes: object) -> None:
         """Publish one joint state of the robot, with a joint more than is asked for."""
@@ -99,7 +74,7 @@ class World:
 
     def push(self) -> None:
         """Run, under torque."""
-        self.torque, self.running = PUSH, True
+        self.answer, self.running = PUSH, True
         self.feed()
         self.until_told(*PUSH)
 
@@ -107,14 +82,6 @@ class World:
         eventually(
             self.spinner, lambda: bool(self.told) and self.told[-1] == torque, f"efforts {torque}"
         )
-
-    def until_fault(self, words: str) -> None:
-        eventually(self.spinner, lambda: any(words in f for f in self.faults), f"fault {words}")
-
-    def call(self, service: str) -> Trigger.Response:
-        future = self.services[service].call_async(Trigger.Request())
-        assert self.spinner.spin_until(future, PATIENCE)
-        return future.result()
 
 
 @pytest.fixture
@@ -160,7 +127,7 @@ def test_joint_states_that_came_before_the_activation_are_not_passed_on_in_a_bur
     monkeypatch.setattr("armimp_common.driver_base.wait_for_partners", wait)
     waiting.manager.change(topics.SIM_NODE, "activate")
     a_moment(waiting.spinner)
-    assert waiting.angles == []
+    assert waiting.positions == []
 
 
 def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World) -> None:
@@ -168,7 +135,7 @@ def test_joint_states_are_split_in_pairs_with_the_stamps_that_came(world: World)
         world.feed()
     eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
     stamps = [PERIOD_NS * k for k in (1, 2, 3)]
-    assert world.angles == [(stamp, (1.1, 1.3)) for stamp in stamps]
+    assert world.positions == [(stamp, (1.1, 1.3)) for stamp in stamps]
     assert world.torques == [(stamp, (-0.5, 0.5)) for stamp in stamps]
 
 
@@ -182,22 +149,22 @@ def test_a_sample_that_is_too_early_is_left_out_of_both_streams(world: World) ->
     for stamp in (1.0, 2.7, 3.0, 4.0):
         world.feed(stamp)
     eventually(world.spinner, lambda: len(world.torques) == 3, "three samples")
-    assert [stamp for stamp, _ in world.angles] == [stamp for stamp, _ in world.torques]
-    assert [stamp / PERIOD_NS for stamp, _ in world.angles] == [1.0, 2.7, 4.0]
+    assert [stamp for stamp, _ in world.positions] == [stamp for stamp, _ in world.torques]
+    assert [stamp / PERIOD_NS for stamp, _ in world.positions] == [1.0, 2.7, 4.0]
 
 
 def test_when_commands_stay_away_expect_torque_to_fall_to_zero_and_the_fault_told(
     world: World,
 ) -> None:
     world.push()
-    world.answering = False
+    world.answer = None
     world.until_told(*ZERO)
-    world.until_fault("no command for 5 periods")
+    world.await_fault("no command for 5 periods")
     fall = [torque for torque, _ in world.told[world.told.index(PUSH) :]]
     assert fall == sorted(fall, reverse=True)
     assert len(set(fall)) > 5
     # Commands are back, and are not obeyed.
-    world.answering = True
+    world.answer = PUSH
     a_moment(world.spinner)
     assert world.told[-1] == ZERO
 
@@ -211,7 +178,7 @@ def test_when_joint_states_stop_expect_zero_torque(
         set_clock(bridge, clock_step)
     world.running = False
     world.until_told(*ZERO)
-    world.until_fault("nothing for 10 ms")
+    world.await_fault("nothing for 10 ms")
 
 
 @pytest.mark.parametrize(
@@ -241,22 +208,22 @@ def test_what_cannot_be_used_takes_the_torque_away_and_is_told(
     world.push()
     world.next = changes
     world.until_told(*ZERO)
-    world.until_fault(words)
+    world.await_fault(words)
 
 
 def test_readings_that_are_not_finite_reach_the_controller_that_has_to_see_them(
     world: World,
 ) -> None:
     world.feed(position=[math.nan, 0.0, 0.0])
-    eventually(world.spinner, lambda: len(world.angles) == 1, "the sample")
-    assert math.isnan(world.angles[0][1][1])
+    eventually(world.spinner, lambda: len(world.positions) == 1, "the sample")
+    assert math.isnan(world.positions[0][1][1])
 
 
 def test_a_command_that_is_not_finite_is_never_passed_on(world: World) -> None:
     world.push()
-    world.torque = (math.nan, 0.0)
+    world.answer = (math.nan, 0.0)
     world.until_told(*ZERO)
-    world.until_fault("command cannot be obeyed")
+    world.await_fault("command cannot be obeyed")
     assert all(math.isfinite(value) for torque in world.told for value in torque)
 
 
@@ -264,25 +231,25 @@ def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under
     world: World,
 ) -> None:
     world.push()
-    assert world.call(topics.SIM_STOP_SERVICE).success
+    assert world.call(topics.SIM_STOP_SERVICE)[0]
     world.until_told(*ZERO)
-    world.until_fault("emergency stop")
+    world.await_fault("emergency stop")
     # Torque is commanded further.
     a_moment(world.spinner)
     assert world.told[-1] == ZERO
-    refused = world.call(topics.SIM_RESET_SERVICE)
-    assert not refused.success
-    assert "not zero torque" in refused.message
-    world.torque = ZERO
+    granted, message = world.call(topics.SIM_RESET_SERVICE)
+    assert not granted
+    assert "not zero torque" in message
+    world.answer = ZERO
     # Commands and services are not heard in the order in which they were sent.
     a_moment(world.spinner)
-    assert world.call(topics.SIM_RESET_SERVICE).success
-    world.torque = PUSH
+    assert world.call(topics.SIM_RESET_SERVICE)[0]
+    world.answer = PUSH
     world.until_told(*PUSH)
 
 
 def test_the_fault_is_repeated_and_zero_torque_is_told_again_and_again(world: World) -> None:
-    assert world.call(topics.SIM_STOP_SERVICE).success
+    assert world.call(topics.SIM_STOP_SERVICE)[0]
     before = len(world.told)
     eventually(world.spinner, lambda: len(world.faults) >= 3, "the fault, three times")
     assert set(world.told[before:]) == {ZERO}
