@@ -21,22 +21,12 @@ from armimp_control.laws.base import NO_JOINT
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability
-from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig
+from support.plants import study_plant
 from support.safety import torque_only
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3
-
-
-def _plant(friction: int) -> PlantConfig:
-    return PlantConfig(
-        arm=sim_presets.human_arm(2),
-        robot=sim_presets.robot(2),
-        friction=sim_presets.friction(friction, 2),
-        sensors=sim_presets.sensors(0),
-        substeps=50,
-    )
 
 
 def _law(plant: PlantConfig, internal_model: control_presets.InternalModel = "tde") -> ImbicConfig:
@@ -79,7 +69,7 @@ def test_perturbed_joint_shows_its_target_impedance_in_spite_of_friction(
     joint: int,
 ) -> None:
     """The delay of one tick costs accuracy in proportion to frequency."""
-    shown, target = _shown(_plant(friction), internal_model, frequency, joint)
+    shown, target = _shown(study_plant(friction, substeps=50), internal_model, frequency, joint)
     assert abs(shown / target - 1.0) < tolerance
 
 
@@ -113,7 +103,9 @@ def test_score_of_the_realisation_is_what_sines_show_of_the_robot() -> None:
     ours, without_target = (one.identify(["lpm_full"]) for one in simulate(configs))
     frequencies = (1.0, 3.0, 5.0, 7.0, 9.0, 11.0, 13.0, 15.0)
     for joint, trial in enumerate(ours.trials):
-        shown = np.array([_shown(_plant(0), "observer", f, joint) for f in frequencies])
+        shown = np.array(
+            [_shown(study_plant(0, substeps=50), "observer", f, joint) for f in frequencies]
+        )
         deviation = np.linalg.norm(shown[:, 0] - shown[:, 1]) / np.linalg.norm(shown[:, 1])
         assert 0.03 < deviation < 0.1
         assert trial.realisation == pytest.approx(deviation, rel=0.1)
@@ -128,7 +120,7 @@ def test_score_of_the_realisation_is_what_sines_show_of_the_robot() -> None:
 def test_locked_joint_holds_still_beside_the_perturbed_one(
     friction: int, joint: int, internal_model: control_presets.InternalModel
 ) -> None:
-    plant = _plant(friction)
+    plant = study_plant(friction, substeps=50)
     t = np.arange(3000) * PERIOD
     tau_delta = 9.0 * np.sin(2.0 * np.pi * 2.0 * t)
     position, torque, _ = _run(plant, _law(plant, internal_model), tau_delta, joint)
@@ -141,7 +133,7 @@ def test_locked_joint_holds_still_beside_the_perturbed_one(
 
 @pytest.mark.parametrize("friction", [0, 2])
 def test_after_the_perturbation_all_joints_return_to_the_posture(friction: int) -> None:
-    plant = _plant(friction)
+    plant = study_plant(friction, substeps=50)
     tau_delta = np.zeros(4000)
     tau_delta[:300] = 6.0
     position, _, _ = _run(plant, _law(plant), tau_delta, 0)
@@ -217,7 +209,7 @@ def test_what_the_stability_check_accepts_settles_and_what_it_refuses_swings(
     accepted: bool,
 ) -> None:
     """With arms from a third to three times as heavy as known, all roles."""
-    plant = _plant(0)
+    plant = study_plant(0, substeps=50)
     robot, known = plant.robot.mass_matrix(plant.arm.posture), plant.arm
     law = _law(plant, internal_model)
     law = replace(law, model_inertia=model * law.model_inertia)

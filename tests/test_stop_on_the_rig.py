@@ -10,7 +10,8 @@ from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
 from armimp_control.perturbation import perturbation
 from armimp_sim import presets as sim_presets
-from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.plant import Plant
+from support.plants import study_plant
 
 pytestmark = pytest.mark.slow
 
@@ -26,17 +27,8 @@ def _fastest(
     law: control_presets.LawName = "observer",
 ) -> tuple[float, ...]:
     """Largest speed of a joint in the 50 ms before a stop, and after it, rad/s; 0 s: at once."""
-    arm, robot = sim_presets.human_arm(2), sim_presets.robot(2)
-    plant = Plant(
-        [
-            PlantConfig(
-                arm=arm,
-                robot=robot,
-                friction=sim_presets.friction(friction, 2),
-                sensors=sim_presets.sensors(resolution),
-            )
-        ]
-    )
+    config = study_plant(friction, sensors=sim_presets.sensors(resolution))
+    plant, arm, robot = Plant([config]), config.arm, config.robot
     controller = Controller(
         control_presets.imbic(robot.mass_matrix(arm.posture), arm.posture, law),
         safety=control_presets.safety(2, 9.0).model_copy(update={"ramp_time": ramp_time}),

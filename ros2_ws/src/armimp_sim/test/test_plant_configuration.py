@@ -11,16 +11,7 @@ from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.robot import PlanarChain
-from armimp_sim.plant import PlantConfig
-
-
-def _plant() -> PlantConfig:
-    return PlantConfig(
-        arm=presets.human_arm(2),
-        robot=presets.robot(2),
-        friction=presets.friction(0, 2),
-        sensors=presets.sensors(0),
-    )
+from support.plants import study_plant
 
 
 def _arm(n: int) -> HumanArm:
@@ -74,4 +65,4 @@ def test_plant_whose_inertia_is_not_positive_definite_is_refused() -> None:
     arm = replace(presets.human_arm(2), inertia=inertia)
     smallest = np.min(np.linalg.eigvalsh(presets.robot(2).mass_matrix(arm.posture) + inertia))
     with pytest.raises(ConfigurationError, match=f"smallest eigenvalue is {smallest:.3g} kg·m²"):
-        replace(_plant(), arm=arm)
+        replace(study_plant(), arm=arm)

@@ -9,41 +9,13 @@ from scipy.integrate import trapezoid
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
-from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.robot import PlanarChain
-from armimp_sim.model.sensors import SensorParameters
-from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.plant import Plant
+from support.plants import one_joint
 
 Array = NDArray[np.float64]
 LAW = presets.friction(3, 2)[0]
 VELOCITIES = [0.002, 0.005, 0.01, 0.03, 0.5, 3.0]
-
-
-def _joint(
-    law: LuGre, *, inertia: float = 1.0, damping: float = 0.0, stiffness: float = 0.0
-) -> Plant:
-    return Plant(
-        [
-            PlantConfig(
-                arm=HumanArm(
-                    posture=np.zeros(1),
-                    inertia=np.array([[0.5 * inertia]]),
-                    damping=np.array([[damping]]),
-                    stiffness=np.array([[stiffness]]),
-                ),
-                robot=PlanarChain(
-                    lengths=np.array([0.3]),
-                    moments=np.array([0.5 * inertia]),
-                    masses=np.zeros(1),
-                    centres=np.zeros(1),
-                ),
-                friction=(law,),
-                sensors=SensorParameters(),
-                substeps=20,
-            )
-        ]
-    )
 
 
 def _load(plant: Plant, torques: Array) -> tuple[float, float, float]:
@@ -59,7 +31,7 @@ def _load(plant: Plant, torques: Array) -> tuple[float, float, float]:
 def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direction: float) -> None:
     velocity, damping = speed * direction, 200.0
     # Damping steeper than the Stribeck slope makes the balance at this speed a stable one.
-    plant = _joint(LAW, damping=damping)
+    plant = Plant([one_joint(LAW, inertia=1.0, damping=damping, substeps=20)])
     friction = float(LAW.steady_state(np.array(velocity)))
     _, reached, bristle = _load(plant, np.full(20_000, friction + damping * velocity))
     assert reached == pytest.approx(velocity, rel=1e-6)
@@ -69,7 +41,7 @@ def test_at_constant_speed_friction_is_the_steady_state_law(speed: float, direct
 
 @pytest.mark.parametrize("direction", [-1.0, 1.0])
 def test_joint_sticks_below_the_static_level_and_breaks_away_above(direction: float) -> None:
-    plant = _joint(LAW, inertia=0.05)
+    plant = Plant([one_joint(LAW, inertia=0.05, substeps=20)])
     below, above = 0.9 * LAW.static * direction, 1.05 * LAW.static * direction
     _load(plant, np.linspace(0.0, below, 8000))
     theta, _, _ = _load(plant, np.full(1000, below))
@@ -83,7 +55,7 @@ def test_joint_sticks_below_the_static_level_and_breaks_away_above(direction: fl
 
 def test_sliding_joint_left_alone_loses_its_energy_to_friction_and_comes_to_rest() -> None:
     inertia, speed = 0.05, 2.0
-    plant = _joint(LAW, inertia=inertia)
+    plant = Plant([one_joint(LAW, inertia=inertia, substeps=20)])
     plant.set_state(np.array([[[0.0], [speed], [LAW.coulomb / LAW.sigma_0]]]))
     theta, velocity, _ = _load(plant, np.zeros(1000))
     assert abs(velocity) < 1e-9

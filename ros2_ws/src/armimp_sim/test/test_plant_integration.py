@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,55 +11,18 @@ from scipy.integrate import solve_ivp
 
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_sim import presets
-from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.robot import PlanarChain
 from armimp_sim.plant import RK4_RADIUS, IntegrationError, Plant, PlantConfig
+from support.plants import one_joint, slopes, study_plant
 
 Array = NDArray[np.float64]
 START = np.array([[1.3, 0.9], [4.0, -7.0], [0.0, 0.0]])
 TORQUE = np.array([1.5, -2.0])
 
 
-def _config(friction: int = 0) -> PlantConfig:
-    return PlantConfig(
-        arm=presets.human_arm(2),
-        robot=presets.robot(2),
-        friction=presets.friction(friction, 2),
-        sensors=presets.sensors(0),
-    )
-
-
-def _slopes(config: PlantConfig, torque: Array) -> Callable[[float, Array], Array]:
-    """Right-hand side for scipy, in plain numpy."""
-    arm, robot = config.arm, config.robot
-
-    def slopes(_: float, state: Array) -> Array:
-        theta, v, z = state.reshape(3, -1)
-        rate, friction = v.copy(), np.zeros_like(v)
-        for i, law in enumerate(config.friction):
-            if law.sigma_0 > 0.0:
-                level = law.coulomb + (law.static - law.coulomb) * np.exp(
-                    -((v[i] / law.stribeck_velocity) ** 2)
-                )
-                rate[i] = v[i] - law.sigma_0 * abs(v[i]) * z[i] / level
-            friction[i] = law.sigma_0 * z[i] + law.sigma_1 * rate[i] + law.sigma_2 * v[i]
-        acceleration = np.linalg.solve(
-            robot.mass_matrix(theta) + arm.inertia,
-            torque
-            - robot.coriolis_torque(theta, v)
-            - friction
-            - arm.damping @ v
-            - arm.stiffness @ (theta - arm.posture),
-        )
-        return np.concatenate([v, acceleration, rate])
-
-    return slopes
-
-
 def _exact(config: PlantConfig, start: Array, torque: Array, duration: float) -> Array:
     solution = solve_ivp(
-        _slopes(config, torque),
+        lambda _, state: slopes(config, state.reshape(3, -1), torque).ravel(),
         (0.0, duration),
         start.ravel(),
         method="DOP853",
@@ -74,10 +36,10 @@ def _exact(config: PlantConfig, start: Array, torque: Array, duration: float) ->
 
 def test_error_falls_with_the_fourth_power_of_the_step() -> None:
     period = 0.04
-    exact = _exact(_config(), START, TORQUE, period)[:2]
+    exact = _exact(study_plant(), START, TORQUE, period)[:2]
     errors = []
     for substeps in (1, 2, 4, 8):
-        plant = Plant([replace(_config(), period=period, substeps=substeps)])
+        plant = Plant([replace(study_plant(), period=period, substeps=substeps)])
         plant.set_state(START[None])
         plant.tick(TORQUE[None], np.zeros((1, 2)))
         errors.append(np.max(np.abs(plant.state()[0, :2] - exact)))
@@ -87,7 +49,7 @@ def test_error_falls_with_the_fourth_power_of_the_step() -> None:
 
 @pytest.mark.parametrize("friction", [0, 3])
 def test_trajectory_agrees_with_scipy(friction: int) -> None:
-    config = _config(friction)
+    config = study_plant(friction)
     plant = Plant([config])
     plant.set_state(START[None])
     expected = START
@@ -106,7 +68,7 @@ def test_trajectory_agrees_with_scipy(friction: int) -> None:
 
 def test_step_too_long_for_stuck_joints_is_refused_beforehand() -> None:
     with pytest.raises(ConfigurationError, match=r"step 0\.001 s is too long .*= 3\.9") as caught:
-        replace(_config(), friction=_stiff(), substeps=1)
+        replace(study_plant(), friction=_stiff(), substeps=1)
     assert "\n" not in str(caught.value)
 
 
@@ -117,7 +79,7 @@ def _stiff() -> tuple[LuGre, ...]:
 
 def test_coarsest_accepted_step_is_stable_and_no_step_beyond_the_limit_is_accepted() -> None:
     law = LuGre(coulomb=2.0, static=2.5, sigma_0=2000.0, sigma_1=1000.0, sigma_2=0.0)
-    config = replace(_config(), friction=(law, law))
+    config = replace(study_plant(), friction=(law, law))
     fastest = 1000.0 / np.min(np.linalg.eigvals(config.mass_matrix()).real)  # σ1 over inertia
     accepted = []
     for substeps in range(4, 40):
@@ -142,22 +104,7 @@ def test_accepted_step_is_stable_for_stuck_joints_that_swing(ratio: float, radiu
     amplified = abs(np.polyval([1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0], z))
     inertia, step = 0.2, 1e-5
     omega = radius / step
-    config = PlantConfig(
-        arm=HumanArm(
-            posture=np.zeros(1),
-            inertia=np.array([[0.5 * inertia]]),
-            damping=np.zeros((1, 1)),
-            stiffness=np.zeros((1, 1)),
-        ),
-        robot=PlanarChain(
-            lengths=np.array([0.3]),
-            moments=np.array([0.5 * inertia]),
-            masses=np.zeros(1),
-            centres=np.zeros(1),
-        ),
-        friction=(LuGre.none(),),
-        sensors=presets.sensors(0),
-    )
+    config = one_joint(inertia=inertia)
     bristles = LuGre(
         coulomb=1.0,
         static=1.0,
@@ -174,7 +121,7 @@ def test_accepted_step_is_stable_for_stuck_joints_that_swing(ratio: float, radiu
 
 
 def _sliding(speed: float) -> Plant:
-    config = _config(3)
+    config = study_plant(3)
     plant = Plant([replace(config, substeps=10)])
     state = np.zeros((1, 3, 2))
     state[0, 0], state[0, 1, 1] = config.arm.posture, speed
@@ -193,13 +140,13 @@ def test_speed_beyond_the_stability_of_the_bristles_is_reported_instead_of_blowi
 @pytest.mark.parametrize("friction", [0, 2])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_state_that_is_not_finite_is_reported(value: float, friction: int) -> None:
-    plant = Plant([_config(friction)])
+    plant = Plant([study_plant(friction)])
     with pytest.raises(IntegrationError, match="not finite"):
         plant.tick(np.array([[0.0, value]]), np.zeros((1, 2)))
 
 
 def test_one_diverging_lane_is_reported_beside_a_sound_one() -> None:
-    plant = Plant([_config(level) for level in (0, 1, 2, 3, 1)])
+    plant = Plant([study_plant(level) for level in (0, 1, 2, 3, 1)])
     command = np.zeros((5, 2))
     for bad_lane in range(5):
         command[:] = 0.0
@@ -211,7 +158,7 @@ def test_one_diverging_lane_is_reported_beside_a_sound_one() -> None:
 
 @pytest.mark.parametrize("shape", [(2,), (1, 3), (1, 1), (2, 2)])
 def test_inputs_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
-    plant, good = Plant([_config()]), np.zeros((1, 2))
+    plant, good = Plant([study_plant()]), np.zeros((1, 2))
     with pytest.raises(ValueError, match="must both be"):
         plant.tick(np.zeros(shape), good)
     with pytest.raises(ValueError, match="must both be"):

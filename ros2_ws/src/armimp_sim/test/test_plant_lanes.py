@@ -10,11 +10,10 @@ import pytest
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
-from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.plant import Plant, PlantConfig
+from support.plants import random_plant
 
 Array = NDArray[np.float64]
 TICKS = 40
@@ -22,31 +21,11 @@ TICKS = 40
 
 def _config(n: int, lane: int) -> PlantConfig:
     """Another arm, robot, friction and resolution in every lane."""
-    random = np.random.default_rng([n, lane])
-    masses, centres = random.uniform(0.3, 1.0, n), random.uniform(0.05, 0.2, n)
-    law = LuGre(coulomb=0.4, static=0.5, sigma_0=400.0, sigma_1=0.8, sigma_2=0.04)
-    return PlantConfig(
-        arm=HumanArm(
-            posture=random.uniform(-1.0, 1.0, n),
-            inertia=0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n)),
-            damping=random.uniform(-0.5, 0.5, (n, n)),
-            stiffness=random.uniform(-5.0, 5.0, (n, n)),
-        ),
-        robot=PlanarChain(
-            lengths=random.uniform(0.2, 0.4, n),
-            moments=masses * centres**2 + random.uniform(0.05, 0.1, n),
-            masses=masses,
-            centres=centres,
-        ),
-        friction=tuple(law.scaled(factor) for factor in random.uniform(0.0, 3.0, n))
-        if lane
-        else (LuGre.none(),) * n,
-        sensors=SensorParameters(
-            position=ReadingParameters(resolution=1e-5 * lane),
-            torque=ReadingParameters(resolution=1e-3 * lane),
-        ),
-        substeps=20,
-    )
+    resolutions = (ReadingParameters(resolution=scale * lane) for scale in (1e-5, 1e-3))
+    position, torque = resolutions
+    changes = {} if lane else {"friction": (LuGre.none(),) * n}
+    sensors = SensorParameters(position=position, torque=torque)
+    return random_plant(n, lane, sensors=sensors, substeps=20, **changes)
 
 
 def _run(n: int, lanes: Sequence[int]) -> tuple[Array, Array, Array]:

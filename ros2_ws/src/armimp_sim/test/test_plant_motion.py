@@ -8,36 +8,12 @@ from numpy.typing import NDArray
 
 from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.robot import PlanarChain
-from armimp_sim.model.sensors import SensorParameters
 from armimp_sim.plant import Plant, PlantConfig
+from support.plants import one_joint, random_plant
 
 Array = NDArray[np.float64]
 
-IDEAL = SensorParameters()
 PERIOD = 1e-3
-
-
-def _single(*, inertia: float, damping: float, stiffness: float) -> PlantConfig:
-    """One joint whose inertia is shared by arm and robot."""
-    return PlantConfig(
-        arm=HumanArm(
-            posture=np.array([0.4]),
-            inertia=np.array([[0.3 * inertia]]),
-            damping=np.array([[damping]]),
-            stiffness=np.array([[stiffness]]),
-        ),
-        robot=PlanarChain(
-            lengths=np.array([0.3]),
-            moments=np.array([0.7 * inertia]),
-            masses=np.array([0.0]),
-            centres=np.array([0.0]),
-        ),
-        friction=(LuGre.none(),),
-        sensors=IDEAL,
-        period=PERIOD,
-        substeps=20,
-    )
 
 
 def _course(plant: Plant, commands: Array, voluntary: Array | None = None) -> Array:
@@ -55,38 +31,28 @@ def _course(plant: Plant, commands: Array, voluntary: Array | None = None) -> Ar
 def test_damped_step_response_follows_the_closed_form(ratio: float) -> None:
     inertia, stiffness, torque = 0.2, 8.0, 1.5
     omega = np.sqrt(stiffness / inertia)
-    plant = Plant(
-        [_single(inertia=inertia, damping=2.0 * ratio * omega * inertia, stiffness=stiffness)]
-    )
+    damping = 2.0 * ratio * omega * inertia
+    joint = one_joint(inertia=inertia, damping=damping, stiffness=stiffness, substeps=20)
+    plant = Plant([joint])
     states = _course(plant, np.full((1500, 1), torque))
     t = np.arange(1, 1501) * PERIOD
     damped = omega * np.sqrt(1.0 - ratio**2)
     decay = np.exp(-ratio * omega * t)
     shape = 1.0 - decay * (np.cos(damped * t) + ratio * omega / damped * np.sin(damped * t))
-    assert states[:, 0, 0] == pytest.approx(0.4 + torque / stiffness * shape, abs=1e-11)
+    assert states[:, 0, 0] == pytest.approx(torque / stiffness * shape, abs=1e-11)
 
 
 def _frictionless_chain(n: int) -> PlantConfig:
     random = np.random.default_rng(n)
     root = random.normal(size=(2, n, n))
     inertia, stiffness = root @ root.transpose(0, 2, 1)
-    masses, centres = random.uniform(0.3, 1.0, n), random.uniform(0.05, 0.2, n)
-    return PlantConfig(
-        arm=HumanArm(
-            posture=random.uniform(-1.0, 1.0, n),
-            inertia=0.01 * inertia + 0.005 * np.eye(n),
-            damping=np.zeros((n, n)),
-            stiffness=stiffness,
-        ),
-        robot=PlanarChain(
-            lengths=random.uniform(0.2, 0.4, n),
-            moments=masses * centres**2 + random.uniform(0.01, 0.05, n),
-            masses=masses,
-            centres=centres,
-        ),
-        friction=(LuGre.none(),) * n,
-        sensors=IDEAL,
+    arm = HumanArm(
+        posture=random.uniform(-1.0, 1.0, n),
+        inertia=0.01 * inertia + 0.005 * np.eye(n),
+        damping=np.zeros((n, n)),
+        stiffness=stiffness,
     )
+    return random_plant(n, arm=arm, friction=(LuGre.none(),) * n)
 
 
 def _energy(config: PlantConfig, state: Array) -> float:

@@ -22,6 +22,7 @@ from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParamete
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, PlantConfig
 from armimp_sim.simulator import SimulatedRig
+from support.plants import load, study_plant
 
 Array = NDArray[np.float64]
 SUBSTEPS = 20
@@ -36,14 +37,8 @@ def config(
     **torque: Any,
 ) -> PlantConfig:
     """The rig of the study without resolution, with this transducer and other parts."""
-    return PlantConfig(
-        arm=presets.human_arm(2),
-        robot=presets.robot(2),
-        friction=presets.friction(1, 2),
-        sensors=SensorParameters(sampling=sampling, torque=ReadingParameters(**torque)),
-        substeps=SUBSTEPS,
-        **parts,
-    )
+    sensors = SensorParameters(sampling=sampling, torque=ReadingParameters(**torque))
+    return study_plant(1, sensors=sensors, substeps=SUBSTEPS, **parts)
 
 
 def run(plants: PlantConfig | list[PlantConfig], commands: Array = COMMANDS) -> tuple[Array, Array]:
@@ -69,29 +64,10 @@ def within(commands: Array = COMMANDS) -> tuple[Array, Array]:
     for command in commands:
         for _ in range(SUBSTEPS):
             # The reading without any time passing: under the new command, before the step.
-            starts.append(_torque_at(plain, fine.state(), command))
+            starts.append(load(plain, fine.state()[0], command))
             fine.tick(command[None], np.zeros((1, 2)))
             ends.append(fine.torque[0].copy())
     return np.array(starts), np.array(ends)
-
-
-def _torque_at(plain: PlantConfig, state: Array, command: Array) -> Array:
-    theta, velocity, bristle = state[0]
-    arm, robot = plain.arm, plain.robot
-    passive = arm.damping @ velocity + arm.stiffness @ (theta - arm.posture)
-    friction = np.empty(2)
-    for i, law in enumerate(plain.friction):
-        scale = law.coulomb + (law.static - law.coulomb) * np.exp(
-            -((velocity[i] / law.stribeck_velocity) ** 2)
-        )
-        slope = velocity[i] - law.sigma_0 * abs(velocity[i]) * bristle[i] / scale
-        friction[i] = law.sigma_0 * bristle[i] + law.sigma_1 * slope + law.sigma_2 * velocity[i]
-    acceleration = np.linalg.solve(
-        robot.mass_matrix(theta) + arm.inertia,
-        command - robot.coriolis_torque(theta, velocity) - friction - passive,
-    )
-    total: Array = arm.inertia @ acceleration + passive
-    return total
 
 
 def test_without_imperfections_nothing_stands_between_torque_and_reading() -> None:

@@ -12,32 +12,11 @@ from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from armimp_sim import presets
-from armimp_sim.model.sensors import Sampling, SensorParameters, quantise
-from armimp_sim.plant import Plant, PlantConfig
+from armimp_sim.model.sensors import Sampling, quantise
+from armimp_sim.plant import Plant
+from support.plants import load, study_plant
 
 Array = NDArray[np.float64]
-
-
-def _config(sensors: SensorParameters, friction: int = 0) -> PlantConfig:
-    return PlantConfig(
-        arm=presets.human_arm(2),
-        robot=presets.robot(2),
-        friction=presets.friction(friction, 2),
-        sensors=sensors,
-    )
-
-
-def _torque(config: PlantConfig, state: Array, command: Array) -> Array:
-    """Torque on the arm of a frictionless plant, from the equations of motion."""
-    theta, velocity, _ = state
-    arm, robot = config.arm, config.robot
-    passive = arm.damping @ velocity + arm.stiffness @ (theta - arm.posture)
-    acceleration = np.linalg.solve(
-        robot.mass_matrix(theta) + arm.inertia,
-        command - robot.coriolis_torque(theta, velocity) - passive,
-    )
-    total: Array = arm.inertia @ acceleration + passive
-    return total
 
 
 @settings(deadline=None)
@@ -55,8 +34,8 @@ def test_reading_is_the_nearest_multiple_of_the_resolution(value: float, resolut
 @pytest.mark.parametrize("level", [1, 2, 3])
 def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
     sensors = presets.sensors(level)
-    exact = Plant([_config(presets.sensors(0), friction=1)])
-    plant = Plant([_config(sensors, friction=1)])
+    exact = Plant([study_plant(1)])
+    plant = Plant([study_plant(1, sensors=sensors)])
     command = np.array([[3.0, -2.0]])
     seen = set()
     for _ in range(100):
@@ -76,17 +55,17 @@ def test_plant_reads_whole_counts_of_its_exact_state(level: int) -> None:
 
 
 def test_torque_before_update_is_that_under_the_command_still_in_force() -> None:
-    config = _config(presets.sensors(0))
+    config = study_plant()
     plant = Plant([config])
     commands = np.random.default_rng(5).uniform(-5.0, 5.0, (20, 2))
     for command in commands:
         plant.tick(command[None], np.zeros((1, 2)))
         state = plant.state()[0]
-        assert plant.torque[0] == pytest.approx(_torque(config, state, command), abs=1e-11)
+        assert plant.torque[0] == pytest.approx(load(config, state, command), abs=1e-11)
 
 
 def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
-    coarse = _config(presets.sensors(0, Sampling.INTERVAL_MEAN))
+    coarse = study_plant(sensors=presets.sensors(0, Sampling.INTERVAL_MEAN))
     fine = replace(coarse, period=coarse.step, substeps=1)
     plant, watcher = Plant([coarse]), Plant([fine])
     commands = np.random.default_rng(6).uniform(-5.0, 5.0, (10, 2))
@@ -97,10 +76,10 @@ def test_interval_mean_torque_is_the_mean_over_the_substeps() -> None:
             watcher.tick(command[None], np.zeros((1, 2)))
             states.append(watcher.state()[0])
         plant.tick(command[None], np.zeros((1, 2)))
-        torques = np.array([_torque(coarse, state, command) for state in states])
+        torques = np.array([load(coarse, state, command) for state in states])
         mean = trapezoid(torques, dx=1.0 / coarse.substeps, axis=0)
         assert plant.torque[0] == pytest.approx(mean, abs=1e-8)
         # Neither end of the interval would do, nor the command before.
         assert np.max(np.abs(torques[-1] - mean)) > 1e-5
-        assert np.max(np.abs(_torque(coarse, states[0], last) - mean)) > 1e-3
+        assert np.max(np.abs(load(coarse, states[0], last) - mean)) > 1e-3
         last = command

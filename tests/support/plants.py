@@ -1,0 +1,123 @@
+"""Plants for tests, and the equations of motion in plain numpy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from armimp_sim import presets
+from armimp_sim.model.arm import HumanArm
+from armimp_sim.model.friction import LuGre
+from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.sensors import SensorParameters
+from armimp_sim.plant import PlantConfig
+
+Array = NDArray[np.float64]
+
+
+def study_plant(friction: int = 0, **changes: Any) -> PlantConfig:
+    """The rig of the study with two joints and exact sensors."""
+    parts = {"friction": presets.friction(friction, 2), "sensors": presets.sensors(0), **changes}
+    return PlantConfig(arm=presets.human_arm(2), robot=presets.robot(2), **parts)
+
+
+def one_joint(
+    law: LuGre | None = None,
+    *,
+    inertia: float,
+    damping: float = 0.0,
+    stiffness: float = 0.0,
+    **changes: Any,
+) -> PlantConfig:
+    """One joint, half of whose inertia (kg·m²) is the robot's, about an angle of 0."""
+    zero, half = np.zeros(1), np.array([0.5 * inertia])
+    return PlantConfig(
+        arm=HumanArm(
+            posture=zero,
+            inertia=np.diag(half),
+            damping=np.array([[damping]]),
+            stiffness=np.array([[stiffness]]),
+        ),
+        robot=PlanarChain(lengths=np.array([0.3]), moments=half, masses=zero, centres=zero),
+        friction=(law or LuGre.none(),),
+        sensors=SensorParameters(),
+        **changes,
+    )
+
+
+def random_chain(n: int, seed: int = 0) -> PlanarChain:
+    """A robot in which no two numbers are alike."""
+    random = np.random.default_rng([n, seed])
+    masses, centres = random.uniform(0.2, 2.0, n), random.uniform(0.02, 0.3, n)
+    return PlanarChain(
+        lengths=random.uniform(0.1, 0.5, n),
+        moments=masses * centres**2 + random.uniform(0.01, 0.1, n),
+        masses=masses,
+        centres=centres,
+    )
+
+
+def random_plant(n: int, seed: int = 0, **changes: Any) -> PlantConfig:
+    """A plant in which no two numbers are alike and no matrix is symmetric."""
+    random = np.random.default_rng([100 + n, seed])
+    parts: dict[str, Any] = {
+        "arm": HumanArm(
+            posture=random.uniform(-1.0, 1.0, n),
+            inertia=0.1 * np.eye(n) + random.uniform(-0.02, 0.02, (n, n)),
+            damping=random.uniform(-1.0, 1.0, (n, n)),
+            stiffness=random.uniform(-9.0, 9.0, (n, n)),
+        ),
+        "robot": random_chain(n, seed + 1),
+        "friction": tuple(
+            LuGre(
+                coulomb=random.uniform(0.4, 2.0),
+                static=random.uniform(2.0, 3.0),
+                sigma_0=random.uniform(400.0, 2000.0),
+                sigma_1=random.uniform(0.5, 4.0),
+                sigma_2=random.uniform(0.05, 0.2),
+                stribeck_velocity=random.uniform(0.01, 0.1),
+            )
+            for _ in range(n)
+        ),
+        "sensors": SensorParameters(),
+    }
+    return PlantConfig(**{**parts, **changes})
+
+
+def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
+    """Derivative of θ, θ̇ and z, (3, n), under torques (n,) of drives less voluntary ones, N·m."""
+    theta, v, z = state
+    arm, robot = config.arm, config.robot
+    rate, friction = v.copy(), np.zeros_like(v)
+    for i, law in enumerate(config.friction):
+        if law.sigma_0 > 0.0:
+            bell = np.exp(-((v[i] / law.stribeck_velocity) ** 2))
+            level = law.coulomb + (law.static - law.coulomb) * bell
+            rate[i] = v[i] - law.sigma_0 * abs(v[i]) * z[i] / level
+        friction[i] = law.sigma_0 * z[i] + law.sigma_1 * rate[i] + law.sigma_2 * v[i]
+    acceleration = np.linalg.solve(
+        robot.mass_matrix(theta) + arm.inertia,
+        torque
+        - robot.coriolis_torque(theta, v)
+        - friction
+        - arm.damping @ v
+        - arm.stiffness @ (theta - arm.posture),
+    )
+    return np.stack([v, acceleration, rate])
+
+
+def load(
+    config: PlantConfig, state: Array, command: Array, voluntary: Array | float = 0.0
+) -> Array:
+    """Torque on the arm (n,), N·m, in a state under commands and voluntary torques (n,), N·m."""
+    arm, (theta, velocity, _) = config.arm, state
+    acceleration = slopes(config, state, command - voluntary)[1]
+    total: Array = (
+        arm.inertia @ acceleration
+        + arm.damping @ velocity
+        + arm.stiffness @ (theta - arm.posture)
+        + voluntary
+    )
+    return total
