@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from armimp_bringup.bench import Measured, available_cores
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import run_offline
+from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import Rig, node_parameters
 from armimp_bringup.study.conditions import Condition, select_conditions
 from armimp_bringup.study.engine import (
@@ -105,9 +105,8 @@ def _per_trial(rigs: Sequence[Rig], duration: float, *, threads: int = 1) -> flo
 def _per_estimate(base: ExperimentConfig, condition: Condition) -> float:
     """Time for all estimates of a condition, s."""
     batch = Batch(base=base, conditions=(condition,))
-    parameters = node_parameters(condition_config(base, condition), None)
-    (trials,) = run_offline([parameters.rig()])
-    return _shortest(lambda: estimate_condition(batch, condition, parameters, trials), 1)
+    (experiment,) = simulate([condition_config(base, condition)])
+    return _shortest(lambda: estimate_condition(batch, condition, experiment), 1)
 
 
 def _shortest(work: Callable[[], object], threads: int) -> float:

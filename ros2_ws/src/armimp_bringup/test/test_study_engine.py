@@ -94,10 +94,10 @@ def test_other_software_and_unknown_estimators_are_refused() -> None:
 def test_simulation_that_breaks_down_is_told_with_its_conditions(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def broken(rigs: Sequence[object]) -> None:
+    def broken(configs: Sequence[object]) -> None:
         raise IntegrationError("plant: the state is not finite any more")
 
-    monkeypatch.setattr(engine, "run_offline", broken)
+    monkeypatch.setattr(engine, "simulate", broken)
     with pytest.raises(DataError, match=f"{CONDITIONS[0]} to {CONDITIONS[-1]}: plant: the state"):
         _run(CONDITIONS)
     with pytest.raises(DataError, match=f"^{CONDITIONS[0]}: plant: the state"):

@@ -37,18 +37,19 @@ class Condition:
     perturbation: int
 
     @property
+    def levels(self) -> dict[str, int]:
+        """Level of each factor."""
+        return {factor: getattr(self, factor) for factor in LEVELS}
+
+    @property
     def name(self) -> str:
         """Name for files."""
-        return (
-            f"friction{self.friction}-resolution{self.resolution}"
-            f"-perturbation{self.perturbation}-seed{self.seed}"
-        )
+        levels = "-".join(f"{factor}{level}" for factor, level in self.levels.items())
+        return f"{levels}-seed{self.seed}"
 
     def __str__(self) -> str:
-        return (
-            f"friction {self.friction}, resolution {self.resolution}, "
-            f"perturbation {self.perturbation}, seed {self.seed}"
-        )
+        levels = ", ".join(f"{factor} {level}" for factor, level in self.levels.items())
+        return f"{levels}, seed {self.seed}"
 
 
 def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:

@@ -12,13 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import SimulatedExperiment, run_offline
-from armimp_bringup.parameters import NodeParameters, node_parameters
+from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import Condition
 from armimp_bringup.study.store import ConditionResult, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import TrialSummary
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
@@ -89,33 +87,24 @@ def run_batch(batch: Batch) -> list[ConditionResult]:
             raise DataError(
                 f"a worker has {name} {here.get(name)}, the study is made with {version}"
             )
-    configs = [condition_config(batch.base, condition) for condition in batch.conditions]
-    parameters = [node_parameters(config, None) for config in configs]
     try:
-        trials = run_offline([one.rig() for one in parameters])
+        experiments = simulate([condition_config(batch.base, one) for one in batch.conditions])
     except IntegrationError as error:
         ends = dict.fromkeys(map(str, (batch.conditions[0], batch.conditions[-1])))
         raise DataError(f"{' to '.join(ends)}: {error}") from None
     return [
-        estimate_condition(batch, condition, one, of_condition)
-        for condition, one, of_condition in zip(batch.conditions, parameters, trials, strict=True)
+        estimate_condition(batch, condition, one)
+        for condition, one in zip(batch.conditions, experiments, strict=True)
     ]
 
 
 def condition_config(base: ExperimentConfig, condition: Condition) -> ExperimentConfig:
     """Configuration of one condition: that of the study with its levels and seed."""
-    return base.model_copy(
-        update={
-            "friction": condition.friction,
-            "resolution": condition.resolution,
-            "perturbation": condition.perturbation,
-            "seed": condition.seed,
-        }
-    )
+    return base.model_copy(update={**condition.levels, "seed": condition.seed})
 
 
 def estimate_condition(
-    batch: Batch, condition: Condition, parameters: NodeParameters, trials: Sequence[TrialRecord]
+    batch: Batch, condition: Condition, experiment: SimulatedExperiment
 ) -> ConditionResult:
     """Identify the impedance in one condition.
 
@@ -125,10 +114,8 @@ def estimate_condition(
         What the condition belongs to.
     condition : Condition
         Levels and seed.
-    parameters : NodeParameters
-        Those of the condition.
-    trials : sequence of TrialRecord
-        One for each joint.
+    experiment : SimulatedExperiment
+        Its trials.
 
     Raises
     ------
@@ -137,15 +124,13 @@ def estimate_condition(
     DataError
         If the trials can't be estimated.
     """
-    config = condition_config(batch.base, condition)
-    experiment = SimulatedExperiment(config=config, parameters=parameters, records=tuple(trials))
     try:
-        identification = experiment.identify(config.estimators)
+        identification = experiment.identify(experiment.config.estimators)
     except ConfigurationError:
         raise
     except ArmimpError as error:
         raise DataError(f"{condition}: {error}") from None
-    described = json.loads(parameters.estimator.bag_metadata()["config"])
+    described = json.loads(experiment.parameters.estimator.bag_metadata()["config"])
     entry = StudyEntry.of(
         identification,
         joint_names=identification.joint_names,

@@ -266,7 +266,7 @@ def overlay_chart(
     """
     lines: list[Line] = []
     for condition, found in curves.items():
-        levels = {factor: getattr(condition, factor) for factor in LEVELS}
+        levels = condition.levels
         words = ", ".join(f"{factor} {level}" for factor, level in levels.items())
         tags = [f"{factor}:{level}" for factor, level in levels.items()]
         for name, curve in found.items():

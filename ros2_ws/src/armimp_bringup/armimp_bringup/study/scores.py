@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from armimp_bringup.study.conditions import Condition
 from armimp_bringup.study.store import StudyEntry
 from armimp_estimation.json_model import Number
 from armimp_estimation.mbk import MBK
@@ -348,10 +349,8 @@ class WorstValue(BaseModel):
     @property
     def place(self) -> str:
         """Element and condition in words."""
-        return (
-            f"{self.element} at friction {self.friction}, resolution {self.resolution}, "
-            f"perturbation {self.perturbation}, seed {self.seed}"
-        )
+        levels = {name: getattr(self, name) for name in _LEVELS}
+        return f"{self.element} at {Condition(**levels)}"
 
 
 class StudyVerdict(BaseModel):

@@ -17,7 +17,7 @@ from typing import Any, BinaryIO, TypeVar
 from pydantic import TypeAdapter, ValidationError, model_validator
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.conditions import Condition
+from armimp_bringup.study.conditions import LEVELS, Condition
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.atomic_write import is_part, open_lock, read_bytes, read_text, write_text
 from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
@@ -28,7 +28,7 @@ from armimp_estimation.summary import Summary, write_summary
 CONFIG_FILE = "config.json"
 RESULTS_DIRECTORY = "conditions"
 _LOCK = ".lock"
-_VARIED = {"friction", "resolution", "perturbation", "seed", "mode", "processes"}
+_VARIED = {*LEVELS, "seed", "mode", "processes"}
 """What differs between the conditions of a study, and is not part of its configuration."""
 _Content = TypeVar("_Content")
 
@@ -58,12 +58,8 @@ class StudyEntry(Summary):
     @property
     def condition(self) -> Condition:
         """What the result is of."""
-        return Condition(
-            seed=self.seed,
-            friction=self.friction,
-            resolution=self.resolution,
-            perturbation=self.perturbation,
-        )
+        levels = {factor: getattr(self, factor) for factor in LEVELS}
+        return Condition(seed=self.seed, **levels)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
