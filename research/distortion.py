@@ -1,13 +1,14 @@
 """Whether a multisine tells arms that bend or change over time from those that do neither.
 
-Runs of the project's own rig at levels 3/3/3 with a multisine: a constant linear arm, one with a
-cubic spring that changes the shoulder's stiffness by 5 % from rest to the rms angle, and one whose
-stiffness changes by 5 % over each trial.
+Runs of the project's own rig at levels 3/3/3 with a multisine, flat or optimal: a constant linear
+arm, one with a cubic spring that changes the shoulder's stiffness by 5 % from rest to the rms
+angle, and one whose stiffness changes by 5 % over each trial.
 """
 
 from __future__ import annotations
 
 import collections
+import itertools
 from collections.abc import Mapping
 
 from pydantic import JsonValue
@@ -15,6 +16,7 @@ from pydantic import JsonValue
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study.conditions import parse_seeds
+from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.problems import ProblemCode
 from research.options import InvestigationOptions
 
@@ -32,20 +34,22 @@ ARMS: dict[str, tuple[Mapping[str, JsonValue], ProblemCode | None]] = {
     "cubic": ({"muscle.cubic": CUBIC}, ProblemCode.DEPENDS_ON_AMPLITUDE),
     "drift": ({"muscle.stiffening": 0.05 / 50.0}, ProblemCode.CHANGES_OVER_TIME),
 }
+KINDS: tuple[PerturbationKind, ...] = ("multisine", "optimal")
 _SIDE_BY_SIDE = 8
 
 
 def investigate(options: InvestigationOptions) -> int:
     """Print how many runs of each arm are flagged, and as what; returns exit status 0."""
     seeds = parse_seeds(options.seeds or "0:40")
-    for name, (changes, code) in ARMS.items():
+    for kind, (arm, (changes, code)) in itertools.product(KINDS, ARMS.items()):
+        name = f"{kind} {arm}"
         if options.only not in name:
             continue
         flagged, valid = 0, 0
         found: collections.Counter[str] = collections.Counter()
         for first in range(0, len(seeds), _SIDE_BY_SIDE):
             configs = [
-                ExperimentConfig(perturbation_kind="multisine", seed=seed, arm_sim=dict(changes))
+                ExperimentConfig(perturbation_kind=kind, seed=seed, arm_sim=dict(changes))
                 for seed in seeds[first : first + _SIDE_BY_SIDE]
             ]
             for experiment in simulate(configs):
