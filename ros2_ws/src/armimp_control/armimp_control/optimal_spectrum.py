@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _ROUNDS = 500
+_EVERYWHERE = 2e-3
+"""Disturbance at all frequencies, relative to that at the lowest; an assumption."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,8 +56,11 @@ class JointPrior:
 
 
 def disturbance(f: Array, cutoff: float) -> Array:
-    """Spectral density of what a person does, up to a factor: low-pass noise of second order."""
-    return np.asarray(1.0 / (1.0 + (f / cutoff) ** 4))
+    """Spectral density of what a person does, up to a factor: low-pass noise of second order.
+
+    Beside tremor, sensors and the friction of a robot it doesn't go on to fall.
+    """
+    return np.asarray(1.0 / (1.0 + (f / cutoff) ** 4) + _EVERYWHERE)
 
 
 def variances(f: Array, power: Array, prior: JointPrior, cutoff: float) -> Array:
