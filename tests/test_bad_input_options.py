@@ -47,6 +47,11 @@ def directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("--out", "/proc/here", "/proc/here: cannot be made"),
         ("--out", LONG, f"{LONG}: cannot be made: File name too long"),
         ("--colour", "red", "--colour"),
+        ("--target-error", "2", '= "2": is no share such as 2% or 0.02; did you mean 2%?'),
+        *(
+            ("--target-error", text, f'"{text}": is no share')
+            for text in ("0", "100%", "-1%", "nan", "two")
+        ),
     ],
 )
 def test_a_wrong_value_of_run_ends_in_one_line_with_the_value(

@@ -219,26 +219,3 @@ def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     assert summary["valid"] is False
     assert read_bag(bag).trials[0].record is not None
     assert not processes_of(out)
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("2", '= "2": is no share such as 2% or 0.02; did you mean 2%?'),
-        ("0", '"0": is no share'),
-        ("100%", '"100%": is no share'),
-        ("-1%", '"-1%": is no share'),
-        ("nan", '"nan": is no share'),
-        ("two", '"two": is no share'),
-    ],
-)
-def test_when_the_bound_of_errors_is_no_share_expect_the_text(
-    text: str, told: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "out"
-    assert main(["run", "--target-error", text, "--out", str(out)]) == 2
-    assert told in capfd.readouterr().err
-    assert not out.exists()
-
-
-# MISSING

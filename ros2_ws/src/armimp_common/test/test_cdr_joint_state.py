@@ -274,11 +274,13 @@ def test_when_names_are_unusable_expect_configuration_error(names: list[str]) ->
 
 @pytest.mark.parametrize("length", [0, 1, 257])
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1]])
-def test_decode_many_agrees_with_decode(length: int, order: list[int]) -> None:
+@pytest.mark.parametrize("frames", [[""], ["", "of another length"]])
+def test_decode_many_agrees_with_decode(length: int, order: list[int], frames: list[str]) -> None:
     names = ["a", "b", "c"]
-    encoder = JointStateEncoder([names[index] for index in order], "effort")
+    ordered = [names[index] for index in order]
+    encoders = [JointStateEncoder(ordered, "effort", frame) for frame in frames]
     numbers = np.random.default_rng(length).normal(size=(length, 3))
-    messages = [encoder.encode(STAMP + k, row) for k, row in enumerate(numbers)]
+    messages = [encoders[k % len(frames)].encode(STAMP + k, row) for k, row in enumerate(numbers)]
     decoder = JointStateDecoder(names, "effort")
 
     stamps_many, values_many = decoder.decode_many(messages)
@@ -290,24 +292,6 @@ def test_decode_many_agrees_with_decode(length: int, order: list[int]) -> None:
     assert values_many.flags.c_contiguous
     for k, message in enumerate(messages):
         assert (stamps_many[k], tuple(values_many[:, k])) == decoder.decode(message)
-
-
-def test_when_layouts_are_mixed_expect_decode_many_to_agree_with_decode() -> None:
-    numbers = np.random.default_rng(1).normal(size=(30, 2))
-    encoders = [
-        JointStateEncoder(NAMES, "position"),
-        JointStateEncoder(NAMES[::-1], "position"),
-        JointStateEncoder(NAMES, "position", "frame"),
-    ]
-    messages = [encoders[k % 3].encode(k, row) for k, row in enumerate(numbers)]
-    decoder = JointStateDecoder(NAMES, "position")
-
-    stamps_many, values_many = decoder.decode_many(messages)
-
-    expected = numbers.copy()
-    expected[1::3] = numbers[1::3, ::-1]
-    assert stamps_many.tolist() == list(range(30))
-    assert values_many.T.tolist() == expected.tolist()
 
 
 @pytest.mark.parametrize("place", [0, 7, 19])

@@ -116,12 +116,6 @@ def test_when_arrays_are_empty_expect_them_typed(make_node: MakeNode) -> None:
     ("line", "message"),
     [
         ("law: {gama: 1.0}", "parameter 'law.gama' does not exist; .* 'law.gamma'"),
-        ("law: {gamma: -1.0}", "parameter 'law.gamma' = -1.0: .*greater than 0"),
-        ("law: {gamma: .nan}", "parameter 'law.gamma' = nan: .*finite"),
-        ("law: {gamma: fast}", "parameter 'law.gamma' = \"fast\": input should be a valid number"),
-        ("count: 10", "parameter 'count' = 10: .*less than or equal to 9"),
-        ("count: 1.0", "parameter 'count' = 1.0: input should be a valid integer"),
-        ("mode: fast", "parameter 'mode' = \"fast\": .*'lockstep' or 'realtime'"),
         ("law: {mass: [1.0]}", "parameters do not fit together: 1 masses for 2 joints"),
     ],
 )

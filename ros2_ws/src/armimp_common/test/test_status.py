@@ -1,7 +1,7 @@
 """Statuses: what goes onto the wire comes back, and nonsense is refused."""
 
 import math
-from dataclasses import replace
+from dataclasses import MISSING, fields, replace
 from typing import Any
 
 import pytest
@@ -38,12 +38,6 @@ DECISION = StoppingDecision(
 )
 TIMING = TimingFigures(ticks=1000, late=10, missed=10, period_p50=1e-3, latency_p99=1e-3)
 RECORDS: tuple[Any, ...] = (STATUS, DECISION, TIMING)
-OPTIONAL = {
-    TrialStatus: {"cause", "reason", "lost", "clipped", "clipped_intervals", "tare", "tare_error"},
-    StoppingDecision: {"largest", "element"},
-    TimingFigures: set(TIMING.to_values()) - {"ticks", "late", "missed"},
-}
-
 counts = st.integers(0, 2**62)
 tares = st.lists(st.floats(allow_nan=False), max_size=7).map(tuple)
 
@@ -130,7 +124,8 @@ def test_when_a_value_is_missing_expect_it_named_unless_it_has_a_default(
     record: Any, key: str
 ) -> None:
     values = {name: value for name, value in record.to_values().items() if name != key}
-    if key in OPTIONAL[type(record)]:
+    (found,) = [one for one in fields(record) if one.name == key]
+    if found.default is not MISSING:
         type(record).from_values(values)
         return
     with pytest.raises(MalformedMessageError, match=f"{key} is missing"):
@@ -181,21 +176,9 @@ def test_random_values_raise_nothing_but_malformed_message(values: dict[str, str
         assert TrialStatus.from_values(status.to_values()) == status
 
 
-@pytest.mark.parametrize(
-    ("record", "change"),
-    [
-        *((STATUS, {"trial": trial}) for trial in (0, 4)),
-        *((STATUS, {name: -1}) for name in ("joint", "ticks", "lost")),
-        (STATUS, {"start_ns": None}),
-        (DECISION, {"due": 19_800}),
-        (TIMING, {"late": 1001}),
-    ],
-)
-def test_when_numbers_contradict_expect_configuration_error(
-    record: Any, change: dict[str, Any]
-) -> None:
-    with pytest.raises(ConfigurationError):
-        replace(record, **change)
+def test_when_numbers_contradict_expect_configuration_error() -> None:
+    with pytest.raises(ConfigurationError, match="start_ns is missing"):
+        replace(STATUS, start_ns=None)
 
 
 def test_sentences_are_for_people() -> None:
@@ -208,17 +191,6 @@ def test_sentences_are_for_people() -> None:
     assert first.sentence == "trial 2: ends once standard errors are below 2 %"
     assert DECISION.sentence == "trial 2: largest standard error 3.1 % (K21) is not below 2 %"
     assert "not known is not below" in replace(DECISION, largest=math.nan).sentence
-
-
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        *(("text", "text"), (True, "true"), (3, "3"), (0.1, "0.1"), (1e-7, "1e-07")),
-        *(((0.1, 2), "0.1 2.0"), ([], "")),
-    ],
-)
-def test_values_are_written_without_loss(value: statuses.Value, text: str) -> None:
-    assert statuses.format_value(value) == text
 
 
 def test_an_array_has_stamp_levels_and_values_in_order() -> None:
