@@ -39,7 +39,7 @@ class StallWitness:
     """A thread that is to wake up each millisecond, and notes when it did not."""
 
     def __init__(self) -> None:
-        self._found: list[tuple[int, int]] = []
+        self._found: list[int] = []
         self._ended = threading.Event()
         self._pacer = Pacer(PERIOD_NS)
         self._begin_ns = self._pacer.now()
@@ -56,14 +56,15 @@ class StallWitness:
             pacer.wait(tick)
             now_ns = pacer.now()
             if now_ns - due_ns > LATE_NS:
-                self._found.append((due_ns, now_ns))
+                self._found.append(now_ns - due_ns)
                 # Deadlines that passed meanwhile belong to the same stall.
                 tick += (now_ns - due_ns) // PERIOD_NS
 
     def stalls(self) -> Stalls:
         """Return what was noted so far."""
-        intervals = np.array(self._found, dtype=np.int64).reshape(-1, 2)
-        return Stalls(intervals_ns=intervals, watched_ns=self._pacer.now() - self._begin_ns)
+        found = list(self._found)
+        share = sum(found) / max(self._pacer.now() - self._begin_ns, 1)
+        return Stalls(share, max(found, default=0) / NS_PER_S)
 
     def close(self) -> None:
         """End the thread."""

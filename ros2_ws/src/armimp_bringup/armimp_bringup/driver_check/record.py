@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.driver_check.findings import Reason
 from armimp_common.status import TimingFigures
-from armimp_common.topics import JOINT_STATES, NS_PER_S, TORQUE_SENSORS, VALUE_FIELD
+from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
 REST, AFTER = 200, 250
@@ -99,22 +99,11 @@ class Moves:
     timing: TimingFigures | None = None  # as reported before commands stayed away
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Stalls:
-    """Times in which this process was held up, on the monotonic clock."""
+class Stalls(NamedTuple):
+    """Times in which this process was held up."""
 
-    intervals_ns: NDArray[np.int64] = field(default_factory=lambda: np.empty((0, 2), np.int64))
-    watched_ns: int = 0
-
-    @property
-    def share(self) -> float:
-        """Share of the time in which this process was held up."""
-        return float(np.sum(np.diff(self.intervals_ns))) / max(self.watched_ns, 1)
-
-    @property
-    def longest(self) -> float:
-        """Longest stall, s."""
-        return float(np.max(np.diff(self.intervals_ns), initial=0)) / NS_PER_S
+    share: float = 0.0  # of the time in which this was looked at
+    longest: float = 0.0  # s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
