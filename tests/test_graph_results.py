@@ -104,9 +104,14 @@ def test_published_columns_have_the_curves_of_their_joint(account: Account) -> N
             values_of(message) for message in account.heard if what(message) == f"column {k}"
         )
         assert (column["trial"], column["joint"], column["lost"]) == (str(k), str(k), "0")
-        assert {key.split(".")[0] for key in column if key.endswith(".re")} == {
-            f"{curve}_{i}{k}" for curve in ("R", "T", "Z") for i in (1, 2)
+        curves = {key for key in column if key.endswith((".re", ".im"))}
+        assert curves == {
+            f"{curve}_{i}{k}.{part}"
+            for curve in ("R", "T", "Z")
+            for i in (1, 2)
+            for part in ("re", "im")
         }
+        assert len({len(column[key].split()) for key in ("f", *curves)}) == 1
 
 
 def test_progress_grows_in_every_trial(account: Account) -> None:
@@ -118,6 +123,9 @@ def test_progress_grows_in_every_trial(account: Account) -> None:
     assert all(progress.joint == progress.trial for progress in account.progress)
     phases = {progress.phase for progress in account.progress}
     assert phases <= {Phase.SETTLE, Phase.PERTURB, Phase.REST}
+    last = account.progress[-1]
+    assert last.rate > 0.0
+    assert 0.9 < min(last.coherence_motion or 0.0, last.coherence_torque or 0.0) <= 1.0
 
 
 def test_the_same_seed_again_and_a_bystander_change_no_bit(

@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
@@ -10,7 +12,7 @@ from armimp_common.errors import BagError
 from armimp_common.topics import MESSAGE_TYPES
 from armimp_estimation.bags import BagWriter
 from armimp_estimation.bags.files import read_storage
-from armimp_estimation.bags.metadata_yaml import absolute
+from armimp_estimation.bags.metadata_yaml import absolute, message_definition
 from armimp_estimation.bags.topics import contract_topic, resolve_topics
 from support.synthetic_bags import Message
 
@@ -52,6 +54,36 @@ def write_foreign(
             if name not in connections:
                 connections[name] = writer.add_connection(name, kind, typestore=STORE)
             writer.write(connections[name], time, raw)
+    return path
+
+
+def write_mcap(
+    path: Path,
+    messages: Iterable[Message],
+    *,
+    compression: CompressionType = CompressionType.NONE,
+    chunking: bool = True,
+    encoding: str = "cdr",
+) -> Path:
+    """Write a bare MCAP file without any index, in chunks of about 3000 bytes."""
+    with path.open("wb") as file:
+        writer = McapWriter(
+            file,
+            chunk_size=3000,
+            compression=compression,
+            use_chunking=chunking,
+            index_types=IndexType.NONE,
+            use_statistics=False,
+        )
+        writer.start("ros2")
+        channels: dict[str, int] = {}
+        for topic, log_time_ns, raw in messages:
+            if topic not in channels:
+                text, _ = message_definition(kind := MESSAGE_TYPES[topic])
+                schema = writer.register_schema(kind, "ros2msg", text.encode())
+                channels[topic] = writer.register_channel(absolute(topic), encoding, schema)
+            writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)
+        writer.finish()
     return path
 
 

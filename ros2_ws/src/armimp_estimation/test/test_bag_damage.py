@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
-from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from armimp_common.errors import BagError, DataError
 from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
-from support.bag_files import iterate_messages, typed, write_bag, write_foreign
+from support.bag_files import iterate_messages, typed, write_bag, write_foreign, write_mcap
 from support.fault_figures import Figures
 from support.synthetic_bags import synthetic_recording
 
@@ -115,22 +114,10 @@ class TestTruncation:
     def test_unchunked_and_foreign_chunks_are_read_up_to_the_cut(
         self, tmp_path: Path, compression: CompressionType
     ) -> None:
-        file = tmp_path / "bag.mcap"
-        with file.open("wb") as stream:
-            writer = McapWriter(
-                stream,
-                chunk_size=3000,
-                compression=compression,
-                use_chunking=compression is not CompressionType.NONE,
-            )
-            writer.start("ros2")
-            channels = {
-                topic: writer.register_channel("/" + topic, "cdr", 0)
-                for topic in {topic for topic, _, _ in MESSAGES}
-            }
-            for topic, log_time_ns, raw in MESSAGES:
-                writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)
-            writer.finish()
+        chunking = compression is not CompressionType.NONE
+        file = write_mcap(
+            tmp_path / "bag.mcap", MESSAGES, compression=compression, chunking=chunking
+        )
         whole = file.read_bytes()
         samples: list[int] = []
         for size in range(0, len(whole), max(len(whole) // 150, 1)):

@@ -10,8 +10,6 @@ from rosbags.highlevel import AnyReader, AnyReaderError
 
 from armimp_common import topics
 from armimp_common.errors import BagError
-from armimp_common.topics import CLOCK, DATA_STREAMS, PERIOD_NS
-from armimp_estimation.alignment.streams import stamps_in_step
 from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata_yaml import FILE_NAME
@@ -54,22 +52,6 @@ def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
     assert content_of(path) == content_of(finished(tmp_path / "b" / "bag"))
     assert finish_bag(path) == ""
     assert content_of(path) == content_of(finished(tmp_path / "c" / "bag"))
-
-
-def test_bag_written_by_the_block_is_finished_with_all_of_its_messages(tmp_path: Path) -> None:
-    recording = synthetic_recording(ticks=150, start_ns=PERIOD_NS).by_topic()
-    stamps = stamps_in_step(recording)
-    writer = BagWriter(tmp_path / "bag", metadata=METADATA)
-    for start in range(0, 150, 50):
-        writer.write(CLOCK, b"\0\1\0\0" + bytes(8), start * PERIOD_NS)
-        part = slice(start, start + 50)
-        writer.write_block(stamps[part], {topic: recording[topic][part] for topic in DATA_STREAMS})
-    writer._file.abandon()
-    before = list(iterate_messages(writer.path))
-    assert finish_bag(writer.path).endswith("with 603 messages")
-    assert list(iterate_messages(writer.path)) == before
-    with AnyReader([writer.path]) as reader:
-        assert [raw for _, _, raw in reader.messages()] == [raw for _, _, raw in before]
 
 
 def test_other_readers_open_it_only_then(tmp_path: Path) -> None:

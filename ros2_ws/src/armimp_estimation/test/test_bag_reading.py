@@ -9,17 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zstandard
-from mcap.writer import CompressionType, IndexType
-from mcap.writer import Writer as McapWriter
+from mcap.writer import CompressionType
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionMode, StoragePlugin
 
 from armimp_common import topics
 from armimp_common.errors import BagError, DataError
-from armimp_common.topics import JOINT_STATES, MESSAGE_TYPES, PERIOD_NS, TRIAL
+from armimp_common.topics import JOINT_STATES, PERIOD_NS, TRIAL
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.metadata_yaml import absolute, message_definition
-from support.bag_files import STORE, iterate_messages, typed, write_bag, write_foreign
+from armimp_estimation.bags.metadata_yaml import absolute
+from support.bag_files import STORE, iterate_messages, typed, write_bag, write_foreign, write_mcap
 from support.synthetic_bags import (
     Message,
     SyntheticRecording,
@@ -50,36 +49,6 @@ def write_rosbags(
     return write_foreign(
         path, typed(messages), storage=storage, mode=mode, version=version, metadata=METADATA
     )
-
-
-def write_mcap(
-    path: Path,
-    messages: Sequence[Message] = RECORDING.messages,
-    *,
-    compression: CompressionType = CompressionType.NONE,
-    chunking: bool = True,
-    encoding: str = "cdr",
-) -> Path:
-    with path.open("wb") as file:
-        writer = McapWriter(
-            file,
-            chunk_size=4096,
-            compression=compression,
-            use_chunking=chunking,
-            index_types=IndexType.NONE,
-            use_statistics=False,
-        )
-        writer.start("ros2")
-        channels = {}
-        for topic in dict.fromkeys(topic for topic, _, _ in messages):
-            kind = MESSAGE_TYPES[topic]
-            text, _ = message_definition(kind)
-            schema = writer.register_schema(kind, "ros2msg", text.encode())
-            channels[topic] = writer.register_channel(absolute(topic), encoding, schema)
-        for topic, log_time_ns, raw in messages:
-            writer.add_message(channels[topic], log_time_ns, raw, log_time_ns)
-        writer.finish()
-    return path
 
 
 def assert_reads(path: Path, expected: SyntheticRecording = RECORDING) -> None:
@@ -190,8 +159,8 @@ class TestStorages:
     def test_mcap_without_any_index_is_read(
         self, tmp_path: Path, compression: CompressionType
     ) -> None:
-        assert_reads(write_mcap(tmp_path / "bag.mcap", compression=compression))
-        assert_reads(write_mcap(tmp_path / "plain.mcap", chunking=False))
+        assert_reads(write_mcap(tmp_path / "bag.mcap", RECORDING.messages, compression=compression))
+        assert_reads(write_mcap(tmp_path / "plain.mcap", RECORDING.messages, chunking=False))
 
     def test_split_bag_is_read_in_the_order_of_its_times(self, tmp_path: Path) -> None:
         path = tmp_path / "bag"
@@ -305,7 +274,7 @@ class TestTopics:
         assert_reads(path)
 
     def test_other_encoding_is_named(self, tmp_path: Path) -> None:
-        path = write_mcap(tmp_path / "bag.mcap", encoding="json")
+        path = write_mcap(tmp_path / "bag.mcap", RECORDING.messages, encoding="json")
         assert refusal(path) == (
             f"{path}: topic /imbic_controller/trial is encoded as 'json', not as cdr"
         )

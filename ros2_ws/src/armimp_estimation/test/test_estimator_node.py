@@ -1,6 +1,5 @@
 """The estimator node over real DDS, fed by a script: results, faults, parameters, life cycle."""
 
-import json
 import math
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -10,7 +9,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.context import Context
@@ -35,10 +33,8 @@ from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import ProblemCode
-from armimp_estimation.result import conclude
 from armimp_estimation.summary import Summary, read_summary
 from support.graph import PATIENCE, a_moment, eventually, overrides
-from support.recordings import recorded_arm
 from support.synthetic_bags import Message, synthetic_recording
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
@@ -188,79 +184,6 @@ def desk(context: Context, node: Node, tmp_path: Path) -> Iterator[Desk]:
 
 
 class TestResults:
-    RECORDING = recorded_arm(5000)
-    NAMES = RECORDING.records[0].joint_names
-    FIRST = next(
-        i
-        for i, (topic, _, raw) in enumerate(RECORDING.messages)
-        if topic == TRIAL and decode_trial_status(raw).trial == 2
-    )
-
-    def settings(self) -> dict[str, Value]:
-        metadata = {"seed": "5", "joint_names": json.dumps(self.NAMES)}
-        return {"joints": list(self.NAMES), "metadata": json.dumps(metadata)}
-
-    def test_column_is_published_as_its_trial_ends_and_the_matrix_after_the_last(
-        self, desk: Desk
-    ) -> None:
-        desk.bring_up(self.settings())
-
-        desk.play(self.RECORDING.messages[: self.FIRST])
-        desk.eventually(lambda: bool(desk.script.columns), "the first column")
-        a_moment(desk.spinner)
-        assert [result.name for result in desk.script.results] == ["impedance_estimator: column 1"]
-
-        desk.play(self.RECORDING.messages[self.FIRST :])
-        desk.conclude()
-        a_moment(desk.spinner)
-        assert [result.name for result in desk.script.results] == [
-            "impedance_estimator: column 1",
-            "impedance_estimator: column 2",
-            RESULT_NAME,
-        ]
-        assert [result.level for result in desk.script.columns] == [bytes([Level.OK])] * 2
-        column = values_of(desk.script.columns[1])
-        assert (column["trial"], column["joint"], column["lost"]) == ("2", "2", "0")
-        points = len(column["f"].split())
-        for curve in ("R", "T", "Z"):
-            for element in ("12", "22"):
-                assert len(column[f"{curve}_{element}.re"].split()) == points
-                assert len(column[f"{curve}_{element}.im"].split()) == points
-
-        # What is stored and published is what the bags give.
-        contents = [read_bag(path) for path in desk.bags]
-        offline = conclude(
-            [content.trials[0] for content in contents],
-            metadata=contents[0].metadata,
-            joint_names=("shoulder", "elbow"),
-            estimators=EstimatorParameters().estimators,
-        ).summary
-        live = desk.summary
-        assert live.estimators == offline.estimators
-        assert (live.valid, live.problems) == (offline.valid, offline.problems)
-        assert [trial.bag for trial in live.trials] == [f"bags/{path.name}" for path in desk.bags]
-        values = values_of(desk.script.conclusions[0])
-        for name, result in offline.estimators.items():
-            for key in ("M", "B", "K"):
-                published = [float(text) for text in values[f"{name}.{key}"].split()]
-                assert published == np.ravel(getattr(result, key)).tolist()
-
-    def test_progress_is_published_while_a_trial_is_recorded(self, desk: Desk) -> None:
-        desk.bring_up(self.settings())
-
-        desk.play(self.RECORDING.messages[: 2 + 4 * (60 + 4500)])
-        told = desk.script.progress
-        desk.eventually(
-            lambda: bool(told) and values_of(told[-1])["samples"] == "4500", "all samples"
-        )
-
-        values = values_of(desk.script.progress[-1])
-        assert (values["trial"], values["trials"], values["joint"]) == ("1", "2", "1")
-        assert (values["phase"], values["planned"]) == ("perturb", "5000")
-        assert float(values["rate"]) > 0.0
-        for what in ("motion", "torque"):
-            assert 0.9 < float(values[f"coherence_{what}"]) <= 1.0
-
     @pytest.mark.parametrize("changes", [{"record": False}, {"directory": ""}], ids=str)
     def test_recording_and_storing_can_be_switched_off(
         self,

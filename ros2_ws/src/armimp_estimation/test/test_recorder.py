@@ -295,18 +295,6 @@ def test_stamps_that_make_no_sense_hold_nothing_up_and_messages_without_are_refu
         assert_equal(trial.segments[0], expected)
 
 
-def test_without_a_directory_trials_are_handed_over_and_nothing_is_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    desk = Desk(None)
-    desk.feed(MADE_UP.messages)
-    assert [trial.bag for trial in desk.finished] == [None, None]
-    for trial, expected in zip(desk.finished, MADE_UP.records, strict=True):
-        assert_equal(trial.intact()[0], expected)
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_when_stopped_in_a_trial_expect_its_bag_closed_and_readable(tmp_path: Path) -> None:
     desk = Desk(tmp_path)
     desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 40) + 1])
@@ -367,14 +355,6 @@ def test_when_nothing_of_a_stream_came_expect_trials_that_say_so(
     assert [bag.name for bag in desk.bags] == list(BAG_NAMES)
 
 
-def test_when_the_bag_exists_expect_an_error_with_the_first_status(tmp_path: Path) -> None:
-    (tmp_path / "bags" / BAG_NAMES[0]).mkdir(parents=True)
-    desk = Desk(tmp_path)
-    with pytest.raises(BagError, match="trial_1_joint_1"):
-        desk.feed(MADE_UP.messages[:3])
-    assert desk.recorder.status is None
-
-
 def test_progress_is_told_while_a_trial_is_recorded() -> None:
     desk = Desk(None)
     recorder = desk.recorder
@@ -399,18 +379,6 @@ def test_coherence_begins_anew_with_each_trial() -> None:
     for coherence in (*told[2:4], *told[7:9]):
         assert coherence is not None
         assert min(coherence) > 0.9
-
-
-def test_once_flushed_all_that_came_is_in_the_file(tmp_path: Path) -> None:
-    desk = Desk(tmp_path)
-    desk.feed(MADE_UP.messages[: 2 + 4 * (SETTLE + 7)])
-    with pytest.raises(BagError, match="no messages"):
-        read_bag(desk.bags[0])
-
-    desk.recorder.flush()
-
-    assert_equal(read_bag(desk.bags[0]).records()[0], MADE_UP.records[0], 7)
-    desk.recorder.stop()
 
 
 def test_when_a_trial_ends_depends_on_its_first_samples_and_the_trials_before() -> None:
