@@ -17,7 +17,7 @@ from armimp_common import topics
 from armimp_common.errors import BagError, DataError
 from armimp_common.topics import JOINT_STATES, PERIOD_NS, TRIAL
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.metadata_yaml import absolute
+from armimp_estimation.bags.metadata_yaml import absolute, dump
 from support.bag_files import STORE, iterate_messages, typed, write_bag, write_foreign, write_mcap
 from support.synthetic_bags import (
     Message,
@@ -322,6 +322,20 @@ class TestForeignMessages:
             content.records()[0].position, RECORDING.records[0].position[::-1]
         )
 
+    @pytest.mark.parametrize(
+        ("text", "reason"),
+        [
+            ('["shoulder"]', "unknown joint 'elbow'"),
+            ('["a", "b"]', "lacks joint 'a'"),
+            ('["shoulder", "shoulder"]', "not distinct: shoulder, shoulder"),
+        ],
+    )
+    def test_other_joints_in_metadata_are_refused(
+        self, tmp_path: Path, text: str, reason: str
+    ) -> None:
+        path = write_ours(tmp_path / "bag", metadata={"joint_names": text})
+        assert reason in refusal(path)
+
     @pytest.mark.parametrize("text", ["", "[", "3", "[]", "[1]", "[" * 100_000])
     def test_nonsense_in_metadata_is_passed_over(self, tmp_path: Path, text: str) -> None:
         path = write_ours(tmp_path / "bag", metadata={"joint_names": text})
@@ -378,7 +392,9 @@ class TestRefusals:
                 "rosbag2_bagfile_information:\n  relative_file_paths: [[a]]",
                 "lists no storage files",
             ),
-            ("[" * 20_000, "not valid YAML"),
+            ("rosbag2_bagfile_information: {relative_file_paths: []}", "lists no storage files"),
+            ("rosbag2_bagfile_information: &a {relative_file_paths: *a}", "not valid YAML"),
+            ("[" * 100_000, "not valid YAML"),
             ("a: \0", "not valid YAML"),
             ("*nowhere", "not valid YAML"),
         ],
@@ -388,12 +404,12 @@ class TestRefusals:
         (path / "metadata.yaml").write_bytes(text.encode(errors="surrogateescape"))
         assert refusal(path).startswith(f"{path / 'metadata.yaml'}: {reason}")
 
-    def test_storage_file_that_is_missing(self, tmp_path: Path) -> None:
+    @pytest.mark.parametrize("name", ["nowhere.mcap", "..", "a\0b"])
+    def test_storage_file_that_is_missing(self, tmp_path: Path, name: str) -> None:
         path = write_ours(tmp_path / "bag")
-        (path / "bag_0.mcap").unlink()
-        assert refusal(path) == (
-            f"{path / 'bag_0.mcap'}: is missing, though listed in metadata.yaml"
-        )
+        listed = {"relative_file_paths": [name]}
+        (path / "metadata.yaml").write_text(dump({"rosbag2_bagfile_information": listed}))
+        assert refusal(path).endswith(": is missing, though listed in metadata.yaml")
 
     def test_database_of_something_else(self, tmp_path: Path) -> None:
         path = tmp_path / "other.db3"

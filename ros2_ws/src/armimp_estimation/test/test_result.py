@@ -222,14 +222,39 @@ def test_without_a_truth_there_is_no_vaf(truth: str | None) -> None:
     assert summary.seed == RECORDING.records[0].seed
 
 
+HALF = '{"a": "\\ud800"}'
+"""Half a surrogate pair."""
+
+
+def matrices(element: str) -> str:
+    """A truth with such an element in M."""
+    one = "[[1, 0], [0, 1]]"
+    return f'{{"M": [[{element}, 0], [0, 1]], "B": {one}, "K": {one}}}'
+
+
 @pytest.mark.parametrize(
     ("key", "text", "reason"),
     [
+        ("config", "x", "config is not JSON: 'x'"),
         *(
-            ("truth", text, "truth")
-            for text in ("{}", "[1]", '{"M": [[1]], "B": 2, "K": 3}', "{", "7")
+            ("config", text, "config: Input should be a valid dictionary, got")
+            for text in ("[]", "5", "null")
         ),
-        ("config", "[1]", "config: Input should be a valid dictionary, got"),
+        *(("config", text, "config is not JSON") for text in ('{"a": ' + "9" * 5000 + "}", HALF)),
+        *(("seed", text, "seed is not JSON") for text in ("x", "9" * 5000, "[" * 100_000)),
+        *(("truth", text, "truth is not JSON") for text in ("x", "{")),
+        *(
+            ("truth", text, "truth: not three matrices")
+            for text in (
+                *("{}", "5", "[1]", '{"M": [[1]], "B": 2, "K": 3}'),
+                '{"M": [[1, 2], [3]], "B": 1, "K": 2}',
+                matrices("9" * 400),
+            )
+        ),
+        ("truth", '{"M": "a", "B": 1, "K": 2}', "truth: .*'a'"),
+        ("truth", matrices("NaN"), "truth: .*M is not finite"),
+        ("truth", matrices("1e300"), "truth: an element of 1e.300"),
+        ("truth", '{"M": [[1]], "B": [[1]], "K": [[1]]}', "truth is of 1 joints, the data of 2"),
         ("torque_delay", '"late"', "torque_delay: Input should be a valid number, got 'late'"),
         ("torque_order", "1.5", "torque_order: Input should be a valid integer, got 1.5"),
         (
