@@ -41,7 +41,7 @@ if bags := [Path(argument) for argument in sys.argv[1:]]:
     print(*result.notes, sep="\n", end="\n" if result.notes else "")
     assert result.curves, result.summary.problems
     viscosities = {name: np.array(one.B) for name, one in result.summary.estimators.items()}
-    truth = None if result.summary.truth is None else result.summary.truth.mbk()
+    truth = result.summary.truth
 else:
     (experiment,) = simulate([ExperimentConfig(duration=50.0)])
     found = experiment.identify(estimators)

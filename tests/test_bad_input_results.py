@@ -133,7 +133,7 @@ MATRIX = [[1.0, 2.0], [3.0]]
         (("trials", 0, "lock_ratio"), [], "trials.0.lock_ratio has 0 values for 2 joints"),
         (("trials", 1, "bias_bound"), [1.0], "trials.1.bias_bound has 1 values for 2 joints"),
         (("truth",), None, "truth is missing"),
-        (("truth", "K"), MATRIX, "a row of truth.K has 1 values for 2 joints"),
+        (("truth", "K"), MATRIX, "truth: not three matrices"),
         (("estimators",), {}, "estimators are missing"),
         ((*ESTIMATOR, "vaf"), None, "VAF is missing"),
         ((*ESTIMATOR, "M"), [[]], "estimators.welch_full.M has 1 values for 2 joints"),

@@ -55,7 +55,7 @@ def table(entries: Sequence[StudyEntry]) -> Table:
 def truth(entries: Sequence[StudyEntry]) -> MBK:
     found = entries[0].truth
     assert found is not None
-    return found.mbk()
+    return found
 
 
 @pytest.fixture(scope="module")

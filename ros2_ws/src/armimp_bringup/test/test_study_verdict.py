@@ -23,11 +23,14 @@ from armimp_bringup.study.scores import (
 from armimp_bringup.study.scores import judge as judge_table
 from armimp_bringup.study.store import StudyEntry
 from armimp_bringup.study.study import print_verdict
+from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode, problem
-from armimp_estimation.summary import EstimatorSummary, TrialSummary, TruthSummary
+from armimp_estimation.summary import EstimatorSummary, TrialSummary
 
-TRUTH = TruthSummary(
-    M=[[0.2, 0.1], [0.08, 0.06]], B=[[0.6, 0.2], [0.3, 0.4]], K=[[8.0, 3.0], [-2.0, 7.0]]
+TRUTH = MBK(
+    M=np.array([[0.2, 0.1], [0.08, 0.06]]),
+    B=np.array([[0.6, 0.2], [0.3, 0.4]]),
+    K=np.array([[8.0, 3.0], [-2.0, 7.0]]),
 )
 GOOD = {"vaf": 99.95, "r2": 0.9995, "coherence_derived": 0.99}
 
@@ -36,20 +39,20 @@ def _square(value: float, joints: int) -> list[list[float]]:
     return [[value] * joints for _ in range(joints)]
 
 
-def _truth(joints: int) -> TruthSummary:
+def _truth(joints: int) -> MBK:
     if joints == 2:
         return TRUTH
-    ones = _square(1.0, joints)
-    return TruthSummary(M=ones, B=ones, K=ones)
+    ones = np.ones((joints, joints))
+    return MBK(M=ones, B=ones, K=ones)
 
 
 def _estimator(joints: int = 2) -> EstimatorSummary:
     zeros = _square(0.0, joints)
     truth = _truth(joints)
     return EstimatorSummary(
-        M=truth.M,
-        B=truth.B,
-        K=truth.K,
+        M=truth.M.tolist(),
+        B=truth.B.tolist(),
+        K=truth.K.tolist(),
         M_se=zeros,
         B_se=zeros,
         K_se=zeros,
@@ -249,7 +252,7 @@ def test_with_more_joints_elements_that_transducers_cannot_resolve_are_not_judge
     entry = _entry(joints=4, config=config)
     assert entry.truth is not None
     # One element is as large as the target: half of the torque goes into the arm.
-    counts = torque_in_counts(entry, entry.truth.mbk(), np.array([0.0]))
+    counts = torque_in_counts(entry, entry.truth, np.array([0.0]))
     assert counts is not None
     np.testing.assert_allclose(counts[0], [75.0, 75.0, 75.0, 2.5])
     vaf = _square(99.95, 4)

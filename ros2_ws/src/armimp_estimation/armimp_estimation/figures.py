@@ -148,7 +148,7 @@ def element_figure(
 
 def impedance_figure(summary: Summary, curves: Mapping[str, ImpedanceCurve]) -> Figure:
     """Draw every element of Z_h, of at least one estimator by name, as `bode_chart` has it."""
-    truth = None if summary.truth is None else summary.truth.mbk()
+    truth = summary.truth
     keys = [*strokes(curves).values(), *([] if truth is None else [TRUE])]
     return element_figure(
         summary.joints, lambda i, k: bode_chart(curves, truth, i, k), keys, row_height=0.38

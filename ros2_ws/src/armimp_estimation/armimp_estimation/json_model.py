@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError, model_validator
 
 
@@ -13,10 +14,14 @@ def _nan_for_null(value: object) -> object:
     return math.nan if value is None or value != value else value  # noqa: PLR0124
 
 
+def _list_of_array(value: object) -> object:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
 # JSON has no NaN or infinity: both are written as null, and null is read as NaN.
 Number = Annotated[float, BeforeValidator(_nan_for_null)]
-Vector = list[Number]
-Matrix = list[Vector]
+Vector = Annotated[list[Number], BeforeValidator(_list_of_array)]
+Matrix = Annotated[list[list[Number]], BeforeValidator(_list_of_array)]
 
 
 class JsonModel(BaseModel):

@@ -46,6 +46,14 @@ class MBK:
                 raise ConfigurationError(f"{name} is not finite: {values.tolist()}")
             object.__setattr__(self, name, values)
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, MBK) and all(
+            np.array_equal(getattr(self, name), getattr(other, name)) for name in ("M", "B", "K")
+        )
+
+    def __hash__(self) -> int:
+        return hash(self.K.tobytes())
+
     @property
     def joints(self) -> int:
         """Number of joints n."""

@@ -14,6 +14,8 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PlainSerializer,
+    PlainValidator,
     ValidationError,
     model_validator,
 )
@@ -112,8 +114,8 @@ class Timing(JsonModel):
 
 
 def _matrices(value: Any) -> MBK | None:
-    if value is None:
-        return None
+    if value is None or isinstance(value, MBK):
+        return value
     try:
         found = MBK(**{name: np.array(value[name], dtype=np.float64) for name in ("M", "B", "K")})
     except (LookupError, TypeError, ValueError, OverflowError, ArmimpError) as error:
@@ -124,6 +126,13 @@ def _matrices(value: Any) -> MBK | None:
     return found
 
 
+def _lists(truth: MBK | None) -> dict[str, list[list[float]]] | None:
+    names = () if truth is None else ("M", "B", "K")
+    return {name: getattr(truth, name).tolist() for name in names} or None
+
+
+Truth = Annotated[MBK | None, PlainValidator(_matrices), PlainSerializer(_lists)]
+"""True matrices, if they are known, as JSON has them: lists of rows, SI units."""
 _Known = Annotated[float | None, Field(strict=True)]
 
 
@@ -134,7 +143,7 @@ class Metadata(BaseModel):
 
     config: dict[str, Any] = {}
     """Configuration; empty if it is not known."""
-    truth: Annotated[MBK | None, BeforeValidator(_matrices)] = None
+    truth: Truth = None
     """True matrices, as far as there are any."""
     seed: Annotated[int | None, BeforeValidator(lambda v: v if type(v) is int else None)] = None
     """Of all random signals."""

@@ -19,8 +19,7 @@ from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.atomic_write import read_bytes, write_atomically
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
-from armimp_estimation.mbk import MBK
-from armimp_estimation.metadata import Timing
+from armimp_estimation.metadata import Timing, Truth
 from armimp_estimation.problems import Concern, Problem, Severity, spoiled
 from armimp_estimation.scores import NORMAL_95
 from armimp_estimation.torque_timing import TorqueReading
@@ -134,46 +133,25 @@ class EstimatorSummary(JsonModel):
     @classmethod
     def of(cls, result: EstimatorResult, *, decides: bool) -> EstimatorSummary:
         """Summary of the result of one estimator."""
-        fit = result.fit
-        matrices = {}
+        fit, best = result.fit, supported(result.models)
         ends = np.array((-NORMAL_95, NORMAL_95))
-        best = supported(result.models)
+        found: dict[str, Any] = {
+            name: getattr(result, name)
+            for name in ("vaf", "coherence_derived", "coherence_torque", "coherence_motion")
+        }
+        found |= {name: getattr(fit, name) for name in ("covariance", "lack_limit", "r2")}
         for name in ("M", "B", "K"):
             value, error = getattr(fit.mbk, name), getattr(fit, f"{name}_se")
-            matrices[name], matrices[f"{name}_se"] = value.tolist(), error.tolist()
-            matrices[f"{name}_ci"] = (value[..., None] + ends * error[..., None]).tolist()
+            found |= {name: value, f"{name}_se": error}
+            found[f"{name}_ci"] = (value[..., None] + ends * error[..., None]).tolist()
         return cls(
-            **matrices,
-            covariance=fit.covariance.tolist(),
+            **found,
             lack_of_fit=fit.lack.tolist(),
-            lack_limit=fit.lack_limit,
             decides=decides,
             delay=None if fit.delay is None else DelaySummary(**vars(fit.delay)),
             models={one.model.name: ModelSummary.of(one) for one in result.models},
             model=None if best is None else best.model.name,
-            vaf=None if result.vaf is None else result.vaf.tolist(),
-            r2=fit.r2.tolist(),
-            coherence_derived=result.coherence_derived.tolist(),
-            coherence_torque=result.coherence_torque.tolist(),
-            coherence_motion=result.coherence_motion.tolist(),
         )
-
-
-class TruthSummary(JsonModel):
-    """True matrices, SI units."""
-
-    M: Matrix
-    B: Matrix
-    K: Matrix
-
-    @classmethod
-    def of(cls, truth: MBK) -> TruthSummary:
-        """Summary of true matrices."""
-        return cls(M=truth.M.tolist(), B=truth.B.tolist(), K=truth.K.tolist())
-
-    def mbk(self) -> MBK:
-        """Matrices as arrays."""
-        return MBK(M=np.array(self.M), B=np.array(self.B), K=np.array(self.K))
 
 
 class WallSummary(JsonModel):
@@ -214,7 +192,7 @@ class Summary(JsonModel):
     """What is wrong, and what was found and put right."""
     trials: list[TrialSummary]
     estimators: dict[str, EstimatorSummary]
-    truth: TruthSummary | None
+    truth: Truth
     timing: Timing | None = None
     """Of a run in real time."""
     wall: WallSummary | None = None
@@ -230,12 +208,11 @@ class Summary(JsonModel):
         identification: Identification | None,
         *,
         joint_names: Sequence[str],
-        truth: MBK | None,
         **content: Any,
     ) -> Self:
         """Summary of an identification, or of none if nothing could be estimated.
 
-        Names of the joints and true matrices are given, too, and all other content as it is.
+        Names of the joints are given, too, and all other content as it is.
         """
         found = {} if identification is None else identification.estimators
         deciding = () if identification is None else identification.deciding
@@ -246,7 +223,6 @@ class Summary(JsonModel):
             joints=len(joint_names),
             joint_names=list(joint_names),
             estimators=estimators,
-            truth=None if truth is None else TruthSummary.of(truth),
             **content,
         )
 
@@ -294,8 +270,8 @@ class Summary(JsonModel):
             sizes = {len(estimator.covariance), *map(len, estimator.covariance)}
             if sizes != {3 * n**2}:
                 raise ValueError(f"estimators.{name}.covariance is not of {3 * n**2} parameters")
-        if self.truth is not None:
-            self._check_matrices("truth", self.truth)
+        if self.truth is not None and self.truth.joints != n:
+            raise ValueError(f"truth is of {self.truth.joints} joints, not {n}")
         for number, trial in enumerate(self.trials):
             if not 1 <= trial.k <= n:
                 raise ValueError(f"trials.{number}.k = {trial.k} is none of {n} joints")

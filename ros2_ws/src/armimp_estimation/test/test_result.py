@@ -30,7 +30,7 @@ from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
 from armimp_estimation.result import Result, conclude, load_result
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
-from armimp_estimation.summary import TruthSummary, read_summary, write_summary
+from armimp_estimation.summary import ModelParameterSummary, read_summary, write_summary
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, segments_for
 from support.recordings import recorded_arm
@@ -512,16 +512,16 @@ def test_summary_has_the_keys_of_schema_1_and_comes_back_bit_by_bit(tmp_path: Pa
     back = read_summary(path)
     assert back.model_dump_json() == summary.model_dump_json()
     assert back.truth is not None
-    np.testing.assert_array_equal(back.truth.mbk().B, TWO_JOINT_ARM.B)
+    np.testing.assert_array_equal(back.truth.B, TWO_JOINT_ARM.B)
 
 
 @given(st.lists(st.floats(), min_size=1, max_size=5))
 def test_any_finite_number_comes_back_and_others_as_nan(values: list[float]) -> None:
-    text = TruthSummary(M=[values], B=[values], K=[values]).model_dump_json()
+    text = ModelParameterSummary(values=values, errors=[], unit="").model_dump_json()
     assert "NaN" not in text
     assert "Infinity" not in text
-    back = TruthSummary.model_validate_json(text)
-    for value, read in zip(values, back.M[0], strict=True):
+    back = ModelParameterSummary.model_validate_json(text)
+    for value, read in zip(values, back.values, strict=True):
         if math.isfinite(value):
             assert (read, math.copysign(1.0, read)) == (value, math.copysign(1.0, value))
         else:

@@ -102,7 +102,7 @@ class StudyReport:
     def _truth(self) -> MBK:
         truth = self.entries[0].truth
         assert truth is not None  # these are simulations
-        return truth.mbk()
+        return truth
 
     @property
     def _seeds(self) -> list[int]:

@@ -73,7 +73,7 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
     table["column"] = np.arange(1, n + 1)
     for entry, of_entry in zip(entries, table, strict=True):
         assert entry.truth is not None  # these are simulations
-        truth = entry.truth.mbk()
+        truth = entry.truth
         for name in (*_LEVELS, "valid"):
             of_entry[name] = getattr(entry, name)
         of_entry["resolved"] = resolved(entry, truth)

@@ -127,7 +127,7 @@ def run_study(
             display().phase("drawing the figures")
             from armimp_bringup.study.figures import write_figures
 
-            drawn = write_figures(directory, conditions, table, truth.mbk(), store.curves)
+            drawn = write_figures(directory, conditions, table, truth, store.curves)
         display().phase("writing the report")
         from armimp_bringup.study.report import StudyReport
 

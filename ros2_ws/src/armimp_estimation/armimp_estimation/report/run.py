@@ -236,7 +236,7 @@ def _impedance(result: Result) -> Content | None:
     curves, n = result.curves, result.summary.joints
     if not curves:
         return None
-    truth = None if result.summary.truth is None else result.summary.truth.mbk()
+    truth = result.summary.truth
     switches = [*_switches(curves), box(BANDS, "95 % confidence bands", "--rule", width=9)]
     if truth is not None:
         switches.append(box(TRUTH, "truth (simulation)", "--ink", "dot"))
