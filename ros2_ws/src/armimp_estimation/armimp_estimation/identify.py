@@ -212,6 +212,7 @@ def identify(
     problems: list[Problem] = []
     for trial in ordered:
         problems += judge_angles(trial.record) + judge_signals(trial.record)
+    problems += verdict.judge_order(names, locks)
     problems += verdict.judge_coherence(
         names, first.coherence_motion, first.coherence_torque, level
     )

@@ -80,6 +80,7 @@ class ProblemCode(str, Enum):
     STAMPS_IRREGULAR = "stamps_irregular"
     STREAM_RATES_DIFFER = "stream_rates_differ"
     COMMANDS_PERMUTED = "commands_permuted"
+    SENSORS_PERMUTED = "sensors_permuted"
     DELAY_CORRECTED = "delay_corrected"
     TIMING_REFUTED = "timing_refuted"
     LACK_OF_FIT = "lack_of_fit"

@@ -51,6 +51,8 @@ class Limits:
 _NOTICED = 5.0
 SINGLE = "welch_siso"
 """The estimator that takes locked joints as still."""
+_CLEARLY = 2.0
+"""Another joint moves this many times as much as the perturbed one."""
 
 
 def judge_locking(
@@ -97,6 +99,34 @@ def judge_locking(
                     Problem(code=ProblemCode.LOCK_BIAS, estimator=SINGLE, values=values)
                 )
     return problems
+
+
+def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
+    """Problems with angles that are not those of the joints which are perturbed.
+
+    A joint may move more than the one that is perturbed, if it is lighter and gives way. But what
+    they store and lose would be negative if each of two joints moved more while the other one is
+    perturbed, or more of them in a circle.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joint names.
+    lock_ratio : ndarray, shape (n, n)
+        Row i is the joint that moves, column k the perturbed one.
+    """
+    if np.isnan(lock_ratio).any():
+        return []
+    most = np.argmax(lock_ratio, axis=0)
+    moved = np.flatnonzero(most != np.arange(len(names)))
+    clear = (np.max(lock_ratio, axis=0)[moved] > _CLEARLY).all()
+    if not moved.size or not clear or np.unique(most).size < len(names):
+        return []
+    values: dict[str, float | int | str] = {
+        "perturbed": ", ".join(names[k] for k in moved),
+        "moving": ", ".join(names[most[k]] for k in moved),
+    }
+    return [Problem(code=ProblemCode.SENSORS_PERMUTED, values=values)]
 
 
 def judge_coherence(

@@ -14,7 +14,7 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.trial import TrialData
-from armimp_estimation.verdict import Limits, judge_coherence, judge_locking
+from armimp_estimation.verdict import Limits, judge_coherence, judge_locking, judge_order
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 CONFIG = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
@@ -67,6 +67,29 @@ def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
     (uneven,) = [one for one in result.problems if one.code is ProblemCode.UNEVEN_INERTIA]
     assert uneven.values["value"] == pytest.approx(across[0, 1], rel=0.02)
     assert uneven.values["other"] == pytest.approx(across[1, 0], rel=0.02)
+
+
+def test_angles_and_torques_in_another_order_than_perturbations_are_refused() -> None:
+    loop = dataclasses.replace(LOOP, lock_stiffness=3000.0)
+    swapped = [
+        TrialData.from_record(
+            dataclasses.replace(
+                trial.record, position=trial.record.position[::-1], torque=trial.record.torque[::-1]
+            ),
+            CONFIG.welch,
+        )
+        for trial in trials(loop)
+    ]
+    result = identify(swapped, ("welch_full",), config=CONFIG)
+    (permuted,) = [one for one in result.problems if one.code is ProblemCode.SENSORS_PERMUTED]
+    assert permuted.values == {"perturbed": "joint_1, joint_2", "moving": "joint_2, joint_1"}
+    assert not result.impedance_valid
+
+
+def test_one_joint_that_moves_more_than_the_perturbed_one_is_in_no_wrong_order() -> None:
+    assert not judge_order(("a", "b"), np.array([[1.0, 0.1], [4.0, 1.0]]))
+    assert not judge_order(("a", "b"), np.array([[1.0, 1.1], [4.0, 1.0]]))
+    assert judge_order(("a", "b"), np.array([[1.0, 4.0], [4.0, 1.0]]))
 
 
 def test_when_locking_fails_expect_it_in_the_verdict_though_derived_coherence_is_high() -> None:
