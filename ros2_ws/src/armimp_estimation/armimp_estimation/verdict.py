@@ -1,6 +1,7 @@
 """Judgement of an identification, from what a rig can measure (never from the truth).
 
-Noise is no problem: intervals tell of it. What would make a number wrong is.
+Noise is no problem: intervals tell of it. What would make a number wrong is. `Summary.verdict_on`
+says valid where no problem is left.
 """
 
 from collections.abc import Sequence
@@ -117,10 +118,10 @@ def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
     """
     if np.isnan(lock_ratio).any():
         return []
-    most = np.argmax(lock_ratio, axis=0)
-    moved = np.flatnonzero(most != np.arange(len(names)))
+    most = np.argmax(lock_ratio, axis=0).tolist()
+    moved = [k for k, most_moved in enumerate(most) if most_moved != k]
     clear = (np.max(lock_ratio, axis=0)[moved] > _CLEARLY).all()
-    if not moved.size or not clear or np.unique(most).size < len(names):
+    if not moved or not clear or len(set(most)) < len(names):
         return []
     values: dict[str, float | int | str] = {
         "perturbed": ", ".join(names[k] for k in moved),

@@ -1,4 +1,4 @@
-"""LuGre joint friction."""
+"""LuGre joint friction: its parameters; `armimp_sim.dynamics` integrates it."""
 
 from __future__ import annotations
 
