@@ -23,6 +23,7 @@ from armimp_control.perturbation import PerturbationParameters
 from armimp_control.presets import LawName
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters
+from armimp_control.stability import RigDynamics
 from armimp_estimation.metadata import CALIBRATION_KEYS
 from armimp_estimation.parameters import EstimatorParameters, TorqueParameters
 from armimp_sim.parameters import SimulatorParameters
@@ -180,7 +181,8 @@ def _law(config: ExperimentConfig, overrides: Overrides) -> LawName:
     """The preset of the law; with drives or transducers that are known to lag, the patient one."""
     if config.as_in_paper:
         return "paper"
-    lags = any(value for name, value in dotted(overrides).items() if name.startswith("known."))
+    of_rig = {f"known.{name}" for name in RigDynamics.model_fields}
+    lags = any(value for name, value in dotted(overrides).items() if name in of_rig)
     return "patient" if lags and config.internal_model == "observer" else config.internal_model
 
 

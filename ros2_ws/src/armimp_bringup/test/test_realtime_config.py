@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig, Overrides, load_config
 from armimp_bringup.parameters import node_parameters
@@ -22,6 +23,17 @@ def test_in_real_time_both_nodes_are_told_and_each_gets_a_process() -> None:
 def test_one_process_for_all_can_be_had_in_real_time_too() -> None:
     assert load_config(None, {"mode": "realtime", "processes": "composed"}).processes == "composed"
     assert ExperimentConfig().processes == "composed"
+
+
+@pytest.mark.parametrize(
+    ("known", "gamma"),
+    [({}, 100.0), ({"command_delay": 1}, 60.0), ({"arm_frequency": [6.5, 10.7]}, 100.0)],
+)
+def test_a_rig_that_is_known_to_lag_gets_the_slower_law_and_a_known_arm_does_not(
+    known: dict[str, JsonValue], gamma: float
+) -> None:
+    config = ExperimentConfig(imbic_controller={"known": known})
+    assert node_parameters(config, None).controller.law.gamma == gamma
 
 
 def test_parameters_of_single_nodes_prevail() -> None:
