@@ -127,11 +127,10 @@ def test_an_optimal_multisine_goes_the_same_way(run: Run) -> None:
 
 
 @pytest.mark.slow
-def test_a_multisine_on_a_realistic_rig_ends_when_it_has_told_enough(run: Run) -> None:
-    finished = run(perturbation_kind="multisine", rig="realistic", duration=60.0, target_error=0.2)
+def test_a_multisine_on_a_realistic_rig_is_valid(run: Run) -> None:
+    finished = run(perturbation_kind="multisine", rig="realistic", duration=20.0)
 
     assert finished.summary.valid, finished.summary.problems
-    assert [trial.ticks < 60_000 for trial in finished.summary.trials] == [True, True]
 
 
 @pytest.mark.slow
