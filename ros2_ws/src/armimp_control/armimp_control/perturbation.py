@@ -152,26 +152,36 @@ def perturbation(
             f = np.asarray(lines * (_RATE / period), dtype=np.float64)
             limit = limit or prior.rms_angle(f, power)
             cutoff = parameters.disturbance_cutoff
-            # Few lines beat, so where the crest factor is high, there have to be more.
-            for spread in _SPREADS:
-                power = optimal_power(
-                    f,
-                    prior,
-                    torque=peak / _EXPECTED_CREST,
-                    angle=limit,
-                    cutoff=cutoff,
-                    spread=spread,
-                )
-                signal = multisine(lines, power, period, random)
-                if crest_factor(signal) < CREST:
-                    break
-            signal *= peak / np.max(np.abs(signal))
+            signal = _optimal(lines, period, random, prior, peak=peak, angle=limit, cutoff=cutoff)
     if prior is not None and limit:
         f = np.asarray(np.fft.rfftfreq(signal.size, 1.0 / _RATE), dtype=np.float64)
         power = 2.0 * np.abs(np.fft.rfft(signal) / signal.size) ** 2
         signal *= min(1.0, limit / prior.rms_angle(f, power))
     repeated: Array = np.resize(signal, ticks)
     return repeated
+
+
+def _optimal(
+    lines: NDArray[np.intp],
+    period: int,
+    random: np.random.Generator,
+    prior: JointPrior,
+    *,
+    peak: float,
+    angle: float,
+    cutoff: float,
+) -> Array:
+    """One period of a multisine that tells most of the prior, scaled to its peak."""
+    f = np.asarray(lines * (_RATE / period), dtype=np.float64)
+    torque = peak / _EXPECTED_CREST
+    # Few lines beat, so where the crest factor is high, there have to be more.
+    for spread in _SPREADS:
+        power = optimal_power(f, prior, torque=torque, angle=angle, cutoff=cutoff, spread=spread)
+        signal = multisine(lines, power, period, random)
+        if crest_factor(signal) < CREST:
+            break
+    signal *= peak / np.max(np.abs(signal))
+    return signal
 
 
 def multisine_lines(

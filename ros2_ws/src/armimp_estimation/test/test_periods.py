@@ -38,6 +38,21 @@ def lagging_behind(signal: Array, pole: float) -> Array:
     return np.asarray(lfilter([1.0 - pole], [1.0, -pole], signal))
 
 
+def elbow(perturbation: Array, position: Array, torque: Array) -> TrialRecord:
+    """A trial of one joint, sampled at 1 kHz."""
+    return TrialRecord(
+        trial=1,
+        perturbed_joint=0,
+        rate=1000.0,
+        joint_names=("elbow",),
+        perturbation=perturbation[None],
+        position=position[None],
+        torque=torque[None],
+        start_ns=0,
+        seed=None,
+    )
+
+
 def test_periods_and_lines_are_found_in_the_signal_itself() -> None:
     found = Periods.of(multisine(5.3))
     assert found is not None
@@ -133,16 +148,10 @@ def test_a_drift_beside_a_periodic_perturbation_is_found_and_none_where_there_is
     answer = lagging_behind(source, pole)
     random = np.random.default_rng(6)
     t = np.arange(source.size) / 1000.0
-    record = TrialRecord(
-        trial=1,
-        perturbed_joint=0,
-        rate=1000.0,
-        joint_names=("elbow",),
-        perturbation=source[None],
-        position=(0.05 * answer + 1e-4 * random.standard_normal(t.size))[None],
-        torque=(answer + slope * t + 0.02 * random.standard_normal(t.size))[None],
-        start_ns=0,
-        seed=None,
+    record = elbow(
+        source,
+        0.05 * answer + 1e-4 * random.standard_normal(t.size),
+        answer + slope * t + 0.02 * random.standard_normal(t.size),
     )
     drift = drift_of(record)
     assert drift is not None
@@ -170,16 +179,10 @@ def test_arms_that_bend_or_change_show_beside_a_response_that_m_b_and_k_do_not_d
     K = 8.0
     torque = K * (lagging + cubic * angle**3 + stiffening * t * angle)
     random = np.random.default_rng(7)
-    record = TrialRecord(
-        trial=1,
-        perturbed_joint=0,
-        rate=1000.0,
-        joint_names=("elbow",),
-        perturbation=source[None],
-        position=angle[None] + 1e-5 * random.standard_normal((1, t.size)),
-        torque=torque[None] + 0.005 * random.standard_normal((1, t.size)),
-        start_ns=0,
-        seed=None,
+    record = elbow(
+        source,
+        angle + 1e-5 * random.standard_normal(t.size),
+        torque + 0.005 * random.standard_normal(t.size),
     )
     arm = MBK(M=np.array([[0.01]]), B=np.array([[0.01]]), K=np.array([[K]]))
     shown = {
@@ -205,16 +208,10 @@ def test_torque_that_an_arm_does_not_explain_is_sorted_by_its_origin(
     angle *= 0.045 / np.std(angle)
     random = np.random.default_rng(7)
     noise = 0.01 * lagging_behind(random.standard_normal(angle.size), 0.99)
-    record = TrialRecord(
-        trial=1,
-        perturbed_joint=0,
-        rate=1000.0,
-        joint_names=("elbow",),
-        perturbation=source[None],
-        position=angle[None],
-        torque=(8.0 * angle + 0.02 * bend(angle / 0.045) + noise)[None],
-        start_ns=0,
-        seed=None,
+    record = elbow(
+        source,
+        angle,
+        8.0 * angle + 0.02 * bend(angle / 0.045) + noise,
     )
     sorted_out = Distortion.of(
         record, MBK(M=np.zeros((1, 1)), B=np.zeros((1, 1)), K=8.0 * np.eye(1))
