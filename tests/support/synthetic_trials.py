@@ -40,6 +40,8 @@ class SyntheticConfig:
         Samples of the record, which is one period.
     perturbation : float
         Rms of the perturbation torque, N·m.
+    lowest : float
+        Frequency below which the perturbation has none at all, Hz.
     bandwidth : float
         Frequency up to which the perturbation has power, Hz (8th-order fall-off above).
     inertia, viscosity, stiffness : float
@@ -57,6 +59,7 @@ class SyntheticConfig:
     rate: float = 1000.0
     samples: int = 50_000
     perturbation: float = 3.0
+    lowest: float = 0.0
     bandwidth: float = 15.0
     inertia: float = 0.2
     viscosity: float = 2.0
@@ -102,7 +105,7 @@ def synthetic_trial(arm: MBK, joint: int, config: SyntheticConfig, seed: int) ->
     control[:, joint, joint] = config.inertia * s**2 + config.viscosity * s + config.stiffness
 
     force = np.zeros((n, f.size), dtype=np.complex128)
-    shape = 1.0 / np.sqrt(1.0 + (f / config.bandwidth) ** 16)
+    shape = (f >= config.lowest) / np.sqrt(1.0 + (f / config.bandwidth) ** 16)
     force[joint] = _noise(rng, samples, shape, config.perturbation)
     shape = 1.0 / np.sqrt(1.0 + (f / config.voluntary_bandwidth) ** 2)
     voluntary = np.stack([_noise(rng, samples, shape, config.voluntary) for _ in range(n)])

@@ -5,18 +5,21 @@ The perturbation is known exactly, so both are unbiased by any disturbance in th
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
+from armimp_estimation.periods import has_power
 from armimp_estimation.trial import TrialData, TrialSpectra
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 _INCOMPLETE = "trials_incomplete"
+# Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
+_LEAKED = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,6 +132,8 @@ def _covariance(trial: TrialSpectra) -> ComplexArray:
 def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
     """Sort trials by perturbed joint, and check that they make a whole decomposition.
 
+    Where the perturbation of one has no power, the spectra of all are left out.
+
     Raises
     ------
     DataError
@@ -176,4 +181,20 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
                 f"trials {', '.join(map(str, numbers))}",
                 _INCOMPLETE,
             )
+    perturbed = np.all([_perturbed(trial) for trial in trials], axis=0)
+    if perturbed.any() and not perturbed.all():
+        trials = [
+            replace(one, spectra=one.spectra.at(first.spectra.f[perturbed])) for one in trials
+        ]
     return tuple(sorted(trials, key=lambda trial: trial.joint))
+
+
+def _perturbed(trial: TrialData) -> NDArray[np.bool_]:
+    """Where the perturbation of a trial has power, (n_freq,)."""
+    record, f, power = trial.record, trial.spectra.f, trial.spectra.input_power
+    if record.periods is not None:
+        return np.ones(f.size, dtype=np.bool_)
+    signal = record.perturbation[trial.joint]
+    bins = np.rint(f * record.samples / record.rate).astype(np.intp)
+    amplitudes = np.abs(np.fft.rfft(signal - signal.mean())[bins])
+    return has_power(amplitudes) & (power >= _LEAKED * np.max(power))

@@ -209,7 +209,7 @@ def identify(
         of_estimates += verdict.judge_estimate(names, estimate, fit, declared)
         of_estimates += verdict.judge_models(estimate.name, models)
     first = next(iter(results.values()))
-    problems: list[Problem] = []
+    problems = verdict.judge_band(trials[0].spectra.f, spectra[0].f)
     for trial in ordered:
         problems += judge_angles(trial.record) + judge_signals(trial.record)
     problems += verdict.judge_order(names, locks)

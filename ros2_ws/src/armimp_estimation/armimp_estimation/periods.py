@@ -25,6 +25,8 @@ Perturbations that are recorded with six digits are within it.
 """
 _LINE = 1e-3
 """Amplitude relative to the largest from which on a harmonic is a line."""
+_POWERLESS = 1e-4
+"""Amplitude relative to the largest below which what does not repeat itself has no power."""
 FEWEST_LINES = 3
 
 
@@ -115,3 +117,8 @@ def common_periods(found: Iterable[Periods | None]) -> list[Periods] | None:
         for one in all_of_them
     )
     return all_of_them if same and all_of_them else None
+
+
+def has_power(amplitudes: FloatArray) -> NDArray[np.bool_]:
+    """Where a signal has power, from the amplitudes of its spectrum, (n_freq,)."""
+    return np.asarray(amplitudes > _POWERLESS * np.max(amplitudes))

@@ -105,6 +105,7 @@ class ProblemCode(str, Enum):
     GAIN_DRIFTS = "gain_drifts"
     FRICTION_LEFT = "friction_left"
     CHANGES_OVER_TIME = "changes_over_time"
+    BAND_NARROWED = "band_narrowed"
     LOCK_RATIO = "lock_ratio"
     LOCK_BIAS = "lock_bias"
     NO_RESPONSE = "no_response"

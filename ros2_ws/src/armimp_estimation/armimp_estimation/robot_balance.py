@@ -28,7 +28,11 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.local_polynomial import LocalResponse, local_response
+from armimp_estimation.estimators.local_polynomial import (
+    LocalResponse,
+    at_common_frequencies,
+    local_response,
+)
 from armimp_estimation.estimators.lpm import LpmConfig, unresolved
 from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import (
@@ -494,4 +498,5 @@ def _responses(records: Sequence[TrialRecord]) -> list[LocalResponse]:
         )
         f = response.f
         found.append((record.perturbed_joint, response))
-    return [response for _, response in sorted(found, key=lambda pair: pair[0])]
+    ordered = sorted(found, key=lambda pair: pair[0])
+    return at_common_frequencies([response for _, response in ordered])

@@ -55,6 +55,10 @@ class TrialSpectra:
         """Channel of the torque of a joint (0-based)."""
         return 1 + self.joints + joint
 
+    def at(self, f: FloatArray) -> "TrialSpectra":
+        """Return those at some of the frequencies, Hz."""
+        return replace(self, spectra=self.spectra.at(f))
+
     def corrected(self, reading: TorqueReading) -> "TrialSpectra":
         """Spectra as if torques had been read without delay and filter; coherences stay."""
         if reading.prompt:

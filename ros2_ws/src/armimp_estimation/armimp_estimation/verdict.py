@@ -130,6 +130,26 @@ def judge_order(names: Sequence[str], lock_ratio: FloatArray) -> list[Problem]:
     return [Problem(code=ProblemCode.SENSORS_PERMUTED, values=values)]
 
 
+def judge_band(f: FloatArray, perturbed: FloatArray) -> list[Problem]:
+    """Say on which band an estimate rests if the perturbation has no power in a part of it.
+
+    Parameters
+    ----------
+    f : ndarray, shape (n_freq,)
+        Frequencies of the whole band, Hz.
+    perturbed : ndarray, shape (m,)
+        Those of them at which all joints were perturbed.
+    """
+    if perturbed.size == f.size:
+        return []
+    values: dict[str, float | int | str] = {
+        "low": float(perturbed[0]),
+        "high": float(perturbed[-1]),
+        "percent": 100.0 * perturbed.size / f.size,
+    }
+    return [Problem(code=ProblemCode.BAND_NARROWED, severity=Severity.NOTE, values=values)]
+
+
 def judge_coherence(
     names: Sequence[str], motion: FloatArray, torque: FloatArray, level: float
 ) -> list[Problem]:

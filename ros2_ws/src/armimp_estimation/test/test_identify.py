@@ -59,6 +59,22 @@ def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the
     assert (fit.K_se > 0.1 * np.abs(fit.mbk.K)).all()
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.5, 5.0), (2.0, 30.0), (5.0, 15.0)])
+def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_tells(
+    low: float, high: float
+) -> None:
+    loop = dataclasses.replace(LOOP, lowest=low, bandwidth=high)
+    result = identify(trials(loop), ("lpm_full", "welch_full"), TWO_JOINT_ARM, CONFIG)
+    assert result.valid
+    (note,) = [one for one in result.problems if one.code is ProblemCode.BAND_NARROWED]
+    assert note.values["low"] == pytest.approx(low, abs=0.4)
+    assert result.estimators["lpm_full"].estimate.f[0] == pytest.approx(low, abs=0.1)
+    for one in result.estimators.values():
+        for letter in "MBK":
+            error = np.abs(getattr(one.fit.mbk, letter) - getattr(TWO_JOINT_ARM, letter))
+            assert (error < 3.5 * getattr(one.fit, f"{letter}_se")).all()
+
+
 def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
     across = TWO_JOINT_ARM.M * [[1.0, 1.5], [1.0, 1.0]]
     arm = dataclasses.replace(TWO_JOINT_ARM, M=across)

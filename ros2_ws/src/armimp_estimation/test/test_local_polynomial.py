@@ -174,15 +174,15 @@ def test_between_two_bins_polynomials_are_evaluated_in_between() -> None:
     np.testing.assert_allclose(asked.response[0], expected, rtol=1e-7)
 
 
-def test_when_the_input_is_still_expect_the_frequency_in_the_error() -> None:
-    with pytest.raises(DataError, match=r"no perturbation at 0\.1221 Hz"):
+def test_when_the_input_is_still_expect_the_band_in_the_error() -> None:
+    with pytest.raises(DataError, match=r"no perturbation between 0\.122 and 15 Hz"):
         estimate(np.zeros(SAMPLES), white(1))
 
 
 def test_when_the_input_has_a_few_lines_only_expect_data_error() -> None:
     time = np.arange(SAMPLES) / SAMPLES
     lines = np.sum([np.cos(2.0 * np.pi * k * time) for k in range(5, 800, 10)], axis=0)
-    with pytest.raises(DataError, match="too few spectral lines around"):
+    with pytest.raises(DataError, match="too few spectral lines between"):
         estimate(lines, white(1))
 
 

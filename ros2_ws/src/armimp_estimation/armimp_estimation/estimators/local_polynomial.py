@@ -10,13 +10,15 @@ are taken as polynomials, whose coefficients follow by least squares; the residu
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
-from armimp_estimation.periods import Periods
+from armimp_estimation.periods import Periods, has_power
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -111,6 +113,17 @@ class LocalResponse:
         gain: FloatArray = np.sum(np.abs(self.weights) ** 2, axis=1)
         return gain
 
+    def at(self, kept: NDArray[np.bool_]) -> LocalResponse:
+        """Return the same at some of the frequencies."""
+        return replace(
+            self,
+            f=self.f[kept],
+            response=np.ascontiguousarray(self.response[:, kept]),
+            noise=np.ascontiguousarray(self.noise[:, :, kept]),
+            weights=self.weights[kept],
+            first=self.first[kept],
+        )
+
     def combined_variance(self, coefficients: ComplexArray) -> FloatArray:
         """Variance of ``Σ_c a_c G_c`` over the outputs c, from their joint covariance.
 
@@ -178,7 +191,7 @@ def local_response(
     f: FloatArray | None = None,
     periods: Periods | None = None,
 ) -> LocalResponse:
-    """Estimate the responses of outputs to one input at every bin of a band.
+    """Estimate the responses of outputs to one input at every bin of a band where it has power.
 
     Parameters
     ----------
@@ -200,7 +213,7 @@ def local_response(
     Raises
     ------
     DataError
-        If the record is too short, or the input has no power or too few lines around a bin.
+        If the record is too short, or the input has no power or too few lines in the band.
     """
     if periods is not None:
         return _periodic_response(source, outputs, rate, band, config, periods)
@@ -222,10 +235,15 @@ def local_response(
     first = np.clip(bins - config.half_width, 1, highest - window + 1)
     places = first[:, None] + np.arange(window)
 
-    inputs = _transform(source)[places]
+    transformed = _transform(source)
+    amplitudes = np.abs(transformed[bins])
+    largest = float(np.max(amplitudes))
+    if not largest > 0.0:
+        raise DataError(f"no perturbation between {band[0]:.4g} and {band[1]:.4g} Hz")
+    perturbed = has_power(amplitudes)
+    inputs = transformed[places]
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2, axis=1))
-    if not (scale > 0.0).all():
-        raise DataError(f"no perturbation at {f[~(scale > 0.0)][0]:.4g} Hz")
+    scale[~perturbed] = largest
     observed = np.moveaxis(_transform(outputs)[:, places], 0, 2)
     found = LocalResponse(
         f=f,
@@ -246,8 +264,8 @@ def local_response(
         diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
         poor = np.min(diagonal, axis=1) < _DEGENERATE * np.max(diagonal, axis=1)
         if poor.any():
-            at = f[rows][poor][0]
-            raise DataError(f"perturbation has too few spectral lines around {at:.4g} Hz")
+            perturbed[np.flatnonzero(rows)[poor]] = False
+            triangle[poor] = np.eye(triangle.shape[1])
         adjoint = np.conj(np.swapaxes(basis, 1, 2))
         to_response = np.linalg.inv(triangle)[:, :1, :]
         weights = (to_response @ adjoint)[:, 0, :] / scale[rows, None]
@@ -257,7 +275,19 @@ def local_response(
         found.weights[rows] = weights
         found.response[:, rows] = (weights[:, None, :] @ of_outputs)[:, 0, :].T
         found.noise[:, :, rows] = np.moveaxis(noise, 0, 2)
-    return found
+    if not perturbed.any():
+        raise DataError(
+            f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
+        )
+    return found if perturbed.all() else found.at(perturbed)
+
+
+def at_common_frequencies(columns: Sequence[LocalResponse]) -> list[LocalResponse]:
+    """Responses of all trials where each of them has power; lines are common to all anyway."""
+    if any(one.line_power is not None for one in columns):
+        return list(columns)
+    f: FloatArray = reduce(np.intersect1d, (one.f for one in columns))
+    return [one if one.f.size == f.size else one.at(np.isin(one.f, f)) for one in columns]
 
 
 def _periodic_response(

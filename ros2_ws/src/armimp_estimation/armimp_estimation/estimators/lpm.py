@@ -12,6 +12,7 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import (
     LocalPolynomialConfig,
     LocalResponse,
+    at_common_frequencies,
     bins_in_band,
     local_response,
 )
@@ -378,7 +379,7 @@ class LpmFull:
                 record.periods if periodic else None,
             )
             columns.append(column)
-        return columns
+        return at_common_frequencies(columns)
 
 
 def _line_power(columns: Sequence[LocalResponse]) -> FloatArray | None:
