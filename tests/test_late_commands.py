@@ -26,7 +26,8 @@ DEFAULT: Mapping[str, JsonValue] = {}
 BORNE: Mapping[int, Mapping[str, JsonValue]] = {
     0: DEFAULT,
     1: DEFAULT,
-    2: {"law.gamma": 50.0, "target.lock_frequency": 50.0},
+    2: DEFAULT,
+    3: {"law.gamma": 30.0, "target.lock_frequency": 30.0},
 }
 """Settings by periods of delay."""
 LONGEST = 3
@@ -50,7 +51,7 @@ def test_with_the_settings_of_the_documents_late_commands_cost_no_accuracy(delay
     loop.assert_accurate()
 
 
-@pytest.mark.parametrize("delay", [2, 3])
+@pytest.mark.parametrize("delay", [3, 4])
 def test_commands_that_are_too_late_for_the_default_settings_are_refused(delay: int) -> None:
     with pytest.raises(ConfigurationError, match=f"grows by .* act {delay} periods late"):
         told(delay, DEFAULT)
