@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import butter, sosfilt
 
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_bringup.terminal import display
@@ -168,6 +169,17 @@ def _sampled(at: Callable[[FloatArray], FloatArray]) -> Change:
     return resample
 
 
+def _smoothed(cutoff: float) -> Change:
+    """Readings behind a Butterworth low-pass of order 2, Hz."""
+    low_pass = butter(2, cutoff, fs=1000.0, output="sos")
+
+    def smooth(values: FloatArray) -> FloatArray:
+        rest = values[:, :1]
+        return np.asarray(rest + sosfilt(low_pass, values - rest))
+
+    return smooth
+
+
 def _unsteady(share: float) -> Change:
     """Instants of the readings that jitter, by a share of a period."""
     return _sampled(lambda k: k + share * np.random.default_rng(9).standard_normal(k.size))
@@ -255,6 +267,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         # A law that knows nothing of the filter bears 3 ms with soft locks alone.
         lag = {"angle_low_pass": low * MILLI, "lock": min(150.0, 0.12 / (low * MILLI))}
         add(MUST, "angle low-pass", (f"{low:g} ms", lag))
+    for cutoff in (20.0, 30.0, 100.0):
+        maximally_flat = {"voluntary": 0.3, "readings": changed(torque=_smoothed(cutoff))}
+        add(MUST, "torque low-pass of order 2, voluntary", (f"{cutoff:g} Hz", maximally_flat))
     for late in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.0):
         add(RIGHT, "command late", (f"{late:g} ms", {"command_delay": late * MILLI, "lock": 50.0}))
     add(NOISE, "no commands", ("", {"readings": _without_commands}))

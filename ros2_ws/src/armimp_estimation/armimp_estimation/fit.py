@@ -186,6 +186,10 @@ _REFLEX, _REFLEX_DELAY, _MUSCLE, _SHOWN = 0.5, 0.04, 30.0, 0.2
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997); and the share of that
 gain that the lack of fit shows."""
 _ITERATIONS = 3
+_ORDERS = (2, 3, 4, 5)
+_SINGULAR = 1e-10
+_ORDERS = (2, 3, 4, 5)
+_SINGULAR = 1e-10
 _ROUNDING = 1e-9
 _EXACT = 1e-3
 """Relative error that any estimate has without noise."""
@@ -584,6 +588,47 @@ class _Elements:
         scatter = float(np.sum(precision * (values - mean) ** 2)) / max(values.size - 1, 1)
         return mean, math.sqrt(max(1.0, scatter) / float(np.sum(precision)))
 
+    def common_coefficients(
+        self, terms: ComplexArray, expected: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """What is known of terms that all elements have in common beside M, B and K.
+
+        Parameters
+        ----------
+        terms : ndarray, shape (p, elements, n_freq)
+            Each of the size of its standard error before the data.
+        expected : ndarray, shape (p,)
+            Their coefficients before the data.
+
+        Returns
+        -------
+        coefficients : ndarray, shape (p,)
+            After the data.
+        covariance : ndarray, shape (p, p)
+            Of them. It covers the scatter over the elements.
+        """
+        rows = []
+        for row in range(len(self.Z)):
+            term, of_mbk = terms[:, row], self.coefficients(row)
+            left = term - np.stack([_of_mbk(_apply(of_mbk, one), self.omega) for one in term])
+            scale = np.sum(self.weights(row) * np.abs(left) ** 2, axis=1, keepdims=True) ** -0.5
+            functionals = np.where(np.isfinite(scale), scale, 0.0) * self.weights(row) * left
+            errors = covariance_of_sums(functionals * np.sqrt(self.noise[row]), self.correlation)
+            for one in self.systematics:
+                common = (np.conj(functionals) @ one[row]).real
+                errors = errors + np.outer(common, common)
+            design = (np.conj(functionals) @ term.T).real
+            information = np.linalg.pinv(errors, rcond=_SINGULAR, hermitian=True)
+            rows.append((design, information, (np.conj(functionals) @ self.Z[row]).real))
+        normal = sum(design.T @ information @ design for design, information, _ in rows)
+        mixed = sum(design.T @ information @ found for design, information, found in rows)
+        found = np.linalg.solve(np.eye(len(terms)) + normal, expected + mixed)
+        left_over = [(one @ found - told, information) for one, information, told in rows]
+        ratio = sum(float(one @ information @ one) for one, information in left_over)
+        scatter = max(1.0, ratio / (len(terms) * max(len(rows) - 1, 1)))
+        covariance = np.linalg.inv(np.eye(len(terms)) + normal / scatter)
+        return covariance @ (expected + mixed / scatter), covariance
+
     def functional_error(self, row: int, functional: ComplexArray) -> float:
         """Standard error of ``Re Σ_f conj(b_f) Z_f``."""
         parts = np.stack((functional.real, functional.imag))
@@ -658,31 +703,40 @@ def _with_delay(
     assumed = max(uncertainty, unknown) if refuted else uncertainty
     if not fits:
         # Another arm than M, B and K: what looks like a delay may be its own.
-        delay, error = 0.0, assumed
+        delay = 0.0
     else:
-        share = assumed**2 / (assumed**2 + told_error**2) if assumed > 0.0 else 0.0
-        delay, error = share * total, math.sqrt(share) * told_error if share > 0.0 else 0.0
-    known = CommonDelay(
-        delay=delay, error=error, told=total, told_error=told_error, refuted=refuted
-    )
+        delay = total * assumed**2 / (assumed**2 + told_error**2) if assumed > 0.0 else 0.0
     values = fitted if fits else plain
     turning = 2j * np.pi * problem.f
     steady = np.stack([_of_mbk(np.array([0.0, v[1], v[2]]), problem.omega) for v in values.T])
     inertial = np.stack([_of_mbk(np.array([v[0], 0.0, 0.0]), problem.omega) for v in values.T])
-    corrected = problem.Z * np.exp(turning * delay)
+    turned = problem.Z * np.exp(turning * delay)
     doubt = 0.5 * delay * turning * steady
     # That part is late by what nobody told, whatever the data say of the other.
     untold = assumed * turning * steady
-    # A low-pass that delays as much takes (ωd)²/2 off what moves that fast.
-    faded = 0.5 * (np.abs(turning) * delay) ** 2 * inertial
-    systematics = (
-        *problem.systematics,
-        error * turning * corrected,
-        doubt,
-        untold,
-        faded,
+    # A low-pass of first order is exp(-sd + (sd)²/2 - (sd)³/3 ...), others have less of each.
+    filtered = [(delay * turning) ** order / order * inertial for order in _ORDERS if delay]
+    terms = np.stack([assumed * turning * turned, *filtered])
+    trial = replace(problem, Z=turned - doubt, systematics=(*problem.systematics, doubt, untold))
+    expected = np.zeros(len(terms))
+    if fits and assumed > 0.0:
+        expected[0] = 0.0 if refuted else delay / assumed
+        found, covariance = trial.common_coefficients(terms, expected)
+    else:
+        found, covariance = expected, np.eye(len(terms))
+    known = CommonDelay(
+        delay=delay - assumed * found[0],
+        error=assumed * math.sqrt(covariance[0, 0]),
+        told=total,
+        told_error=told_error,
+        refuted=refuted,
     )
-    return replace(problem, Z=corrected - doubt, systematics=systematics), known
+    errors = np.tensordot(np.linalg.cholesky(covariance).T, terms, axes=1)
+    return replace(
+        trial,
+        Z=trial.Z - np.tensordot(found, terms, axes=1),
+        systematics=(*trial.systematics, *errors),
+    ), known
 
 
 def _delay_of(problem: _Elements) -> tuple[float, float]:

@@ -192,6 +192,7 @@ def identify(
         scores.require_motion(trial.record)
     locks = scores.lock_ratio(spectra, frf)
     bounds = scores.bias_bound(frf)
+    reading = options.lpm.reading
     results: dict[str, EstimatorResult] = {}
     of_estimates: list[Problem] = []
     for worker in workers:
@@ -205,8 +206,7 @@ def identify(
             coherence=scores.Coherences.of(spectra, estimate),
             models=models,
         )
-        declared = options.lpm.reading.sentence
-        of_estimates += verdict.judge_estimate(names, estimate, fit, declared)
+        of_estimates += verdict.judge_estimate(names, estimate, fit, reading)
         of_estimates += verdict.judge_models(estimate.name, models)
     first = next(iter(results.values()))
     problems = verdict.judge_band(trials[0].spectra.f, spectra[0].f)
@@ -226,7 +226,6 @@ def identify(
             Problem(code=ProblemCode.CALIBRATION_ASSUMED, severity=Severity.NOTE, values=assumed)
         )
     best = next((r for r in results.values() if r.estimate.unbiased), None)
-    reading = options.lpm.reading
     records = [trial.record for trial in ordered]
     known = results.get("lpm_full")
     hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold

@@ -16,6 +16,7 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.plausibility import judge_matrices
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity
+from armimp_estimation.torque_timing import TorqueReading
 
 FloatArray = NDArray[np.float64]
 
@@ -182,7 +183,7 @@ def judge_coherence(
 
 
 def judge_estimate(
-    names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, declared: str
+    names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, reading: TorqueReading
 ) -> list[Problem]:
     """Problems with one estimate and its fit.
 
@@ -194,8 +195,8 @@ def judge_estimate(
         The impedance.
     fit : MBKFit
         M, B and K.
-    declared : str
-        When torques were read, as far as that was told, in words.
+    reading : TorqueReading
+        When torques were read, as far as that was told.
     """
     problems = judge_matrices(estimate.name, names, fit)
     if not estimate.unbiased:
@@ -221,8 +222,8 @@ def judge_estimate(
             "error_ms": 1e3 * delay.error,
         }
         code = ProblemCode.DELAY_CORRECTED
-        if delay.refuted:
-            code, values = ProblemCode.TIMING_REFUTED, {**values, "declared": declared}
+        if delay.refuted and reading != TorqueReading():
+            code, values = ProblemCode.TIMING_REFUTED, {**values, "declared": reading.sentence}
         problems.append(
             Problem(code=code, severity=Severity.NOTE, estimator=estimate.name, values=values)
         )

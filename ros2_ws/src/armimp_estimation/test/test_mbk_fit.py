@@ -1,8 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.signal import butter, freqs
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -122,6 +125,25 @@ def test_when_all_variances_are_zero_expect_a_fit_and_no_error() -> None:
     )
     np.testing.assert_allclose(fit.mbk.B, TWO_JOINT_ARM.B, rtol=1e-9)
     np.testing.assert_array_equal(errors(fit), 0.0)
+
+
+@pytest.mark.parametrize(("order", "cutoff"), [(2, 50.0), (3, 40.0)])
+def test_an_unknown_low_pass_of_the_torques_is_put_right_where_noise_hides_low_frequencies(
+    order: int, cutoff: float
+) -> None:
+    b, a = butter(order, 2.0 * np.pi * cutoff, analog=True)
+    low_pass = freqs(b, a, 2.0 * np.pi * F)[1]
+    rng = np.random.default_rng(3)
+    deviation = np.where(F < 2.0, 10.0, 1.0) * np.ones((2, 2, 1))
+    noise = rng.standard_normal(deviation.shape) + 1j * rng.standard_normal(deviation.shape)
+    Z = TWO_JOINT_ARM.impedance(F) * low_pass + np.sqrt(0.5) * deviation * noise
+    late = replace(
+        estimate_of(Z, deviation**2), delay_uncertainty=5e-4, delay_unknown=5e-4, weight_floor=0.005
+    )
+    fit = fit_mbk(late)
+    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
+    assert (np.abs(stacked(fit) - truth) < 3.0 * errors(fit)).all()
+    assert (errors(fit) < 0.25 * truth).all()
 
 
 def test_r_squared_is_one_for_a_perfect_fit_and_zero_for_the_mean() -> None:
