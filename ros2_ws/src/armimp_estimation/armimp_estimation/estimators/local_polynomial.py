@@ -10,7 +10,7 @@ are taken as polynomials, whose coefficients follow by least squares; the residu
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -22,6 +22,7 @@ from armimp_estimation.periods import Periods, has_power
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Mix = Callable[[FloatArray], ComplexArray]
 
 # Smallest ratio of the parts of the regressors that are independent of each other.
 _DEGENERATE = 1e-9
@@ -190,6 +191,7 @@ def local_response(
     config: LocalPolynomialConfig,
     f: FloatArray | None = None,
     periods: Periods | None = None,
+    mix: Mix | None = None,
 ) -> LocalResponse:
     """Estimate the responses of outputs to one input at every bin of a band where it has power.
 
@@ -209,6 +211,8 @@ def local_response(
         Frequencies, Hz, in place of the bins of the band; they need not be bins of the record.
     periods : Periods, optional
         Those of an input that is periodic; then it is estimated at all its lines in the band.
+    mix : callable, optional
+        Combinations of the outputs to take in their place, (m, C, n) at frequencies (n,), Hz.
 
     Raises
     ------
@@ -216,7 +220,7 @@ def local_response(
         If the record is too short, or the input has no power or too few lines in the band.
     """
     if periods is not None:
-        return _periodic_response(source, outputs, rate, band, config, periods)
+        return _periodic_response(source, outputs, rate, band, config, periods, mix)
     samples, window = source.size, config.window
     bins = bins_in_band(samples, rate, *band)
     centres: FloatArray | NDArray[np.intp] = bins
@@ -244,11 +248,12 @@ def local_response(
     inputs = transformed[places]
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2, axis=1))
     scale[~perturbed] = largest
-    observed = np.moveaxis(_transform(outputs)[:, places], 0, 2)
+    observed = _observed(outputs, rate, places, mix)
+    channels = observed.shape[2]
     found = LocalResponse(
         f=f,
-        response=np.empty((len(outputs), f.size), dtype=np.complex128),
-        noise=np.empty((len(outputs), len(outputs), f.size), dtype=np.complex128),
+        response=np.empty((channels, f.size), dtype=np.complex128),
+        noise=np.empty((channels, channels, f.size), dtype=np.complex128),
         weights=np.empty(places.shape, dtype=np.complex128),
         first=first,
         freedom=config.freedom,
@@ -297,6 +302,7 @@ def _periodic_response(
     band: tuple[float, float],
     config: LocalPolynomialConfig,
     periods: Periods,
+    mix: Mix | None,
 ) -> LocalResponse:
     """As :func:`local_response`, at the lines of a periodic input.
 
@@ -318,7 +324,7 @@ def _periodic_response(
     leakage = (np.linalg.inv(triangle)[:, :1, :] @ adjoint)[:, 0, :]
     inputs = _transform(source[-used:])[centres]
     weights = (at_line - leakage) / inputs[:, None]
-    observed = np.moveaxis(_transform(outputs[:, -used:])[:, places], 0, 2)
+    observed = _observed(outputs[:, -used:], rate, places, mix)
     residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
     freedom = np.sum(between, axis=1) - (_SMOOTH + 1)
     noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
@@ -331,6 +337,17 @@ def _periodic_response(
         freedom=int(np.min(freedom)),
         line_power=np.abs(inputs) ** 2,
     )
+
+
+def _observed(
+    outputs: FloatArray, rate: float, places: NDArray[np.intp], mix: Mix | None
+) -> ComplexArray:
+    """Fourier transforms of outputs (C, N), or of what is mixed of them, by window, place, row."""
+    spectra = _transform(outputs)[:, : int(np.max(places)) + 1]
+    if mix is not None:
+        f = np.arange(spectra.shape[1]) * (rate / outputs.shape[1])
+        spectra = np.einsum("mcf,cf->mf", mix(f), spectra)
+    return np.moveaxis(spectra[:, places], 0, 2)
 
 
 def _transform(signal: FloatArray) -> ComplexArray:

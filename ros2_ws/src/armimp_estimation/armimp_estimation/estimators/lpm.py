@@ -12,6 +12,7 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import (
     LocalPolynomialConfig,
     LocalResponse,
+    Mix,
     at_common_frequencies,
     bins_in_band,
     local_response,
@@ -20,6 +21,7 @@ from armimp_estimation.estimators.welch import invert, multiply
 from armimp_estimation.fit import FitConfig, fit_column, fit_mbk
 from armimp_estimation.frf import order_trials
 from armimp_estimation.hold_correction import HoldCorrection, command_steps, update_jump
+from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import common_periods
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import lost_motion
@@ -175,24 +177,34 @@ class LpmFull:
     def _estimate(self, records: Sequence[TrialRecord]) -> ImpedanceEstimate:
         """As :meth:`estimate`, from one record for each joint, in their order."""
         jump = self.jump(records)
-        columns = self._columns(records, with_steps=jump is not None)
-        f, n = columns[0].f, len(records)
-        stacked = np.stack([column.response for column in columns], axis=1)
-        R = stacked[:n]
-        inverse = invert(R, f)
+        rate, n = records[0].rate, len(records)
+        stacked, f = _stacked(self._columns(records, with_steps=jump is not None))
+        R, torque = stacked[:n], multiply(self._skew(jump, f, rate, n), stacked[n:])
+        uncorrected = self._without_skew(stacked[n : 2 * n], f, rate)
+        near = _arm_near(R, torque, f)
 
-        skew = self._skew(jump, f, records[0].rate, n)
-        torque = multiply(skew, stacked[n:])
-        impedance = multiply(torque, inverse)
-        uncorrected = self._without_skew(stacked[n : 2 * n], f, records[0].rate)
+        def beside(at: FloatArray) -> ComplexArray:
+            """Angles, and torques less those of the arm that is near."""
+            skew = self._skew(jump, at, rate, n)
+            chosen = _angles_and(skew, n)
+            chosen[n:, :n] = -near.impedance(at)
+            return chosen
+
+        columns = self._columns(records, with_steps=jump is not None, mix=beside)
+        stacked, f = _stacked(columns)
+        inverse = invert(stacked[:n], f)
+        close = near.impedance(f)
+        further = multiply(stacked[n:], inverse)
+        impedance = close + further
         reversing = _reversals(records, jump, impedance, f)
         added = multiply(torque - uncorrected, inverse)
         skewed = self._doubts(added, reversing[:, None])
 
-        coefficients = np.concatenate((-impedance, skew), axis=1)
+        eye = np.broadcast_to(np.eye(n)[:, :, None], further.shape)
+        coefficients = np.concatenate((-further, eye), axis=1)
         systematics = (*skewed, *unresolved(records, impedance, inverse))
-        half_period = 0.5 / records[0].rate
-        delay_uncertainty = self._delay_uncertainty(jump, records[0].rate)
+        half_period = 0.5 / rate
+        delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
         if powers is not None:
             systematics += beside_few_lines(powers, impedance, f)
@@ -203,6 +215,8 @@ class LpmFull:
             for i in range(n):
                 disturbance = column.combined_variance(coefficients[i])
                 variance[i] += disturbance * np.abs(inverse[k]) ** 2
+        whole = _angles_and(eye, n)
+        whole[n:, :n] = close
         return ImpedanceEstimate(
             name=self.name,
             f=f,
@@ -210,8 +224,8 @@ class LpmFull:
             variance=variance,
             bin_correlation=_mean([column.bin_correlation() for column in columns]),
             averages=min(column.freedom for column in columns) + 1.0,
-            T=torque,
-            R=R,
+            T=multiply(impedance, stacked[:n]),
+            R=stacked[:n],
             systematics=systematics,
             line_power=powers,
             weight_floor=self._floor(columns[0]),
@@ -220,7 +234,7 @@ class LpmFull:
             delay_unknown=half_period,
             unbiased=True,
             hold=jump,
-            covariance=_covariance(columns, _angles_and(skew, n)),
+            covariance=_covariance(columns, whole),
             disturbance=_covariance(columns, coefficients),
             inverse=inverse,
         )
@@ -357,8 +371,10 @@ class LpmFull:
         reading = self.config.reading.at_rate(rate)
         return torque if reading.prompt else torque / reading.response(f)
 
-    def _columns(self, records: Sequence[TrialRecord], *, with_steps: bool) -> list[LocalResponse]:
-        """Responses of angles, torques and, if wanted, steps of the commands, by trial."""
+    def _columns(
+        self, records: Sequence[TrialRecord], *, with_steps: bool, mix: Mix | None = None
+    ) -> list[LocalResponse]:
+        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them."""
         shortest = min(record.samples for record in records)
         rate = records[0].rate
         periodic = common_periods(record.periods for record in records) is not None
@@ -377,9 +393,32 @@ class LpmFull:
                 self.config.local_for(record.duration, periodic=periodic),
                 f,
                 record.periods if periodic else None,
+                mix,
             )
             columns.append(column)
         return at_common_frequencies(columns)
+
+
+def _stacked(columns: Sequence[LocalResponse]) -> tuple[ComplexArray, FloatArray]:
+    """Responses of all trials side by side, (C, n, n_freq), and their frequencies."""
+    return np.stack([column.response for column in columns], axis=1), columns[0].f
+
+
+def _arm_near(R: ComplexArray, T: ComplexArray, f: FloatArray) -> MBK:
+    """M, B and K of ``T = Z R`` by least squares of relative errors."""
+    s, n = 2j * np.pi * f, len(R)
+    powers = np.stack((s**2, s, np.ones_like(s)))
+    rows = []
+    for torque in T:
+        size = np.maximum(np.abs(torque), np.finfo(np.float64).tiny)
+        design = (powers[:, None, None] * R / size).reshape(3 * n, -1)
+        aim = (torque / size).ravel()
+        parts = np.concatenate((design.real, design.imag), axis=1)
+        scale = np.linalg.norm(parts, axis=1)
+        found = np.linalg.lstsq((parts / scale[:, None]).T, np.r_[aim.real, aim.imag], rcond=None)
+        rows.append((found[0] / scale).reshape(3, n))
+    M, B, K = np.stack(rows, axis=1)
+    return MBK(M=M, B=B, K=K)
 
 
 def _line_power(columns: Sequence[LocalResponse]) -> FloatArray | None:
