@@ -51,6 +51,8 @@ class Limits:
 
 
 _NOTICED = 5.0
+_SUREST = 1e-6
+"""Standard error below which no delay is known, s."""
 SINGLE = "welch_siso"
 """The estimator that takes locked joints as still."""
 _CLEARLY = 2.0
@@ -216,7 +218,7 @@ def judge_estimate(
                 )
             )
     delay = fit.delay
-    if delay is not None and abs(delay.delay) > _NOTICED * delay.error:
+    if delay is not None and abs(delay.delay) > _NOTICED * max(delay.error, _SUREST):
         values: dict[str, float | int | str] = {
             "delay_ms": 1e3 * delay.delay,
             "error_ms": 1e3 * delay.error,

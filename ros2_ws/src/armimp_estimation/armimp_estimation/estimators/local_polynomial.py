@@ -343,11 +343,12 @@ def _observed(
     outputs: FloatArray, rate: float, places: NDArray[np.intp], mix: Mix | None
 ) -> ComplexArray:
     """Fourier transforms of outputs (C, N), or of what is mixed of them, by window, place, row."""
-    spectra = _transform(outputs)[:, : int(np.max(places)) + 1]
+    lowest = int(np.min(places))
+    spectra = _transform(outputs)[:, lowest : int(np.max(places)) + 1]
     if mix is not None:
-        f = np.arange(spectra.shape[1]) * (rate / outputs.shape[1])
+        f = np.arange(lowest, lowest + spectra.shape[1]) * (rate / outputs.shape[1])
         spectra = np.einsum("mcf,cf->mf", mix(f), spectra)
-    return np.moveaxis(spectra[:, places], 0, 2)
+    return np.moveaxis(spectra[:, places - lowest], 0, 2)
 
 
 def _transform(signal: FloatArray) -> ComplexArray:

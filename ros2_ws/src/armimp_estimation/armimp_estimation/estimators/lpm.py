@@ -35,6 +35,8 @@ ComplexArray = NDArray[np.complex128]
 
 # Bins on either side beyond the degree of the polynomials, so that enough of them tell the noise.
 _SPARE_BINS = 3
+# Frequencies at which an arm is taken from the responses that is near to the one which is sought.
+_MOST_NEAR = 64
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
 _HARMONICS = 0.0015
@@ -160,10 +162,12 @@ class LpmFull:
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.
 
-        With ``T + S C`` and ``R`` estimated from one trial, where C is the response of the steps of
-        the command and S what skew makes of them, errors of all of them are correlated, since
-        the noise moves the joints and the torques. So the variance of ``Z = (T + S C) R⁻¹`` is that
-        of ``(δT + S δC - Z δR) R⁻¹``, from the joint covariance of all channels of each trial.
+        What is estimated is not T, but the response E of ``e = τ - Z_0 θ`` with an arm Z_0 of M, B
+        and K that is near: ``Z = Z_0 + E R⁻¹``. Torques τ have the steps of the command added that
+        skew makes them lack. Motion that the perturbation doesn't cause, as by friction, moves T as
+        Z_0 does, bin by bin, so it is not in E; nor is the resonance, which polynomials follow
+        worst. Whatever Z_0 is, the estimate is right, and its variance is that of
+        ``(δE - (Z - Z_0) δR) R⁻¹``, from the joint covariance of all channels of each trial.
 
         Trials may differ in length: all are estimated at the frequencies of the shortest.
 
@@ -178,30 +182,30 @@ class LpmFull:
         """As :meth:`estimate`, from one record for each joint, in their order."""
         jump = self.jump(records)
         rate, n = records[0].rate, len(records)
-        stacked, f = _stacked(self._columns(records, with_steps=jump is not None))
-        R, torque = stacked[:n], multiply(self._skew(jump, f, rate, n), stacked[n:])
-        uncorrected = self._without_skew(stacked[n : 2 * n], f, rate)
-        near = _arm_near(R, torque, f)
+        near = self._arm_near(records, jump)
 
-        def beside(at: FloatArray) -> ComplexArray:
-            """Angles, and torques less those of the arm that is near."""
-            skew = self._skew(jump, at, rate, n)
-            chosen = _angles_and(skew, n)
-            chosen[n:, :n] = -near.impedance(at)
+        def mixed(f: FloatArray) -> ComplexArray:
+            """Angles, torques less those of the arm that is near, and what skew adds to them."""
+            skew = self._skew(jump, f, rate, n)
+            added = skew.copy()
+            added[:, :n] -= self._without_skew(_unit(n, n, f), f, rate)
+            chosen = _angles_and(np.concatenate((skew, added)), n)
+            chosen[n : 2 * n, :n] = -near.impedance(f)
             return chosen
 
-        columns = self._columns(records, with_steps=jump is not None, mix=beside)
-        stacked, f = _stacked(columns)
-        inverse = invert(stacked[:n], f)
-        close = near.impedance(f)
-        further = multiply(stacked[n:], inverse)
-        impedance = close + further
+        columns = self._columns(records, with_steps=jump is not None, mix=mixed)
+        f = columns[0].f
+        stacked = np.stack([column.response for column in columns], axis=1)
+        R = stacked[:n]
+        inverse = invert(R, f)
+        beside, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
+        impedance = near.impedance(f) + beside
         reversing = _reversals(records, jump, impedance, f)
-        added = multiply(torque - uncorrected, inverse)
         skewed = self._doubts(added, reversing[:, None])
 
-        eye = np.broadcast_to(np.eye(n)[:, :, None], further.shape)
-        coefficients = np.concatenate((-further, eye), axis=1)
+        every = _angles_and(_unit(n, 2 * n, f), n)
+        coefficients = every[n:].copy()
+        every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
         systematics = (*skewed, *unresolved(records, impedance, inverse))
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
@@ -215,8 +219,6 @@ class LpmFull:
             for i in range(n):
                 disturbance = column.combined_variance(coefficients[i])
                 variance[i] += disturbance * np.abs(inverse[k]) ** 2
-        whole = _angles_and(eye, n)
-        whole[n:, :n] = close
         return ImpedanceEstimate(
             name=self.name,
             f=f,
@@ -224,8 +226,8 @@ class LpmFull:
             variance=variance,
             bin_correlation=_mean([column.bin_correlation() for column in columns]),
             averages=min(column.freedom for column in columns) + 1.0,
-            T=multiply(impedance, stacked[:n]),
-            R=stacked[:n],
+            T=multiply(impedance, R),
+            R=R,
             systematics=systematics,
             line_power=powers,
             weight_floor=self._floor(columns[0]),
@@ -234,7 +236,7 @@ class LpmFull:
             delay_unknown=half_period,
             unbiased=True,
             hold=jump,
-            covariance=_covariance(columns, whole),
+            covariance=_covariance(columns, every),
             disturbance=_covariance(columns, coefficients),
             inverse=inverse,
         )
@@ -371,15 +373,44 @@ class LpmFull:
         reading = self.config.reading.at_rate(rate)
         return torque if reading.prompt else torque / reading.response(f)
 
+    def _arm_near(self, records: Sequence[TrialRecord], jump: HoldCorrection | None) -> MBK:
+        """M, B and K of ``T = Z R`` by least squares of relative errors, at some frequencies."""
+        columns = self._columns(records, with_steps=jump is not None, most=_MOST_NEAR)
+        n, f = len(records), columns[0].f
+        stacked = np.stack([column.response for column in columns], axis=1)
+        torques = multiply(self._skew(jump, f, records[0].rate, n), stacked[n:])
+        s = 2j * np.pi * f
+        motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * stacked[:n]
+        rows = []
+        for torque in torques:
+            size = np.maximum(np.abs(torque), np.finfo(np.float64).tiny)
+            design, aim = (motion / size).reshape(3 * n, -1), (torque / size).ravel()
+            parts = np.concatenate((design.real, design.imag), axis=1)
+            scale = np.linalg.norm(parts, axis=1)[:, None]
+            aims = np.concatenate((aim.real, aim.imag))
+            rows.append(np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0])
+        M, B, K = np.moveaxis(np.reshape(rows, (n, 3, n)), 1, 0)
+        return MBK(M=M, B=B, K=K)
+
     def _columns(
-        self, records: Sequence[TrialRecord], *, with_steps: bool, mix: Mix | None = None
+        self,
+        records: Sequence[TrialRecord],
+        *,
+        with_steps: bool,
+        mix: Mix | None = None,
+        most: int | None = None,
     ) -> list[LocalResponse]:
-        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them."""
+        """Responses of angles, torques and, if wanted, steps of the commands, or a mix of them.
+
+        Those of noise are at so many frequencies at most, if that is told.
+        """
         shortest = min(record.samples for record in records)
         rate = records[0].rate
         periodic = common_periods(record.periods for record in records) is not None
         bins = bins_in_band(shortest, rate, *self.band).astype(np.float64)
         f = bins * float(rate / shortest)
+        if most is not None:
+            f = f[:: max(f.size // most, 1)]
         columns = []
         for record in records:
             outputs = [record.position, record.torque]
@@ -397,28 +428,6 @@ class LpmFull:
             )
             columns.append(column)
         return at_common_frequencies(columns)
-
-
-def _stacked(columns: Sequence[LocalResponse]) -> tuple[ComplexArray, FloatArray]:
-    """Responses of all trials side by side, (C, n, n_freq), and their frequencies."""
-    return np.stack([column.response for column in columns], axis=1), columns[0].f
-
-
-def _arm_near(R: ComplexArray, T: ComplexArray, f: FloatArray) -> MBK:
-    """M, B and K of ``T = Z R`` by least squares of relative errors."""
-    s, n = 2j * np.pi * f, len(R)
-    powers = np.stack((s**2, s, np.ones_like(s)))
-    rows = []
-    for torque in T:
-        size = np.maximum(np.abs(torque), np.finfo(np.float64).tiny)
-        design = (powers[:, None, None] * R / size).reshape(3 * n, -1)
-        aim = (torque / size).ravel()
-        parts = np.concatenate((design.real, design.imag), axis=1)
-        scale = np.linalg.norm(parts, axis=1)
-        found = np.linalg.lstsq((parts / scale[:, None]).T, np.r_[aim.real, aim.imag], rcond=None)
-        rows.append((found[0] / scale).reshape(3, n))
-    M, B, K = np.stack(rows, axis=1)
-    return MBK(M=M, B=B, K=K)
 
 
 def _line_power(columns: Sequence[LocalResponse]) -> FloatArray | None:
@@ -541,9 +550,15 @@ def _speed(record: TrialRecord, f: FloatArray) -> float:
     return max(speed, float(np.finfo(np.float64).tiny))
 
 
+def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
+    """Coefficients that take the first channels as they are, (rows, channels, n_freq)."""
+    return np.repeat(np.eye(rows, channels, dtype=np.complex128)[:, :, None], f.size, axis=2)
+
+
 def _angles_and(skew: ComplexArray, joints: int) -> ComplexArray:
-    """Coefficients of all channels in angles and corrected torques, shape (2n, C, n_freq)."""
-    chosen = np.zeros((2 * joints, joints + skew.shape[1], skew.shape[2]), dtype=np.complex128)
+    """Coefficients of all channels in angles and combined torques, shape (n + m, C, n_freq)."""
+    rows, channels, frequencies = skew.shape
+    chosen = np.zeros((joints + rows, joints + channels, frequencies), dtype=np.complex128)
     chosen[np.arange(joints), np.arange(joints)] = 1.0
     chosen[joints:, joints:] = skew
     return chosen
