@@ -84,10 +84,10 @@ class Transcription:
         distance = float(self.positions[since + 2][joint]) - rest
         approach = distance * np.exp(-PERIOD * (ticks - since) / 0.02)
         # Amplitude of the target for a joint that follows as a low-pass of 90 rad/s, ζ = 0.8.
-        s = 2j * np.pi * 30.0 * np.sqrt(1.3)
+        s = 2j * np.pi * 30.0 * np.sqrt(1.55)
         amplitude = c.lock_dither * abs(s**2 + 2 * 0.8 * 90.0 * s + 90.0**2) / 90.0**2
         angle = 2.0 * np.pi * 30.0 * PERIOD * ticks
-        return float(rest + approach + amplitude * (np.sin(angle) + np.sin(1.3 * angle)))
+        return float(rest + approach + amplitude * (np.sin(angle) + np.sin(1.55 * angle)))
 
 
 @pytest.mark.parametrize("dither", [0.0, 2e-4])

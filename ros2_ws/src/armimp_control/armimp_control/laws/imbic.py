@@ -80,8 +80,13 @@ from armimp_control.laws.base import (
     check_numbers,
 )
 
-SECOND_TONE = 1.3
-"""Frequency of the second sine of the dither, over that of the first."""
+SECOND_TONE = 1.55
+"""Frequency of the second sine of the dither, over that of the first.
+
+Rounding mixes the two: slow motion of the joint is read beside each ``m f_1 - n f_2``. With 1.3 the
+strongest, ``f_2 - f_1``, is at the end of the band, and the errors of a heavy locked joint hide the
+response of a light one; ratios of small whole numbers make many of them meet.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,7 +176,7 @@ class ImbicConfig:
     lock_approach : time constant with which the target of a joint that gets locked goes to θ_rd, s;
         with 0 it is there at once
     lock_dither : amplitude of each of two sines that a locked joint is to make, rad; 0 for none
-    lock_dither_frequency : lower of their frequencies, Hz; the other is 1.3 times that
+    lock_dither_frequency : lower of their frequencies, Hz; the other is 1.55 times that
     observer : the internal model; None for time-delay estimation
 
     Raises
