@@ -25,7 +25,7 @@ from armimp_control.sequence import Segment, timetable
 from armimp_estimation import scores
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.registry import make_estimator
-from armimp_estimation.fit import MBKFit, fit_mbk
+from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import WelchConfig
@@ -162,7 +162,7 @@ def estimate(
             reading = options.lpm.reading
             data = [TrialData.from_record(one, welch, reading) for one in experiment.records]
             impedance = make_estimator(name, options).estimate(data)
-        fit = fit_mbk(impedance)
+        impedance, fit = fit_impedance(impedance)
         runs[name] = Run(
             estimator=name,
             seed=experiment.config.seed,
