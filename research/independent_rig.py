@@ -82,6 +82,10 @@ class Mismatch:
     reflex_delay: float = 0.04
     short_range: float = 0.0
     """Additional stiffness within 5 mrad of a yielding element, N·m/rad."""
+    relaxing: float = 0.0
+    """Additional stiffness that relaxes, N·m/rad."""
+    relaxation: float = 0.3
+    """Its time constant."""
     cubic: float = 0.0
     """Share by which stiffness falls at 50 mrad."""
     waxing: float = 0.0
@@ -178,6 +182,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
     contraction = np.zeros((n, 2))
     low = np.zeros(n)
     yielding = np.zeros(n)
+    relaxed = np.zeros(n)
     bend = np.zeros(n)
     rubs = np.zeros(n)
     where = states - 2 * n if states > 2 * n else 0
@@ -229,6 +234,8 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 if q - yielding[i] < -0.005:
                     yielding[i] = q + 0.005
                 extra = nonlinear[0] * (q - yielding[i])
+                relaxed[i] += nonlinear[4] * (q - relaxed[i])
+                extra += nonlinear[3] * (q - relaxed[i])
                 extra -= nonlinear[1] * q * min(q * q / 0.0025, 4.0)
                 extra += nonlinear[2] * (k / ticks - 0.5) * q
                 force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
@@ -313,6 +320,8 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 mismatch.short_range,
                 mismatch.cubic * float(K[0, 0]),
                 mismatch.waxing * float(K[0, 0]),
+                mismatch.relaxing,
+                1.0 - np.exp(-step / mismatch.relaxation),
             ]
         ),
         1.0 - np.exp(-step / 0.02),

@@ -470,6 +470,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for arc in (0.08, 0.2):
             noisy: dict[str, Any] = {"reflex": arc, "voluntary": hiding, "tremor": 0.1 * hiding}
             add(MUST, "reflex under voluntary", (f"{arc:g}, {hiding:g} N·m", noisy))
+        for time in (0.05, 0.3):
+            muscle: dict[str, Any] = {"relaxing": 2.0, "relaxation": time, "voluntary": hiding}
+            add(MUST, "relaxation under voluntary", (f"{time:g} s, {hiding:g} N·m", muscle))
     restless: dict[str, Any] = {"voluntary": 1.0, "tremor": 0.1, "duration": 30.0}
     add(NOISE, "voluntary and tremor", ("1 N·m", restless))
     for slow in (0.5, 1.0, 2.0):

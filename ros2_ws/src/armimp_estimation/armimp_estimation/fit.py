@@ -185,6 +185,9 @@ _REFLEX, _REFLEX_DELAY, _MUSCLE, _SHOWN = 0.5, 0.04, 30.0, 0.2
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997); and the share of that
 gain that the lack of fit shows."""
+_RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
+"""Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
+with which time constants, s."""
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10
@@ -455,6 +458,8 @@ class _Elements:
     calibration: tuple[ComplexArray, ...] = ()
     whole: bool = False
     """Whether these are the n² elements of a matrix, row by row."""
+    unbiased: bool = False
+    """Whether nothing but noise hides a spring that relaxes: not so with leakage."""
     line_power: FloatArray | None = None
     """Power of the perturbation behind each element, (elements, n_freq), if it is not chance."""
 
@@ -471,6 +476,7 @@ class _Elements:
             freedom=estimate.averages - 1.0,
             options=options,
             whole=True,
+            unbiased=estimate.unbiased,
             line_power=None
             if estimate.line_power is None
             else np.tile(estimate.line_power, (estimate.joints, 1)),
@@ -515,7 +521,7 @@ class _Elements:
         return values, np.sqrt(squares)
 
     def change_by_more_terms(self) -> FloatArray:
-        """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, soft cuffs and reflexes.
+        """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, cuffs and what hides.
 
         Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off. It is
         the same in all elements, so it counts in those, too, where noise hides it.
@@ -537,31 +543,51 @@ class _Elements:
                 if value > _NOTICED * error:
                     for row, of_mbk in enumerate(self._all_coefficients):
                         squares[:, row] += (value * _apply(of_mbk, yielding[row])) ** 2
-            for row in range(0, n * n, n + 1):
-                squares[:, row] += self._change_by_hidden_reflex(row)
+            hidden = np.zeros_like(squares)
+            for row, term in self.hidden_terms(plain):
+                hidden[:, row] = np.maximum(hidden[:, row], self._change_by_hidden(term, row))
+            squares += hidden
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(plain)
         return np.where(squares > least**2, squares, 0.0)
 
-    def _change_by_hidden_reflex(self, row: int) -> FloatArray:
-        """Squared change of M, B, K, (3,), by a reflex of the joint that the noise may hide.
+    def hidden_terms(self, values: FloatArray) -> list[tuple[int, ComplexArray]]:
+        """Reflexes and springs that relax, which joints may have beside M, B and K, (3, elements).
 
-        Before the trial, its velocity gain may be anything of the size ``p = _REFLEX B``. After
-        data that tell it as g with the standard error e, its mean square is ``m² + v``, with
-        ``v = p² e²/(p² + e²)`` and ``m = g v/e²``. Where e is small, the lack of fit shows a
-        reflex, and this counts by ``e²/(_SHOWN p)²`` only.
+        Returns
+        -------
+        list of (int, ndarray)
+            Row of each and what it adds there, (n_freq,), if it is of the size that is assumed.
         """
-        s = 1j * self.omega
+        s, joints = 1j * self.omega, math.isqrt(len(self.Z))
+        if not self.whole or joints > _MOST_CUFFS:
+            return []
         arc = s * np.exp(-s * _REFLEX_DELAY) / (1.0 + s / _MUSCLE) ** 2
-        told, error = self.coefficient_of(arc, row)
-        coefficients = self.coefficients(row)
-        prior = (_REFLEX * float(_apply(coefficients, self.Z[row])[1])) ** 2
-        if not (prior > 0.0 and 0.0 < error < math.inf):
+        springs = [s * time / (1.0 + s * time) for time in _RELAXATIONS if self.unbiased]
+        return [
+            (row, term)
+            for row in range(0, len(self.Z), joints + 1)
+            for term in (
+                _REFLEX * values[1, row] * arc,
+                *(_RELAXED * values[2, row] * one for one in springs),
+            )
+        ]
+
+    def _change_by_hidden(self, term: ComplexArray, row: int) -> FloatArray:
+        """Squared change of M, B and K, (3,), by a term that the noise may hide.
+
+        Before the trial, its coefficient is 0 ± 1. After data that tell it as g with the standard
+        error e, its mean square is ``m² + v``, with ``v = e²/(1 + e²)`` and ``m = g v/e²``. Where e
+        is small, the lack of fit shows such a term, and it counts by ``e²/_SHOWN²`` only.
+        """
+        told, error = self.coefficient_of(term, row)
+        if not 0.0 < error < math.inf:
             return np.zeros(3)
-        left = prior * error**2 / (prior + error**2)
-        hidden = min(error**2 / (_SHOWN**2 * prior), 1.0)
-        square = hidden * ((told * left / error**2) ** 2 + left)
-        return np.asarray(square * _apply(coefficients, arc) ** 2)
+        left = error**2 / (1.0 + error**2)
+        hidden = min(error**2 / _SHOWN**2, 1.0)
+        # No reflex and no spring is negative.
+        square = hidden * ((max(told, 0.0) * left / error**2) ** 2 + left)
+        return np.asarray(square * _apply(self.coefficients(row), term) ** 2)
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
         """Coefficient of a term (n_freq,) beside M, B and K of an element, and its error."""
@@ -611,8 +637,8 @@ class _Elements:
         for row in range(len(self.Z)):
             term, of_mbk = terms[:, row], self.coefficients(row)
             left = term - np.stack([_of_mbk(_apply(of_mbk, one), self.omega) for one in term])
-            scale = np.sum(self.weights(row) * np.abs(left) ** 2, axis=1, keepdims=True) ** -0.5
-            functionals = np.where(np.isfinite(scale), scale, 0.0) * self.weights(row) * left
+            size = np.sum(self.weights(row) * np.abs(left) ** 2, axis=1, keepdims=True)
+            functionals = self.weights(row) * left / np.sqrt(size + np.finfo(np.float64).tiny)
             errors = covariance_of_sums(functionals * np.sqrt(self.noise[row]), self.correlation)
             for one in self.systematics:
                 common = (np.conj(functionals) @ one[row]).real
@@ -718,12 +744,20 @@ def _with_delay(
     filtered = [(delay * turning) ** order / order * inertial for order in _ORDERS if delay]
     terms = np.stack([assumed * turning * turned, *filtered])
     trial = replace(problem, Z=turned - doubt, systematics=(*problem.systematics, doubt, untold))
-    expected = np.zeros(len(terms))
+    found, covariance = np.zeros(len(terms)), np.eye(len(terms))
     if fits and assumed > 0.0:
+        hidden = problem.hidden_terms(values)
+        alike = np.zeros((len(hidden), *turned.shape), dtype=np.complex128)
+        for place, (row, one) in enumerate(hidden):
+            alike[place, row] = one
+        expected = np.zeros(len(terms) + len(alike))
         expected[0] = 0.0 if refuted else delay / assumed
-        found, covariance = trial.common_coefficients(terms, expected)
-    else:
-        found, covariance = expected, np.eye(len(terms))
+        found, _ = trial.common_coefficients(terms, expected[: len(terms)])
+        # A reflex or a spring that relaxes may look like delay: it takes no part in the estimate,
+        # as most arms have little of it, but in the errors.
+        beside, covariance = trial.common_coefficients(np.concatenate((terms, alike)), expected)
+        change = beside[: len(terms)] - found
+        covariance = covariance[: len(terms), : len(terms)] + np.outer(change, change)
     known = CommonDelay(
         delay=delay - assumed * found[0],
         error=assumed * math.sqrt(covariance[0, 0]),

@@ -143,7 +143,26 @@ def test_an_unknown_low_pass_of_the_torques_is_put_right_where_noise_hides_low_f
     fit = fit_mbk(late)
     truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
     assert (np.abs(stacked(fit) - truth) < 3.0 * errors(fit)).all()
-    assert (errors(fit) < 0.25 * truth).all()
+    assert (errors(fit) < 0.4 * truth).all()
+
+
+def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_of_K() -> None:
+    s = 2j * np.pi * F
+    spring = np.diag([3.0, 3.0])[:, :, None] * s * 0.3 / (1.0 + s * 0.3)
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal((2, 2, F.size)) + 1j * rng.standard_normal((2, 2, F.size))
+
+    def fit_of(relaxing: ComplexArray | float, low: float) -> MBKFit:
+        deviation = np.where(F < 2.0, low, 0.2) * np.ones((2, 2, 1))
+        Z = TWO_JOINT_ARM.impedance(F) + relaxing + np.sqrt(0.5) * deviation * noise
+        return fit_mbk(replace(estimate_of(Z, deviation**2), unbiased=True))
+
+    hidden = fit_of(spring, low=10.0)
+    assert (np.abs(hidden.mbk.K - TWO_JOINT_ARM.K) < 2.0 * hidden.K_se).all()
+    seen = fit_of(spring, low=0.2)
+    assert (seen.lack > seen.lack_limit).any()
+    without = fit_of(0.0, low=0.2)
+    assert (np.diag(without.K_se / TWO_JOINT_ARM.K) < 0.03).all()
 
 
 def test_r_squared_is_one_for_a_perfect_fit_and_zero_for_the_mean() -> None:
