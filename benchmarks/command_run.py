@@ -21,18 +21,14 @@ COMMAND = "armimp_bringup.cli"
 
 @dataclass(frozen=True, kw_only=True)
 class CommandRun:
-    """A run that has ended.
-
-    Attributes
-    ----------
-    took : from the start of the process to its end, s
-    summary : what it found
-    peaks : largest resident size of each of its processes, by module, bytes
-    """
+    """A run that has ended."""
 
     took: float
+    """From the start of the process to its end, s."""
     summary: Summary
+    """What it found."""
     peaks: Mapping[str, int]
+    """Largest resident size of each of its processes, by module, bytes."""
 
     @property
     def outside(self) -> float:

@@ -50,24 +50,20 @@ _PARAMETERS = "parameters.yaml"
 
 @dataclass(frozen=True, kw_only=True)
 class Round:
-    """An experiment and the bare exchange around it, which so met the same machine.
-
-    Attributes
-    ----------
-    bare : wall time of a bare exchange, mean of before and after the experiment, s
-    ticks : wall time of a tick in each trial, s
-    plant : wall time of a step of the plant, s
-    lost : number of samples lost
-    loops : wall times of a loop of plain Python, s
-    stolen : time for which the host took a processor away, in processors
-    """
+    """An experiment and the bare exchange around it, which so met the same machine."""
 
     bare: float
+    """Wall time of a bare exchange, mean of before and after the experiment, s."""
     ticks: Sequence[float]
+    """Wall time of a tick in each trial, s."""
     plant: float
+    """Wall time of a step of the plant, s."""
     lost: int
+    """Number of samples lost."""
     loops: Sequence[float]
+    """Wall times of a loop of plain Python, s."""
     stolen: float
+    """Time for which the host took a processor away, in processors."""
 
     @property
     def ratio(self) -> float:
@@ -204,18 +200,14 @@ def graph_figures(
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """What an experiment took.
-
-    Attributes
-    ----------
-    ticks : wall time of a tick in each trial, s
-    plant : wall time of a step of the plant, s; None if that is another process's
-    lost : number of samples lost
-    """
+    """What an experiment took."""
 
     ticks: Sequence[float]
+    """Wall time of a tick in each trial, s."""
     plant: float | None
+    """Wall time of a step of the plant, s; None if that is another process's."""
     lost: int
+    """Number of samples lost."""
 
 
 def graph_tick(processes: Processes) -> Experiment:

@@ -29,20 +29,16 @@ from support.streams import fed_synchronizer
 
 @dataclass(frozen=True, kw_only=True)
 class TickParts:
-    """Wall time of each part of a tick, s.
-
-    Attributes
-    ----------
-    plant : simulated step of the rig
-    law : control law and safety limiter
-    codecs : encoding and decoding of the messages
-    recording : of the messages, into a bag
-    """
+    """Wall time of each part of a tick, s."""
 
     plant: float
+    """Simulated step of the rig."""
     law: float
+    """Control law and safety limiter."""
     codecs: float
+    """Encoding and decoding of the messages."""
     recording: float
+    """Of the messages, into a bag."""
 
 
 class _Loop:

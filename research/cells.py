@@ -15,20 +15,15 @@ LETTERS: Final = ("M", "B", "K")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorCell:
-    """One estimator in one condition, over all seeds.
-
-    Attributes
-    ----------
-    levels : of friction, resolution and perturbation
-    voluntary : rms of the voluntary torque, N·m
-    estimator : name
-    errors : (runs, 3, n, n) of M, B and K, relative to ``sqrt(|X_ii X_jj|)``
-    """
+    """One estimator in one condition, over all seeds."""
 
     levels: tuple[int, int, int]
+    """Of friction, resolution and perturbation."""
     voluntary: float
+    """Rms of the voluntary torque, N·m."""
     estimator: str
     errors: FloatArray
+    """(runs, 3, n, n) of M, B and K, relative to ``sqrt(|X_ii X_jj|)``."""
 
     @property
     def runs(self) -> int:

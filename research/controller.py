@@ -40,23 +40,17 @@ _ERRORS = ("M", "B", "K")
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerPlan:
-    """What is simulated.
-
-    Parameters
-    ----------
-    base : everything but seed, levels and what is varied. The plant takes steps of 0.05 ms, since
-        the default of 0.01 ms would need five times as long.
-    seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`
-    levels : of friction, resolution and perturbation
-    values : what the parameters are set to
-    """
+    """What is simulated."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(
             internal_model="observer", arm_sim={"substeps": 20}
         )
     )
+    """Everything but seed, levels and what is varied. The plant takes steps of 0.05 ms, since the
+    default of 0.01 ms would need five times as long."""
     seeds: str = "0:2"
+    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
     levels: tuple[tuple[int, int, int], ...] = (
         (0, 0, 1),
         (1, 3, 1),
@@ -64,6 +58,7 @@ class ControllerPlan:
         (3, 3, 1),
         (3, 3, 3),
     )
+    """Of friction, resolution and perturbation."""
     values: Mapping[str, tuple[float, ...]] = field(
         default_factory=lambda: {
             WALK: (0.1, 0.3, 1.0, 3.0),
@@ -71,6 +66,7 @@ class ControllerPlan:
             LOCK: (60.0, 90.0, 120.0, 180.0),
         }
     )
+    """What the parameters are set to."""
 
 
 def settings(plan: ControllerPlan) -> list[tuple[str, float]]:

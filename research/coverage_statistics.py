@@ -23,17 +23,13 @@ QUANTILE: Final = float(stats.norm.ppf(0.5 + 0.5 * NOMINAL))
 
 @dataclass(frozen=True, kw_only=True)
 class Share:
-    """Share of intervals that hold the truth.
-
-    Attributes
-    ----------
-    value : between 0 and 1
-    lower, upper : ends of its own 95 % interval
-    """
+    """Share of intervals that hold the truth."""
 
     value: float
+    """Between 0 and 1."""
     lower: float
     upper: float
+    """Ends of its own 95 % interval."""
 
     @classmethod
     def of(cls, held: BoolArray) -> Share:
@@ -78,14 +74,10 @@ class Share:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell(ErrorCell):
-    """One estimator in one condition, over all seeds.
-
-    Attributes
-    ----------
-    stated : (runs, 3, n, n) standard errors, relative like the errors
-    """
+    """One estimator in one condition, over all seeds."""
 
     stated: FloatArray
+    """(runs, 3, n, n) standard errors, relative like the errors."""
 
     @property
     def held(self) -> BoolArray:

@@ -55,11 +55,6 @@ _WORST_CONDITION = 1e12
 class SensorNoise:
     """White noise of the sensors.
 
-    Parameters
-    ----------
-    angle, torque : float
-        Standard deviations of each sample, rad and N·m.
-
     Raises
     ------
     ConfigurationError
@@ -68,6 +63,7 @@ class SensorNoise:
 
     angle: float
     torque: float
+    """Standard deviations of each sample, rad and N·m."""
 
     def __post_init__(self) -> None:
         for name in ("angle", "torque"):

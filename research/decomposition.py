@@ -45,25 +45,21 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class DecompositionPlan:
-    """What is simulated.
-
-    Parameters
-    ----------
-    base : everything but seed and voluntary torque. The plant takes steps of 0.05 ms, since the
-        default of 0.01 ms would need five times as long.
-    seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`
-    voluntary : rms of the voluntary torque, N·m; the first is what the others are compared with
-    correlations : of the perturbations when all joints are perturbed at once
-    coupled_at : voluntary torque of the runs with correlated perturbations, N·m rms
-    """
+    """What is simulated."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
     )
+    """Everything but seed and voluntary torque. The plant takes steps of 0.05 ms, since the default
+    of 0.01 ms would need five times as long."""
     seeds: str = "0:32"
+    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0)
+    """Rms of the voluntary torque, N·m; the first is what the others are compared with."""
     correlations: tuple[float, ...] = (0.0, 0.5, 0.8, 0.9, 0.95)
+    """Of the perturbations when all joints are perturbed at once."""
     coupled_at: float = 0.3
+    """Voluntary torque of the runs with correlated perturbations, N·m rms."""
 
 
 @dataclass(frozen=True, kw_only=True)

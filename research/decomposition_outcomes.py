@@ -28,31 +28,27 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """Errors of one estimator in one run.
-
-    Attributes
-    ----------
-    voluntary, correlation, estimator, seed : which; without correlated inputs None
-    errors : (3, n, n) of M, B and K, relative to ``sqrt(|X_ii X_jj|)``
-    standard_errors : likewise, those that the estimator itself states
-    octaves : (n, n, octaves) of Z, relative to each true value
-    estimate, truth : of Z and of M, B and K
-    coherence, inflation, condition : of the inputs: band means of the largest coherence and
-        inflation of variance, and the worst condition number; NaN joint by joint
-    """
+    """Errors of one estimator in one run."""
 
     voluntary: float
     correlation: float | None
     estimator: str
     seed: int
+    """Which; without correlated inputs None."""
     errors: FloatArray
+    """(3, n, n) of M, B and K, relative to ``sqrt(|X_ii X_jj|)``."""
     standard_errors: FloatArray
+    """Likewise, those that the estimator itself states."""
     octaves: NDArray[np.complex128]
+    """(n, n, octaves) of Z, relative to each true value."""
     estimate: ImpedanceEstimate
     truth: FloatArray
+    """Of Z and of M, B and K."""
     coherence: float
     inflation: float
     condition: float
+    """Of the inputs: band means of the largest coherence and inflation of variance, and the worst
+    condition number; NaN joint by joint."""
 
     @classmethod
     def of(
@@ -92,33 +88,28 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell:
-    """One estimator in one condition, over all seeds.
-
-    Attributes
-    ----------
-    voluntary, correlation, estimator : which
-    total : errors of M, B and K
-    shift : what the voluntary torque adds to them, run by run: errors minus those with the same
-        seed, and so the same perturbation, without it, but equal weights; None without such runs
-    reweighted : what it adds by the weights of the fit alone, which go to where it is weak: of the
-        runs without it, errors with the weights of those with it minus their own
-    octaves, octaves_shift : likewise for Z, with real and imaginary parts stacked as first axis
-    stated : (3, n, n) root mean square of the standard errors that the estimator states
-    coherence, inflation, condition : means of those of :class:`Outcome`; worst condition
-    """
+    """One estimator in one condition, over all seeds."""
 
     voluntary: float
     correlation: float | None
     estimator: str
     total: Mean
+    """Errors of M, B and K."""
     shift: Mean | None
+    """What the voluntary torque adds to them, run by run: errors minus those with the same seed,
+    and so the same perturbation, without it, but equal weights; None without such runs."""
     reweighted: Mean | None
+    """What it adds by the weights of the fit alone, which go to where it is weak: of the runs
+    without it, errors with the weights of those with it minus their own."""
     octaves: Mean
     octaves_shift: Mean | None
+    """Likewise for Z, with real and imaginary parts stacked as first axis."""
     stated: FloatArray
+    """(3, n, n) root mean square of the standard errors that the estimator states."""
     coherence: float
     inflation: float
     condition: float
+    """Means of those of :class:`Outcome`; worst condition."""
 
     @property
     def biased(self) -> bool:

@@ -25,17 +25,13 @@ LEVEL: Final = 0.05
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mean:
-    """Mean of N independent errors, element by element.
-
-    Attributes
-    ----------
-    runs : N
-    bias, spread : mean and standard deviation over the runs
-    """
+    """Mean of N independent errors, element by element."""
 
     runs: int
+    """N."""
     bias: FloatArray
     spread: FloatArray
+    """Mean and standard deviation over the runs."""
 
     @classmethod
     def of(cls, errors: FloatArray) -> Mean:

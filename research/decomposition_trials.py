@@ -54,24 +54,19 @@ _LIMITS_FOR_ALL_AT_ONCE: Final[dict[str, JsonValue]] = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What one estimator found in one experiment.
-
-    Attributes
-    ----------
-    estimator, seed : which
-    estimate, fit : impedance over frequency, and M, B and K
-    vaf : (n, n) %
-    seconds : wall time from the records to the fit, s
-    coupling : of the inputs; of the estimator ``mimo`` only
-    """
+    """What one estimator found in one experiment."""
 
     estimator: str
     seed: int
     estimate: ImpedanceEstimate
     fit: MBKFit
+    """Impedance over frequency, and M, B and K."""
     vaf: FloatArray
+    """(n, n) %."""
     seconds: float
+    """Wall time from the records to the fit, s."""
     coupling: InputCoupling | None = None
+    """Of the inputs; of the estimator ``mimo`` only."""
 
 
 def all_at_once(

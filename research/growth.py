@@ -45,26 +45,22 @@ JOINT_BY_JOINT: Final = ("welch_siso", "lpm_full")
 
 @dataclass(frozen=True, kw_only=True)
 class GrowthPlan:
-    """What is simulated.
-
-    Parameters
-    ----------
-    base : everything but the seed and the number of joints. The plant takes steps of 0.1 ms, since
-        the default of 0.01 ms would need ten times as long.
-    joints : numbers of joints
-    seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`
-    voluntary : rms of the voluntary torque of every joint, N·m
-    target : standard error to be reached, rms over the elements of M, B and of K, relative to
-        ``sqrt(|X_ii X_jj|)``
-    """
+    """What is simulated."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 10})
     )
+    """Everything but the seed and the number of joints. The plant takes steps of 0.1 ms, since the
+    default of 0.01 ms would need ten times as long."""
     joints: tuple[int, ...] = (2, 3, 4, 5, 6, 7)
+    """Numbers of joints."""
     seeds: str = "0:8"
+    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.0, 0.03)
+    """Rms of the voluntary torque of every joint, N·m."""
     target: float = 0.01
+    """Standard error to be reached, rms over the elements of M, B and of K, relative to
+    ``sqrt(|X_ii X_jj|)``."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -59,38 +59,33 @@ class Outcome:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell:
-    """One estimator with one number of joints, over all seeds.
-
-    Attributes
-    ----------
-    joints, voluntary, estimator : which
-    duration : length of each of the n trials, s
-    vaf, worst_vaf : mean and smallest of all elements and seeds, %
-    bias, spread : (3,) of M, B and K, rms over the elements, relative to ``sqrt(|X_ii X_jj|)``
-    worst : (3,) largest error of all elements and seeds, likewise
-    worst_relative : (3,) the same relative to each element itself
-    exponent : (3,) by which the spread falls with the length of the record, from the first half of
-        each trial to the whole; 0.5 where errors are noise that averages out
-    needed : length of all n trials together at which the spread of M, B and K is at the target, s,
-        if it falls with the square root of the length. A bias does not fall.
-    responses : transfer functions that are estimated together
-    seconds : median wall time of an estimate, s
-    """
+    """One estimator with one number of joints, over all seeds."""
 
     joints: int
     voluntary: float
     estimator: str
     duration: float
+    """Length of each of the n trials, s."""
     vaf: float
     worst_vaf: float
+    """Mean and smallest of all elements and seeds, %."""
     bias: FloatArray
     spread: FloatArray
+    """(3,) of M, B and K, rms over the elements, relative to ``sqrt(|X_ii X_jj|)``."""
     worst: FloatArray
+    """(3,) largest error of all elements and seeds, likewise."""
     worst_relative: FloatArray
+    """(3,) the same relative to each element itself."""
     exponent: FloatArray
+    """(3,) by which the spread falls with the length of the record, from the first half of each
+    trial to the whole; 0.5 where errors are noise that averages out."""
     needed: float
+    """Length of all n trials together at which the spread of M, B and K is at the target, s, if it
+    falls with the square root of the length. A bias does not fall."""
     responses: int
+    """Transfer functions that are estimated together."""
     seconds: float
+    """Median wall time of an estimate, s."""
 
     @classmethod
     def of(cls, whole: Sequence[Outcome], half: Sequence[Outcome], target: float) -> Cell:

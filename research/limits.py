@@ -46,27 +46,22 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class LimitsPlan:
-    """What is simulated.
-
-    Parameters
-    ----------
-    base : everything but seed, levels and voluntary torque. The plant takes steps of 0.05 ms: those
-        of 0.01 ms, the default, find the same in twice the time.
-    levels : of friction, resolution and perturbation
-    seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`
-    voluntary : rms of the voluntary torque, N·m
-    estimators : names
-    """
+    """What is simulated."""
 
     base: ExperimentConfig = field(
         default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
     )
+    """Everything but seed, levels and voluntary torque. The plant takes steps of 0.05 ms: those of
+    0.01 ms, the default, find the same in twice the time."""
     levels: tuple[tuple[int, int, int], ...] = (
         *((0, 1, 3), (1, 1, 2), (3, 1, 3)),
         *((3, 3, 3), (0, 3, 1), (3, 3, 1)),
     )
+    """Of friction, resolution and perturbation."""
     seeds: str = "0:64"
+    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.3, 0.0)
+    """Rms of the voluntary torque, N·m."""
     estimators: tuple[str, ...] = ("lpm_full", "welch_full", "welch_siso")
 
 

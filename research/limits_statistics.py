@@ -12,15 +12,11 @@ from research.cells import ErrorCell, FloatArray
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cell(ErrorCell):
-    """One estimator in one condition, over all seeds.
-
-    Attributes
-    ----------
-    bounds : (runs, 3, n, n) smallest standard deviations that noise allows in that run, relative
-        like the errors
-    """
+    """One estimator in one condition, over all seeds."""
 
     bounds: FloatArray
+    """(runs, 3, n, n) smallest standard deviations that noise allows in that run, relative like the
+    errors."""
 
     @property
     def bound(self) -> FloatArray:

@@ -24,26 +24,18 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class InputCoupling:
-    """How much the perturbations of the joints have in common.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    coherence : ndarray, shape (n, n, n_freq)
-        Ordinary coherence of each pair; 1 on the diagonal. That of independent perturbations is
-        one over the number of averages, on the mean.
-    condition : ndarray, shape (n_freq,)
-        Condition number of the matrix of their spectra, each scaled to power 1.
-    inflation : ndarray, shape (n, n_freq)
-        Factor by which coupling raises the variance of the responses to each perturbation,
-        ``1/(1 - γ²)`` with its multiple coherence with the others.
-    """
+    """How much the perturbations of the joints have in common."""
 
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     coherence: FloatArray
+    """Ordinary coherence of each pair; 1 on the diagonal. That of independent perturbations is one
+    over the number of averages, on the mean; shape (n, n, n_freq)."""
     condition: FloatArray
+    """Condition number of the matrix of their spectra, each scaled to power 1; shape (n_freq,)."""
     inflation: FloatArray
+    """Factor by which coupling raises the variance of the responses to each perturbation, ``1/(1 -
+    γ²)`` with its multiple coherence with the others; shape (n, n_freq)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

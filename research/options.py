@@ -12,15 +12,6 @@ from armimp_common.errors import ConfigurationError
 class InvestigationOptions:
     """Options of the command line; None for what was not given.
 
-    Parameters
-    ----------
-    out : new directory for the tables and figures
-    seeds : as for :func:`armimp_bringup.study.conditions.parse_seeds`; None: those of the
-        investigation, which say how many runs its numbers come from
-    workers : number of threads; None: one per core
-    only : pattern of the cases to run; empty: all
-    json : whether to print the result as JSON instead of a table
-
     Raises
     ------
     ConfigurationError
@@ -28,10 +19,16 @@ class InvestigationOptions:
     """
 
     out: Path
+    """New directory for the tables and figures."""
     seeds: str | None = None
+    """As for :func:`armimp_bringup.study.conditions.parse_seeds`; None: those of the investigation,
+    which say how many runs its numbers come from."""
     workers: int | None = None
+    """Number of threads; None: one per core."""
     json: bool = False
+    """Whether to print the result as JSON instead of a table."""
     only: str = ""
+    """Pattern of the cases to run; empty: all."""
 
     def __post_init__(self) -> None:
         if self.seeds is not None:

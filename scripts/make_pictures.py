@@ -29,21 +29,14 @@ _WIDTH, _HEIGHT = 1280, 1020
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """How pictures are made: by the default run, or by the study of the same name.
-
-    Attributes
-    ----------
-    pictures : tuple of str
-        Files in ``docs/images``.
-    sources : tuple of str
-        Patterns of files that decide what they look like.
-    study : tuple of str
-        Arguments of the study; none for the default run.
-    """
+    """How pictures are made: by the default run, or by the study of the same name."""
 
     pictures: tuple[str, ...]
+    """Files in ``docs/images``."""
     sources: tuple[str, ...]
+    """Patterns of files that decide what they look like."""
     study: tuple[str, ...] = ()
+    """Arguments of the study; none for the default run."""
 
     def digest(self) -> str:
         """Digest of what the sources do, and of the default configuration."""

@@ -27,28 +27,19 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """Trials of one experiment, in each of which one joint was perturbed.
-
-    Attributes
-    ----------
-    trials : tuple of TrialRecord
-        Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N).
-    reading : TorqueReading
-        When and how torques were read.
-    truth : MBK or None
-        The arm that was simulated, if it was.
-    calibration : Calibration
-        What is known of the torque transducers; by default what is assumed of any, 1 % of gain and
-        of cross-talk.
-    problems : tuple of Problem
-        What was wrong with the trials when they were read.
-    """
+    """Trials of one experiment, in each of which one joint was perturbed."""
 
     trials: tuple[TrialRecord, ...]
+    """Perturbation (N·m), position (rad) and torque on the arm (N·m), of shape (n, N)."""
     reading: TorqueReading = field(default_factory=TorqueReading)
+    """When and how torques were read."""
     truth: MBK | None = None
+    """MBK or None The arm that was simulated, if it was."""
     calibration: Calibration = field(default_factory=Calibration.undeclared)
+    """What is known of the torque transducers; by default what is assumed of any, 1 % of gain and
+    of cross-talk."""
     problems: tuple[Problem, ...] = ()
+    """What was wrong with the trials when they were read."""
 
     @classmethod
     def from_arrays(
@@ -153,47 +144,34 @@ def _numbers(values: ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Result:
-    """Inertia, viscosity and stiffness of the arm, with errors and a verdict.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-        Names of the n joints.
-    M, B, K : ndarray, shape (n, n)
-        In kg·m², N·m·s/rad and N·m/rad.
-    M_se, B_se, K_se : ndarray, shape (n, n)
-        Their standard errors.
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    Z, Z_variance : ndarray, shape (n, n, n_freq)
-        Impedance, N·m/rad, and the variance of each complex value.
-    valid : bool
-        Whether M, B, K and their intervals can be trusted.
-    impedance_valid : bool
-        Whether Z(f) and its variance can.
-    problems : tuple of str
-        What speaks against the result, and what was found and put right.
-    models : dict of str to ModelFit
-        Models of the arm that were fitted beside M, B and K, with their values and errors.
-    model : str or None
-        Of these the one that the data support.
-    """
+    """Inertia, viscosity and stiffness of the arm, with errors and a verdict."""
 
     joint_names: tuple[str, ...]
+    """Names of the n joints."""
     M: FloatArray
     B: FloatArray
     K: FloatArray
+    """In kg·m², N·m·s/rad and N·m/rad; shape (n, n)."""
     M_se: FloatArray
     B_se: FloatArray
     K_se: FloatArray
+    """Their standard errors; shape (n, n)."""
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     Z: ComplexArray
     Z_variance: FloatArray
+    """Impedance, N·m/rad, and the variance of each complex value; shape (n, n, n_freq)."""
     valid: bool
+    """Whether M, B, K and their intervals can be trusted."""
     impedance_valid: bool
+    """Whether Z(f) and its variance can."""
     problems: tuple[str, ...]
+    """What speaks against the result, and what was found and put right."""
     models: dict[str, ModelFit] = field(default_factory=dict)
+    """Models of the arm that were fitted beside M, B and K, with their
+    values and errors."""
     model: str | None = None
+    """Of these the one that the data support."""
 
     def interval(
         self, matrix: Literal["M", "B", "K"], level: float = 0.95

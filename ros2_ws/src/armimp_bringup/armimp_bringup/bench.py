@@ -25,22 +25,18 @@ _PRIORITY = 50
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """One figure of a benchmark.
-
-    Attributes
-    ----------
-    key : its name in the record
-    label : what people read
-    value : NaN misses every limit
-    unit : may be empty
-    limit : what the value must not exceed, if there is a target
-    """
+    """One figure of a benchmark."""
 
     key: str
+    """Its name in the record."""
     label: str
+    """What people read."""
     value: float
+    """NaN misses every limit."""
     unit: str = ""
+    """May be empty."""
     limit: float | None = None
+    """What the value must not exceed, if there is a target."""
 
     @property
     def missed(self) -> bool:

@@ -284,18 +284,14 @@ def run_segments(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedExperiment:
-    """The records of one experiment, and the truth behind them.
-
-    Attributes
-    ----------
-    config : with its seed
-    parameters : of the nodes, as they follow from it
-    records : one for each trial
-    """
+    """The records of one experiment, and the truth behind them."""
 
     config: ExperimentConfig
+    """With its seed."""
     parameters: NodeParameters
+    """Of the nodes, as they follow from it."""
     records: tuple[TrialRecord, ...]
+    """One for each trial."""
 
     @property
     def truth(self) -> MBK:

@@ -52,28 +52,19 @@ class Schema(BaseModel):
 
 @dataclass(frozen=True, kw_only=True)
 class Leaf:
-    """One parameter of a schema.
-
-    Parameters
-    ----------
-    name
-        Dotted name.
-    item
-        Python type of the value, or of its items.
-    array
-        True if the value is a sequence.
-    description
-        What it means, from the field.
-    minimum, maximum
-        Inclusive hull of the allowed numbers; None where there is no bound.
-    """
+    """One parameter of a schema."""
 
     name: str
+    """Dotted name."""
     item: ItemType
+    """Python type of the value, or of its items."""
     array: bool
+    """True if the value is a sequence."""
     description: str
+    """What it means, from the field."""
     minimum: float | None
     maximum: float | None
+    """Inclusive hull of the allowed numbers; None where there is no bound."""
 
     @property
     def type_name(self) -> str:

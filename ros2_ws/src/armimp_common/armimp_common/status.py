@@ -186,39 +186,6 @@ class Cause(str, Enum):
 class TrialStatus(Record):
     """One published state of the trial sequence.
 
-    Parameters
-    ----------
-    phase
-        What the controller is doing.
-    trial, trials
-        Number of the present trial, from 1, and how many there are.
-    joint
-        Perturbed joint, from 0 (written from 1 on the wire).
-    joint_name
-        Its name.
-    tick
-        Controller ticks since activation.
-    start_ns
-        Stamp of the first perturbed sample of this trial (ns); None until it is known.
-    ticks
-        Planned number of perturbed samples of this trial.
-    seed
-        Seed of the experiment.
-    valid
-        False as soon as something spoiled the present trial.
-    cause, reason
-        Why it is not valid: as a code, and in words.
-    lost
-        Samples that did not reach the controller between others of this trial.
-    clipped
-        Joint commands that the safety limiter clipped so far during the perturbation of this trial.
-    clipped_intervals
-        When: ``first-last first-last ...`` in ticks from the first perturbed sample, which is 0; at
-        most 100 intervals, which hold all clipped ticks (and others, where there would be more).
-    tare, tare_error
-        What each torque transducer read at rest before this trial, and its standard error (N·m);
-        empty as long as that is not known.
-
     Raises
     ------
     ConfigurationError
@@ -228,22 +195,39 @@ class TrialStatus(Record):
     STATUS_NAME: ClassVar[str] = f"{CONTROLLER_NODE}: trial"
 
     phase: Phase
+    """What the controller is doing."""
     trial: int
     trials: int
+    """Number of the present trial, from 1, and how many there are."""
     joint: int = field(metadata=_FROM_ONE)
+    """Perturbed joint, from 0 (written from 1 on the wire)."""
     joint_name: str
+    """Its name."""
     tick: int
+    """Controller ticks since activation."""
     start_ns: int | None
+    """Stamp of the first perturbed sample of this trial (ns); None until it is known."""
     ticks: int
+    """Planned number of perturbed samples of this trial."""
     seed: int
+    """Seed of the experiment."""
     valid: bool
+    """False as soon as something spoiled the present trial."""
     cause: Cause = Cause.NONE
     reason: str = ""
+    """Why it is not valid: as a code, and in words."""
     lost: int = 0
+    """Samples that did not reach the controller between others of this trial."""
     clipped: int = 0
+    """Joint commands that the safety limiter clipped so far during the perturbation of
+    this trial."""
     clipped_intervals: str = ""
+    """When: ``first-last first-last ...`` in ticks from the first perturbed sample, which is 0; at
+    most 100 intervals, which hold all clipped ticks (and others, where there would be more)."""
     tare: tuple[float, ...] = ()
     tare_error: tuple[float, ...] = ()
+    """What each torque transducer read at rest before this trial, and its standard error (N·m);
+    empty as long as that is not known."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.trial <= self.trials:
@@ -274,23 +258,6 @@ class TrialStatus(Record):
 class StoppingDecision(Record):
     """Whether a trial has lasted long enough, by the stopping rule of the estimator.
 
-    Parameters
-    ----------
-    trial
-        Number of the trial, from 1.
-    samples
-        Perturbed samples that the decision is based on; 0 announces the first decision.
-    enough
-        Whether all relative standard errors are below the bound.
-    due
-        Number of samples at which the next decision is made; None if there will be none.
-    bound
-        Largest relative standard error that is enough.
-    largest
-        Largest one there is; NaN if it is not known.
-    element
-        Where it is, such as ``K21``; empty if it is not known.
-
     Raises
     ------
     ConfigurationError
@@ -300,12 +267,19 @@ class StoppingDecision(Record):
     STATUS_NAME: ClassVar[str] = f"{ESTIMATOR_NODE}: stopping"
 
     trial: int
+    """Number of the trial, from 1."""
     samples: int
+    """Perturbed samples that the decision is based on; 0 announces the first decision."""
     enough: bool
+    """Whether all relative standard errors are below the bound."""
     due: int | None
+    """Number of samples at which the next decision is made; None if there will be none."""
     bound: float
+    """Largest relative standard error that is enough."""
     largest: float = math.nan
+    """Largest one there is; NaN if it is not known."""
     element: str = ""
+    """Where it is, such as ``K21``; empty if it is not known."""
 
     def __post_init__(self) -> None:
         if self.trial < 1 or self.samples < 0:
@@ -330,19 +304,6 @@ class StoppingDecision(Record):
 class TimingFigures(Record):
     """Timing of a rig in real time, from the first sample on.
 
-    Parameters
-    ----------
-    ticks : int
-        Samples sent.
-    late : int
-        Those sent more than :data:`armimp_common.realtime.LATE_NS` after their deadline.
-    missed : int
-        Periods for which the command did not come in time, so that the last one was held.
-    period_p50, period_p99, period_max : float
-        Median, 99 % quantile and maximum of the time from one sample to the next, s.
-    latency_p50, latency_p99, latency_max : float
-        The same of the time from a sample to the command that answers it, both at the rig, s.
-
     Raises
     ------
     ConfigurationError
@@ -352,14 +313,19 @@ class TimingFigures(Record):
     STATUS_NAME: ClassVar[str] = f"{SIM_NODE}: timing"
 
     ticks: int
+    """Samples sent."""
     late: int
+    """Those sent more than :data:`armimp_common.realtime.LATE_NS` after their deadline."""
     missed: int
+    """Periods for which the command did not come in time, so that the last one was held."""
     period_p50: float = math.nan
     period_p99: float = math.nan
     period_max: float = math.nan
+    """Median, 99 % quantile and maximum of the time from one sample to the next, s."""
     latency_p50: float = math.nan
     latency_p99: float = math.nan
     latency_max: float = math.nan
+    """The same of the time from a sample to the command that answers it, both at the rig, s."""
 
     def __post_init__(self) -> None:
         for name in ("ticks", "late", "missed"):
@@ -379,28 +345,6 @@ class TimingFigures(Record):
 class Progress(Record):
     """Where an experiment stands, for display.
 
-    Parameters
-    ----------
-    trial, trials
-        Number of the present trial, from 1, and how many there are.
-    joint
-        Perturbed joint k, from 1.
-    phase
-        What the controller is doing.
-    samples, planned
-        Perturbed samples recorded so far, and those that there will be.
-    rate
-        Samples per second of wall time.
-    coherence_motion, coherence_torque
-        Band means of γ²(τ_Δ, θ_k) and γ²(τ_Δ, τ_k) so far; None as long as there are none.
-    M, M_se, B, B_se, K, K_se
-        Column k of the matrices so far (n,) and its standard errors, SI units; empty as long as
-        there is none.
-    largest_error
-        Largest one of these standard errors, relative.
-    preliminary
-        Whether motion of locked joints is in the values, as those had no trial yet.
-
     Raises
     ------
     ConfigurationError
@@ -411,21 +355,31 @@ class Progress(Record):
 
     trial: int
     trials: int
+    """Number of the present trial, from 1, and how many there are."""
     joint: int
+    """Perturbed joint k, from 1."""
     phase: Phase
+    """What the controller is doing."""
     samples: int
     planned: int
+    """Perturbed samples recorded so far, and those that there will be."""
     rate: float
+    """Samples per second of wall time."""
     coherence_motion: float | None = None
     coherence_torque: float | None = None
+    """Band means of γ²(τ_Δ, θ_k) and γ²(τ_Δ, τ_k) so far; None as long as there are none."""
     M: tuple[float, ...] = ()
     M_se: tuple[float, ...] = ()
     B: tuple[float, ...] = ()
     B_se: tuple[float, ...] = ()
     K: tuple[float, ...] = ()
     K_se: tuple[float, ...] = ()
+    """Column k of the matrices so far (n,) and its standard errors, SI units; empty as long as
+    there is none."""
     largest_error: float | None = None
+    """Largest one of these standard errors, relative."""
     preliminary: bool = False
+    """Whether motion of locked joints is in the values, as those had no trial yet."""
 
     def __post_init__(self) -> None:
         counts = (self.trial, self.trials, self.joint, self.samples, self.planned)

@@ -33,16 +33,12 @@ _EVERYWHERE = 2e-3
 
 @dataclass(frozen=True, kw_only=True)
 class JointPrior:
-    """What is expected of a joint while it is perturbed: M, B and K, SI units.
-
-    Attributes
-    ----------
-    arm : of the arm, diagonal elements
-    target : of the target impedance, with which the robot yields
-    """
+    """What is expected of a joint while it is perturbed: M, B and K, SI units."""
 
     arm: tuple[float, float, float]
+    """Of the arm, diagonal elements."""
     target: tuple[float, float, float]
+    """Of the target impedance, with which the robot yields."""
 
     def response(self, f: Array) -> ComplexArray:
         """Angle over perturbation at frequencies (Hz), rad/(N·m)."""

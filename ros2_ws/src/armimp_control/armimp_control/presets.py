@@ -27,26 +27,22 @@ FINEST = 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class LawPreset:
-    """What makes one law of :data:`LAWS`.
-
-    Attributes
-    ----------
-    internal_model : observer, or tde, time-delay estimation
-    lock_frequency : ω of locked joints, rad/s; 0: they have the target of perturbed ones
-    lock_approach : time constant of their approach to the posture, s
-    dither : amplitude of their dither, in counts of the encoders
-    gamma : gain Γ of the ideal-velocity feedback, rad/s
-    inertia : M̄ as a share of M_r(θ_0)
-    finest : rounding of encoders (rad) below which the observer gets no faster
-    """
+    """What makes one law of :data:`LAWS`."""
 
     internal_model: InternalModel = "observer"
+    """``observer``, or ``tde``, time-delay estimation."""
     lock_frequency: float
+    """ω of locked joints, rad/s; 0: they have the target of perturbed ones."""
     lock_approach: float = 0.05
+    """Time constant of their approach to the posture, s."""
     dither: float
+    """Amplitude of their dither, in counts of the encoders."""
     gamma: float = 100.0
+    """Gain Γ of the ideal-velocity feedback, rad/s."""
     inertia: float = 1.0
+    """M̄ as a share of M_r(θ_0)."""
     finest: float = FINEST
+    """Rounding of encoders (rad) below which the observer gets no faster."""
 
 
 LAWS: Final[Mapping[LawName, LawPreset]] = {

@@ -21,16 +21,12 @@ _PARTS = 4
 
 @dataclass(frozen=True, kw_only=True)
 class Tare:
-    """Offsets of the torque transducers, and what a person's muscles do at rest.
-
-    Attributes
-    ----------
-    offset : of each joint, N·m
-    error : standard error of each, N·m
-    """
+    """Offsets of the torque transducers, and what a person's muscles do at rest."""
 
     offset: tuple[float, ...]
+    """Of each joint, N·m."""
     error: tuple[float, ...]
+    """Standard error of each, N·m."""
 
     @classmethod
     def of(cls, torque: NDArray[np.float64]) -> Tare:
@@ -137,23 +133,19 @@ class SequenceParameters(Schema):
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """A stretch of ticks in one phase of one trial.
-
-    Attributes
-    ----------
-    phase : SETTLE, PERTURB or REST
-    trial : 1-based
-    joint : perturbed joint, 0-based
-    first, ticks : first tick of the segment, and how many there are
-    tare : whether all joints are held, for the tare
-    """
+    """A stretch of ticks in one phase of one trial."""
 
     phase: Phase
+    """SETTLE, PERTURB or REST."""
     trial: int
+    """1-based."""
     joint: int
+    """Perturbed joint, 0-based."""
     first: int
     ticks: int
+    """First tick of the segment, and how many there are."""
     tare: bool = False
+    """Whether all joints are held, for the tare."""
 
     @property
     def end(self) -> int:

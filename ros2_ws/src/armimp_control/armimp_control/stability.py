@@ -118,27 +118,23 @@ class RigDynamics(Schema):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SampledDynamics:
-    """From tick to tick, for a command u: states x of drive and low-pass, and what is read.
-
-    Attributes
-    ----------
-    transition, from_command : (q, q), (q,) of ``x ← transition · x + from_command · u``
-    reading_from_state, reading_from_command : (q,) and one number
-        Of the reading, as torque of the drive, from x before and u during the last period.
-    delay : ticks that it comes later
-    drive_lags : whether the first state is the torque of the drive
-    speed, way : what velocity (s) and angle (s²) gain per unit of torque / inertia of the drive at
-        the start of a period, and of the command in it
-    """
+    """From tick to tick, for a command u: states x of drive and low-pass, and what is read."""
 
     transition: FloatArray
     from_command: FloatArray
+    """(q, q), (q,) of ``x ← transition · x + from_command · u``."""
     reading_from_state: FloatArray
     reading_from_command: float
+    """(q,) and one number: the reading, as torque of the drive, from x before and u during the
+    last period."""
     delay: int
+    """Ticks that it comes later."""
     drive_lags: bool
+    """Whether the first state is the torque of the drive."""
     speed: tuple[float, float]
     way: tuple[float, float]
+    """What velocity (s) and angle (s²) gain per unit of torque / inertia of the drive at the start
+    of a period, and of the command in it."""
 
     @property
     def states(self) -> int:
@@ -174,21 +170,18 @@ class StabilityMargins:
     The first two numbers must stay below 2; they are simple, but hold only for a soft target and
     small Γ, and exist for time-delay estimation alone. The third must stay below 1 and takes all
     of the law into account.
-
-    Attributes
-    ----------
-    time_delay_estimation : largest |eigenvalue| of (M_r + M_h)⁻¹ M̄; None without such a model
-    force_feedback : per joint, M̄_kk M_h,kk / (M_rd,k (M_r + M_h)_kk) while joint k is perturbed;
-        empty without feedback of the measured torque
-    spectral_radius : of the sampled loop while each joint is perturbed and while all are locked,
-        each with an arm as known, three times as heavy and three times as light
-    warnings : sentences for values near the edge
     """
 
     time_delay_estimation: float | None
+    """Largest |eigenvalue| of (M_r + M_h)⁻¹ M̄; None without such a model."""
     force_feedback: tuple[float, ...]
+    """Per joint, M̄_kk M_h,kk / (M_rd,k (M_r + M_h)_kk) while joint k is perturbed; empty without
+    feedback of the measured torque."""
     spectral_radius: tuple[float, ...]
+    """Of the sampled loop while each joint is perturbed and while all are locked, each with an arm
+    as known, three times as heavy and three times as light."""
     warnings: tuple[str, ...]
+    """Sentences for values near the edge."""
 
 
 def check_stability(

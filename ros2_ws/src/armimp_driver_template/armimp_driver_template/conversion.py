@@ -18,14 +18,6 @@ Item = TypeVar("Item")
 class Calibration:
     """One sensor of one joint: ``value = sign · (count − zero) · resolution / gear``.
 
-    Parameters
-    ----------
-    resolution : rad or N·m per count, on the side of the sensor
-    zero : count at zero
-    sign : 1, or −1 where the sensor counts against the direction of the joint
-    gear : what the sensor sees for 1 rad or 1 N·m of the joint: turns of an encoder's shaft for one
-        turn of the joint; for a transducer the share of the torque that passes it, or its gain
-
     Raises
     ------
     ConfigurationError
@@ -33,9 +25,14 @@ class Calibration:
     """
 
     resolution: float
+    """In rad or N·m per count, on the side of the sensor."""
     zero: int = 0
+    """Count at zero."""
     sign: int = 1
+    """1, or −1 where the sensor counts against the direction of the joint."""
     gear: float = 1.0
+    """What the sensor sees for 1 rad or 1 N·m of the joint: turns of an encoder's shaft for one
+    turn of the joint; for a transducer the share of the torque that passes it, or its gain."""
 
     def __post_init__(self) -> None:
         for name in ("resolution", "gear"):
@@ -59,11 +56,6 @@ class Calibration:
 class Drive:
     """One drive: its torque is ``sign · τ / gear`` for a torque τ of the joint.
 
-    Parameters
-    ----------
-    sign : 1, or −1 where it turns against the direction of the joint
-    gear : its turns for one turn of the joint
-
     Raises
     ------
     ConfigurationError
@@ -71,7 +63,9 @@ class Drive:
     """
 
     sign: int = 1
+    """1, or −1 where it turns against the direction of the joint."""
     gear: float = 1.0
+    """Its turns for one turn of the joint."""
 
     def __post_init__(self) -> None:
         Calibration(resolution=1.0, sign=self.sign, gear=self.gear)

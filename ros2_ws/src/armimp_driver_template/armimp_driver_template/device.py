@@ -9,18 +9,14 @@ from typing import Protocol
 
 @dataclass(frozen=True)
 class Frame:
-    """One sample of all joints, as it comes from the bus.
-
-    Attributes
-    ----------
-    counter : number of the sample since `Device.open`, from 0; lost frames are counted as well
-    encoder : raw counts of the encoders, 16 bits, which wrap
-    transducer : raw counts of the torque transducers
-    """
+    """One sample of all joints, as it comes from the bus."""
 
     counter: int
+    """Number of the sample since `Device.open`, from 0; lost frames are counted as well."""
     encoder: tuple[int, ...]
+    """Raw counts of the encoders, 16 bits, which wrap."""
     transducer: tuple[int, ...]
+    """Raw counts of the torque transducers."""
 
 
 class Device(Protocol):

@@ -74,68 +74,45 @@ INTRINSIC: Final = (
 
 @dataclass(frozen=True, kw_only=True)
 class ArmModel:
-    """Description of a model.
-
-    Attributes
-    ----------
-    name : str
-    equation : str
-        ``Z(s)`` in words of its parameters.
-    parameters : tuple of Parameter
-        M, B and K first.
-    impedance : callable
-        Values by name and ``s = jω`` (n_freq,) to ``Z``, (n, n, n_freq).
-    starts : tuple of mapping
-        Values of scalars and of joints to start from; matrices start from the fit of M, B and K,
-        others from 0.
-    variants : tuple of mapping
-        From simple to full: parameters of which only the diagonal is free, or which keep their
-        start. The one with the best criterion is taken.
-    possible : callable
-        Whether values can be those of an arm; others are no solution where there is one.
-    """
+    """Description of a model."""
 
     name: str
     equation: str
+    """``Z(s)`` in words of its parameters."""
     parameters: tuple[Parameter, ...]
+    """M, B and K first."""
     impedance: Callable[[Values, ComplexArray], ComplexArray]
+    """Values by name and ``s = jω`` (n_freq,) to ``Z``, (n, n, n_freq)."""
     starts: tuple[Mapping[str, float], ...]
+    """Values of scalars and of joints to start from; matrices start from the fit of M, B and K,
+    others from 0."""
     variants: tuple[Mapping[str, str], ...] = ({},)
+    """From simple to full: parameters of which only the diagonal is free, or which keep their
+    start. The one with the best criterion is taken."""
     possible: Callable[[Values], bool] = lambda _: True
+    """Whether values can be those of an arm; others are no solution where there is one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelFit:
-    """A model fitted to an impedance.
-
-    Attributes
-    ----------
-    model : ArmModel
-    values, errors : mapping of str to ndarray
-        Parameters and standard errors; NaN for one without effect, or that was not fitted.
-    covariance : ndarray, shape (p, p)
-        Of all parameters, one after the other, matrices row by row.
-    lack : ndarray, shape (n, n)
-        Lack of fit of each element, as of :class:`armimp_estimation.fit.MBKFit`.
-    lack_limit : float
-        What chance doesn't exceed.
-    held_out : float
-        Mean lack of fit of bins that had no part in the fit; NaN if the others don't fit.
-    criterion : float
-        Bayesian information criterion, less is better.
-    Z : ndarray, shape (n, n, n_freq)
-        Fitted impedance.
-    """
+    """A model fitted to an impedance."""
 
     model: ArmModel
     values: Values
     errors: Values
+    """Parameters and standard errors; NaN for one without effect, or that was not fitted."""
     covariance: FloatArray
+    """Of all parameters, one after the other, matrices row by row; shape (p, p)."""
     lack: FloatArray
+    """Lack of fit of each element, as of :class:`armimp_estimation.fit.MBKFit`; shape (n, n)."""
     lack_limit: float
+    """What chance doesn't exceed."""
     held_out: float
+    """Mean lack of fit of bins that had no part in the fit; NaN if the others don't fit."""
     criterion: float
+    """Bayesian information criterion, less is better."""
     Z: ComplexArray
+    """Fitted impedance; shape (n, n, n_freq)."""
 
     @property
     def fits(self) -> bool:

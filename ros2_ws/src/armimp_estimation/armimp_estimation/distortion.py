@@ -27,21 +27,14 @@ _CHANCE = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Harmonics:
-    """Torque at some harmonics.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_harmonics,)
-        Hz.
-    amplitude : ndarray, shape (n_harmonics,)
-        N·m.
-    noise : ndarray, shape (n_harmonics,)
-        Rms amplitude that the noise around them has at each, N·m.
-    """
+    """Torque at some harmonics."""
 
     f: FloatArray
+    """Hz; shape (n_harmonics,)."""
     amplitude: FloatArray
+    """N·m; shape (n_harmonics,)."""
     noise: FloatArray
+    """Rms amplitude that the noise around them has at each, N·m; shape (n_harmonics,)."""
 
     @property
     def rms(self) -> float:
@@ -66,27 +59,18 @@ class Harmonics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Distortion:
-    """Of one trial.
-
-    Attributes
-    ----------
-    period : float
-        s.
-    count : int
-        Whole periods.
-    lines : Harmonics
-        Measured torque at the lines of the perturbation.
-    beside : mapping of str to Harmonics
-        What the arm leaves of it at other harmonics, ``"odd"`` and ``"even"``.
-    noise : float
-        Rms of what it leaves between the harmonics, N·m.
-    """
+    """Of one trial."""
 
     period: float
+    """In s."""
     count: int
+    """Whole periods."""
     lines: Harmonics
+    """Measured torque at the lines of the perturbation."""
     beside: Mapping[Kind, Harmonics]
+    """What the arm leaves of it at other harmonics, ``"odd"`` and ``"even"``."""
     noise: float
+    """Rms of what it leaves between the harmonics, N·m."""
 
     @classmethod
     def of(cls, record: TrialRecord, arm: MBK) -> Distortion | None:

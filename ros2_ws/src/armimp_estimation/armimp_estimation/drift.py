@@ -38,20 +38,14 @@ SIGNIFICANT = 6.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drift:
-    """Slopes of the signals of a trial, beside what the perturbation does.
-
-    Attributes
-    ----------
-    position, position_error : ndarray, shape (n,)
-        Of the angles and their standard errors, rad/s.
-    torque, torque_error : ndarray, shape (n,)
-        Of the torques, N·m/s.
-    """
+    """Slopes of the signals of a trial, beside what the perturbation does."""
 
     position: FloatArray
     position_error: FloatArray
+    """Of the angles and their standard errors, rad/s; shape (n,)."""
     torque: FloatArray
     torque_error: FloatArray
+    """Of the torques, N·m/s; shape (n,)."""
 
     @property
     def significant(self) -> bool:

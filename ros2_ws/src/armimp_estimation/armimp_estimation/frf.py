@@ -24,23 +24,17 @@ _LEAKED = 1e-5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrfMatrix:
-    """All columns of the frequency responses.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    R, T : ndarray, shape (n, n, n_freq)
-        Responses of angles (rad/(N·m)) and torques; first index the responding, second the
-        perturbed joint.
-    covariance : ndarray, shape (n, 2n, 2n, n_freq)
-        See :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`.
-    """
+    """All columns of the frequency responses."""
 
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     R: ComplexArray
     T: ComplexArray
+    """Responses of angles (rad/(N·m)) and torques; first index the responding, second the perturbed
+    joint; shape (n, n, n_freq)."""
     covariance: ComplexArray
+    """See :class:`armimp_estimation.estimators.estimate.ImpedanceEstimate`; shape
+    (n, 2n, 2n, n_freq)."""
 
     @property
     def variance(self) -> FloatArray:

@@ -17,15 +17,6 @@ class MBK:
 
     The matrices are general: they need not be symmetric.
 
-    Parameters
-    ----------
-    M : ndarray, shape (n, n)
-        Inertia, kg·m².
-    B : ndarray, shape (n, n)
-        Viscosity, N·m·s/rad.
-    K : ndarray, shape (n, n)
-        Stiffness, N·m/rad.
-
     Raises
     ------
     ConfigurationError
@@ -33,8 +24,11 @@ class MBK:
     """
 
     M: FloatArray
+    """Inertia, kg·m²; shape (n, n)."""
     B: FloatArray
+    """Viscosity, N·m·s/rad; shape (n, n)."""
     K: FloatArray
+    """Stiffness, N·m/rad; shape (n, n)."""
 
     def __post_init__(self) -> None:
         for name in ("M", "B", "K"):

@@ -102,24 +102,17 @@ _CODES = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Deviation:
-    """One way in which the perturbed joint is not linear.
-
-    Attributes
-    ----------
-    share, error : float
-        Change of the stiffness from rest to the rms angle, or from begin to end, relative to it;
-        of hysteresis and friction its share in the largest of M, B and K; of a transducer the
-        change of its gain. And its standard error.
-    shift : ndarray, shape (3,)
-        What it adds to M, B and K of the joint itself, SI units.
-    gain : float
-        What it adds to the gain of the transducer, relative to that.
-    """
+    """One way in which the perturbed joint is not linear."""
 
     share: float
     error: float
+    """Change of the stiffness from rest to the rms angle, or from begin to end, relative to it; of
+    hysteresis and friction its share in the largest of M, B and K; of a transducer the change of
+    its gain. And its standard error."""
     shift: FloatArray
+    """What it adds to M, B and K of the joint itself, SI units; shape (3,)."""
     gain: float = 0.0
+    """What it adds to the gain of the transducer, relative to that."""
 
 
 class _Band:

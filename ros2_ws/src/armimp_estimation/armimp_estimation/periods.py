@@ -32,21 +32,14 @@ FEWEST_LINES = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Periods:
-    """How a perturbation repeats itself.
-
-    Attributes
-    ----------
-    samples : int
-        In a period.
-    count : int
-        Whole periods in the record, which has them at its end; 2 or more.
-    lines : ndarray of int, shape (n_lines,)
-        Harmonics that have power.
-    """
+    """How a perturbation repeats itself."""
 
     samples: int
+    """In a period."""
     count: int
+    """Whole periods in the record, which has them at its end; 2 or more."""
     lines: NDArray[np.intp]
+    """Harmonics that have power; shape (n_lines,)."""
 
     @property
     def used(self) -> int:

@@ -21,29 +21,6 @@ class TrialRecord:
     The arrays are converted to C-contiguous float64, so that the estimates do not
     depend on how the caller happened to lay them out.
 
-    Parameters
-    ----------
-    trial : int
-        Number of the trial, 1-based.
-    perturbed_joint : int
-        The joint that was perturbed, 0-based.
-    rate : float
-        Samples per second, Hz.
-    joint_names : tuple of str
-        One name for each of the n joints, in the order of the rows.
-    perturbation : ndarray, shape (n, N)
-        Perturbation torque ``tau_delta`` of each joint, N·m.
-    position : ndarray, shape (n, N)
-        Joint angles as the encoders read them, rad.
-    torque : ndarray, shape (n, N)
-        Torques applied to the arm as the transducers read them, N·m.
-    start_ns : int
-        Stamp of the first sample, ns.
-    seed : int or None
-        Seed of the perturbation, if known.
-    command : ndarray, shape (n, N), or None
-        Torque command sent in answer to each sample, in force until the next, N·m; if known.
-
     Raises
     ------
     DataError
@@ -51,15 +28,26 @@ class TrialRecord:
     """
 
     trial: int
+    """Number of the trial, 1-based."""
     perturbed_joint: int
+    """The joint that was perturbed, 0-based."""
     rate: float
+    """Samples per second, Hz."""
     joint_names: tuple[str, ...]
+    """One name for each of the n joints, in the order of the rows."""
     perturbation: FloatArray
+    """Perturbation torque ``tau_delta`` of each joint, N·m; shape (n, N)."""
     position: FloatArray
+    """Joint angles as the encoders read them, rad; shape (n, N)."""
     torque: FloatArray
+    """Torques applied to the arm as the transducers read them, N·m; shape (n, N)."""
     start_ns: int
+    """Stamp of the first sample, ns."""
     seed: int | None
+    """Seed of the perturbation, if known."""
     command: FloatArray | None = None
+    """Torque command sent in answer to each sample, in force until the next, N·m; if known; shape
+    (n, N)."""
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)

@@ -87,28 +87,21 @@ _REFUTED = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotBalance:
-    """What commands less torques move.
-
-    Attributes
-    ----------
-    terms : ndarray, shape (7, n, n)
-        Inertia, viscosity and stiffness of the robot; β and κ of the friction of locked joints, and
-        of their drives the lag and its second order, which are 0 on the diagonal; SI units.
-    covariance : ndarray, shape (7, 7, n, n)
-        Of the terms of each element, with their lack of fit.
-    friction : ndarray, shape (n, n)
-        Share of what moves the robot that the friction of locked joints takes.
-    unseen : ndarray, shape (n, n)
-        Share of the motion of locked joints that encoders may miss, so that friction may hold them.
-    order : tuple of int
-        Row of the commands that belongs to each joint.
-    """
+    """What commands less torques move."""
 
     terms: FloatArray
+    """Inertia, viscosity and stiffness of the robot; β and κ of the friction of locked joints, and
+    of their drives the lag and its second order, which are 0 on the diagonal; SI units; shape
+    (7, n, n)."""
     covariance: FloatArray
+    """Of the terms of each element, with their lack of fit; shape (7, 7, n, n)."""
     friction: FloatArray
+    """Share of what moves the robot that the friction of locked joints takes; shape (n, n)."""
     unseen: FloatArray
+    """Share of the motion of locked joints that encoders may miss, so that friction may hold them;
+    shape (n, n)."""
     order: tuple[int, ...]
+    """Row of the commands that belongs to each joint."""
 
     @property
     def permuted(self) -> bool:
@@ -155,21 +148,14 @@ class RobotBalance:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RobotResponses:
-    """Responses to the perturbation from which the balance follows.
-
-    Attributes
-    ----------
-    records : tuple of TrialRecord
-        One trial for each joint, in order.
-    columns : tuple of LocalResponse
-        Of angles, torques and commands, by trial.
-    inverse : ndarray, shape (n, n, n_freq)
-        ``R⁻¹``.
-    """
+    """Responses to the perturbation from which the balance follows."""
 
     records: tuple[TrialRecord, ...]
+    """One trial for each joint, in order."""
     columns: tuple[LocalResponse, ...]
+    """Of angles, torques and commands, by trial."""
     inverse: ComplexArray
+    """``R⁻¹``; shape (n, n, n_freq)."""
 
     @classmethod
     def of(cls, records: Sequence[TrialRecord]) -> RobotResponses | None:

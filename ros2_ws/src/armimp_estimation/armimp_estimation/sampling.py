@@ -138,19 +138,13 @@ def judge_stamps(
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """How far stamps are from a regular grid.
-
-    Attributes
-    ----------
-    drift : float
-        Relative change of the rate from the first half to the second.
-    scatter, largest : float
-        Rms and largest distance of a stamp from the grid, periods.
-    """
+    """How far stamps are from a regular grid."""
 
     drift: float
+    """Relative change of the rate from the first half to the second."""
     scatter: float
     largest: float
+    """Rms and largest distance of a stamp from the grid, periods."""
 
     @classmethod
     def of(cls, stamps: Stamps) -> Grid | None:

@@ -22,24 +22,17 @@ _SHORTEST_SEGMENT = 1024
 
 @dataclass(frozen=True, kw_only=True)
 class WelchConfig:
-    """Segments and band of the averaged spectra.
-
-    Parameters
-    ----------
-    segment : int
-        Samples in one segment (Hann window, periodic); the frequency resolution is rate/segment.
-    overlap : int
-        Samples that neighbouring segments share.
-    f_low, f_high : float
-        Band that is kept, Hz, both ends included. The zero-frequency bin is never kept: it only
-        holds what is left of the mean. The default lower end is the first bin above zero of the
-        default segment at 1 kHz.
-    """
+    """Segments and band of the averaged spectra."""
 
     segment: int = 8192
+    """Samples in one segment (Hann window, periodic); the frequency resolution is rate/segment."""
     overlap: int = 6144
+    """Samples that neighbouring segments share."""
     f_low: float = 0.122
     f_high: float = 15.0
+    """Band that is kept, Hz, both ends included. The zero-frequency bin is never kept: it only
+    holds what is left of the mean. The default lower end is the first bin above zero of the default
+    segment at 1 kHz."""
 
     def __post_init__(self) -> None:
         if self.segment < 8:
@@ -173,27 +166,20 @@ def bin_correlation(config: WelchConfig, *runs: int) -> FloatArray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CrossSpectra:
-    """Cross-spectral matrix of C channels.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    matrix : ndarray, shape (C, C, n_freq)
-        ``matrix[x, y] = G_xy = E[conj(X) Y]``, one-sided, in units of x times units of y per Hz.
-    segments : int
-        Number of averaged segments.
-    effective_averages : float
-        Number of independent averages that these are worth.
-    bin_correlation : ndarray, shape (lags, n_freq)
-        Correlation of averages at each bin and the one 0, 1, 2... places above it.
-    """
+    """Cross-spectral matrix of C channels."""
 
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     matrix: ComplexArray
+    """``matrix[x, y] = G_xy = E[conj(X) Y]``, one-sided, in units of x times units of y per Hz;
+    shape (C, C, n_freq)."""
     segments: int
+    """Number of averaged segments."""
     effective_averages: float
+    """Number of independent averages that these are worth."""
     bin_correlation: FloatArray
+    """Correlation of averages at each bin and the one 0, 1, 2... places above it; shape
+    (lags, n_freq)."""
 
     def at(self, f: FloatArray) -> "CrossSpectra":
         """Return those at some frequencies, Hz: the lines of a periodic signal."""

@@ -70,20 +70,6 @@ _INSTANTS = {
 class TorqueReading(JsonModel):
     """What is known of the readings of torque, all joints alike.
 
-    Parameters
-    ----------
-    timing : TorqueTiming
-        When they are read.
-    delay : float
-        How late they are beyond that, s; negative if they are early.
-    cutoff : float
-        Cut-off frequency of the Butterworth low-pass before the sampling, Hz; 0: there is none.
-    order : int
-        Its order.
-    actuator_lag : float
-        Time constant with which the torque of the drives follows the commands, s; 0: at once. It
-        delays torques and angles alike, and matters for what sampling folds back only.
-
     Raises
     ------
     ValueError
@@ -91,10 +77,16 @@ class TorqueReading(JsonModel):
     """
 
     timing: TorqueTiming = TorqueTiming.UNKNOWN
+    """When they are read."""
     delay: float = 0.0
+    """How late they are beyond that, s; negative if they are early."""
     cutoff: float = 0.0
+    """Cut-off frequency of the Butterworth low-pass before the sampling, Hz; 0: there is none."""
     order: int = 1
+    """Its order."""
     actuator_lag: float = 0.0
+    """Time constant with which the torque of the drives follows the commands, s; 0: at once. It
+    delays torques and angles alike, and matters for what sampling folds back only."""
 
     @model_validator(mode="after")
     def _check_ranges(self) -> Self:

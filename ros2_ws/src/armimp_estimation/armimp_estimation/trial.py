@@ -19,18 +19,12 @@ ComplexArray = NDArray[np.complex128]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialSpectra:
-    """Cross-spectra of the channels ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` of a trial.
-
-    Attributes
-    ----------
-    perturbed_joint : int
-        Joint k, 0-based.
-    spectra : CrossSpectra
-        Spectra of the 2n + 1 channels, in SI units (N·m and rad).
-    """
+    """Cross-spectra of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` of a trial."""
 
     perturbed_joint: int
+    """Joint k, 0-based."""
     spectra: CrossSpectra
+    """Spectra of the 2n + 1 channels, in SI units (N·m and rad)."""
 
     @property
     def joints(self) -> int:
@@ -95,18 +89,12 @@ def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialData:
-    """A finished trial: its record and its spectra, which belong together.
-
-    Attributes
-    ----------
-    record : TrialRecord
-        Samples without a gap; of a trial with gaps the longest stretch.
-    spectra : TrialSpectra
-        Spectra of all stretches.
-    """
+    """A finished trial: its record and its spectra, which belong together."""
 
     record: TrialRecord
+    """Samples without a gap; of a trial with gaps the longest stretch."""
     spectra: TrialSpectra
+    """Spectra of all stretches."""
 
     def __post_init__(self) -> None:
         if (self.record.perturbed_joint, self.record.joints) != (

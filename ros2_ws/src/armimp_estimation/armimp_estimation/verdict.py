@@ -23,25 +23,18 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Limits:
-    """What a valid result has to meet.
-
-    Parameters
-    ----------
-    lock_ratio : float
-        Largest motion of a locked joint, within the band and caused by the perturbation, relative
-        to the perturbed one; it biases ``welch_siso``. At 0.02 the bias of off-diagonal elements
-        may reach several per cent.
-    bias_bound : float
-        Largest share of a torque that motion of locked joints explains, band mean, see
-        :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03.
-    significance : float
-        Probability with which unrelated signals may pass as coherent; sets the level that band
-        means of the ordinary coherences with the perturbation have to exceed.
-    """
+    """What a valid result has to meet."""
 
     lock_ratio: float = 0.02
+    """Largest motion of a locked joint, within the band and caused by the perturbation, relative to
+    the perturbed one; it biases ``welch_siso``. At 0.02 the bias of off-diagonal elements may reach
+    several per cent."""
     bias_bound: float = 0.1
+    """Largest share of a torque that motion of locked joints explains, band mean, see
+    :func:`armimp_estimation.scores.bias_bound`. Good locking stays below 0.03."""
     significance: float = 0.05
+    """Probability with which unrelated signals may pass as coherent; sets the level that band means
+    of the ordinary coherences with the perturbation have to exceed."""
 
     def __post_init__(self) -> None:
         for item in fields(self):

@@ -37,12 +37,6 @@ class PlantConfig(RigConfig):
     arm and cuff are in its inertia, damping and stiffness. What a rigid arm would take from the
     first n coordinates is then the torque of the cuff, which the transducers measure.
 
-    Parameters
-    ----------
-    robot : with as many joints as the arm
-    friction : one law per joint
-    cuff : between robot and arm
-
     Raises
     ------
     ConfigurationError
@@ -51,8 +45,11 @@ class PlantConfig(RigConfig):
     """
 
     robot: PlanarChain
+    """With as many joints as the arm."""
     friction: tuple[LuGre, ...]
+    """One law per joint."""
     cuff: CuffParameters = field(default_factory=CuffParameters)
+    """Between robot and arm."""
 
     def __post_init__(self) -> None:
         n = self.arm.joints

@@ -59,25 +59,18 @@ _GROWTH = _CHANNELS + 3 * _CHANNEL
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RigConfig:
-    """Parts of a rig that may be real.
-
-    Parameters
-    ----------
-    arm : HumanArm, with n joints
-    sensors : SensorParameters
-    actuators : ActuatorParameters
-    reflex, muscle : what the arm has beside M, B and K
-    period : s, between samples; commands are held over it
-    substeps : RK4 steps per period
-    """
+    """Parts of a rig that may be real."""
 
     arm: HumanArm
     sensors: SensorParameters
     actuators: ActuatorParameters = field(default_factory=ActuatorParameters)
     reflex: ReflexParameters = field(default_factory=ReflexParameters)
     muscle: MuscleParameters = field(default_factory=MuscleParameters)
+    """What the arm has beside M, B and K."""
     period: float = 1e-3
+    """Between samples, s; commands are held over it."""
     substeps: int = 100
+    """RK4 steps per period."""
 
     @property
     def joints(self) -> int:

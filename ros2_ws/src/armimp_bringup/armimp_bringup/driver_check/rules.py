@@ -560,16 +560,12 @@ def first_effect(push: Push) -> Effect | None:
 
 @dataclass(frozen=True)
 class Letting:
-    """How the effect of a torque ended.
-
-    Attributes
-    ----------
-    share : part of the torque that went, 1 if all of it
-    delay : samples from ``off`` until it had gone
-    """
+    """How the effect of a torque ended."""
 
     share: float
+    """Part of the torque that went, 1 if all of it."""
     delay: int
+    """Samples from ``off`` until it had gone."""
 
 
 def letting(ended: Push, released: Push, held: Push) -> Letting | None:

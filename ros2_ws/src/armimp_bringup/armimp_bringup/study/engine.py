@@ -34,21 +34,14 @@ def software() -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Batch:
-    """Conditions to run side by side; can be pickled, and run anywhere.
-
-    Parameters
-    ----------
-    base : ExperimentConfig
-        Everything but levels and seed.
-    conditions : tuple of Condition
-        One for each lane.
-    software : mapping
-        That of the process which asks for it.
-    """
+    """Conditions to run side by side; can be pickled, and run anywhere."""
 
     base: ExperimentConfig
+    """Everything but levels and seed."""
     conditions: tuple[Condition, ...]
+    """One for each lane."""
     software: Mapping[str, Any] = field(default_factory=software)
+    """That of the process which asks for it."""
 
 
 def split_evenly(conditions: Sequence[Condition], workers: int) -> list[tuple[Condition, ...]]:

@@ -69,30 +69,20 @@ _BIAS: Final = Score(name="bias that it may cause", unit=" %", floor=False, digi
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StudyReport:
-    """What the report of a study is made of.
-
-    Parameters
-    ----------
-    entries : sequence of StudyEntry
-        Results with the same estimators and number of joints, at least one.
-    table : ndarray, shape (n_conditions, n_estimators, n, n)
-        Their numbers.
-    verdict : StudyVerdict
-        Of these.
-    curves : callable
-        Gives the curves of a condition.
-    files : mapping of str to str
-        What else is in the directory: names and what they hold.
-    origin : OriginSummary or None
-        Command line and date.
-    """
+    """What the report of a study is made of."""
 
     entries: Sequence[StudyEntry]
+    """Results with the same estimators and number of joints, at least one."""
     table: Results
+    """Their numbers; shape (n_conditions, n_estimators, n, n)."""
     verdict: StudyVerdict
+    """Of these."""
     curves: Curves
+    """Gives the curves of a condition."""
     files: Mapping[str, str]
+    """What else is in the directory: names and what they hold."""
     origin: OriginSummary | None = None
+    """Command line and date."""
 
     @property
     def _estimators(self) -> list[str]:

@@ -46,24 +46,16 @@ _SUBSCRIPTS: Final = str.maketrans("0123456789·", "₀₁₂₃₄₅₆₇₈�
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Panel:
-    """A block of fields of a map.
-
-    Attributes
-    ----------
-    title : str
-        Above it; may be empty.
-    columns : sequence of str
-        Labels.
-    values : ndarray, shape (n_rows, n_columns)
-        NaN where there is no number.
-    notes : sequence of sequence of sequence of str
-        Lines that the pointer shows, for each field; None where there is no field.
-    """
+    """A block of fields of a map."""
 
     title: str
+    """Above it; may be empty."""
     columns: Sequence[str]
+    """Labels."""
     values: FloatArray
+    """NaN where there is no number; shape (n_rows, n_columns)."""
     notes: Sequence[Sequence[Sequence[str] | None]]
+    """Lines that the pointer shows, for each field; None where there is no field."""
 
 
 def heat_map(

@@ -176,30 +176,20 @@ def statistics(
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """A quantity that results are judged by or shown with.
-
-    Attributes
-    ----------
-    name : str
-        For people.
-    fields : tuple of str
-        Fields of the table that hold its values.
-    unit : str
-        Unit of values and limits, with a space before it; may be empty.
-    floor : bool
-        Whether values have to stay above the limit, not below.
-    digits : int
-        Digits after the point, where people read it.
-    limits : mapping of str to float
-        Targets by estimator.
-    """
+    """A quantity that results are judged by or shown with."""
 
     name: str
+    """For people."""
     fields: tuple[str, ...] = ()
+    """Fields of the table that hold its values."""
     unit: str = ""
+    """Unit of values and limits, with a space before it; may be empty."""
     floor: bool = True
+    """Whether values have to stay above the limit, not below."""
     digits: int = 4
+    """Digits after the point, where people read it."""
     limits: Mapping[str, float] = field(default_factory=dict)
+    """Targets by estimator."""
 
     def format(self, value: float) -> str:
         """Value with unit."""

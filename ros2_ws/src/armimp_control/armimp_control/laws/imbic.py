@@ -97,13 +97,6 @@ class Observer:
     mostly friction, count as random walks. They act on all joints through M̄⁻¹, so that friction
     which is seen in the motion of the perturbed joint is known at the locked ones before they move.
 
-    Parameters
-    ----------
-    resolution : δ, rad
-    perturbed, locked : (n,) rms change within a period of the unknown torque of each joint while it
-        is perturbed and while it is locked, N·m
-    delay : D, periods by which commands act later than right after the sample that they answer
-
     Raises
     ------
     ConfigurationError
@@ -111,9 +104,13 @@ class Observer:
     """
 
     resolution: float
+    """δ, rad."""
     perturbed: NDArray[np.float64]
     locked: NDArray[np.float64]
+    """(n,) rms change within a period of the unknown torque of each joint while it is perturbed and
+    while it is locked, N·m."""
     delay: int = 0
+    """D, periods by which commands act later than right after the sample that they answer."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.delay <= MOST_DELAY:
@@ -161,24 +158,6 @@ class Observer:
 class ImbicConfig:
     """Target impedance and internal model.
 
-    Parameters
-    ----------
-    target_posture : (n,) θ_rd, rad
-    target_inertia : (n,) diagonal of M_rd, kg·m²
-    target_damping : (n,) diagonal of B_rd of a joint while it is perturbed, N·m·s/rad
-    target_stiffness : (n,) diagonal of K_rd of a joint while it is perturbed, N·m/rad
-    lock_frequency : natural frequency ω of a locked joint's target, rad/s; with 0 it is the target
-        that it has while it is perturbed
-    lock_damping_ratio : its ζ; so B_rd = 2ζω·M_rd and K_rd = ω²·M_rd
-    model_inertia : (n, n) M̄, kg·m²
-    gamma : Γ, rad/s
-    period : L, s
-    lock_approach : time constant with which the target of a joint that gets locked goes to θ_rd, s;
-        with 0 it is there at once
-    lock_dither : amplitude of each of two sines that a locked joint is to make, rad; 0 for none
-    lock_dither_frequency : lower of their frequencies, Hz; the other is 1.55 times that
-    observer : the internal model; None for time-delay estimation
-
     Raises
     ------
     ConfigurationError
@@ -186,18 +165,33 @@ class ImbicConfig:
     """
 
     target_posture: NDArray[np.float64]
+    """(n,) θ_rd, rad."""
     target_inertia: NDArray[np.float64]
+    """(n,) diagonal of M_rd, kg·m²."""
     target_damping: NDArray[np.float64]
+    """(n,) diagonal of B_rd of a joint while it is perturbed, N·m·s/rad."""
     target_stiffness: NDArray[np.float64]
+    """(n,) diagonal of K_rd of a joint while it is perturbed, N·m/rad."""
     model_inertia: NDArray[np.float64]
+    """(n, n) M̄, kg·m²."""
     lock_frequency: float = 100.0
+    """Natural frequency ω of a locked joint's target, rad/s; with 0 it is the target that it has
+    while it is perturbed."""
     lock_damping_ratio: float = 1.0
+    """Its ζ; so B_rd = 2ζω·M_rd and K_rd = ω²·M_rd."""
     gamma: float = 100.0
+    """Γ, rad/s."""
     period: float = 1e-3
+    """L, s."""
     lock_approach: float = 0.05
+    """Time constant with which the target of a joint that gets locked goes to θ_rd, s; with 0 it is
+    there at once."""
     lock_dither: float = 0.0
+    """Amplitude of each of two sines that a locked joint is to make, rad; 0 for none."""
     lock_dither_frequency: float = 35.0
+    """Lower of their frequencies, Hz; the other is 1.55 times that."""
     observer: Observer | None = None
+    """The internal model; None for time-delay estimation."""
     _models: dict[int | None, NDArray[np.float64]] = field(
         default_factory=dict, init=False, repr=False
     )

@@ -42,16 +42,6 @@ from armimp_control.laws.base import (
 class PdConfig:
     """Gains of plain PD locking.
 
-    Parameters
-    ----------
-    target_posture : (n,) θ_rd, rad
-    target_damping : (n,) B_rd of a joint while it is perturbed, N·m·s/rad
-    target_stiffness : (n,) K_rd of a joint while it is perturbed, N·m/rad
-    inertia : (n,) M that the gains of locked joints are made for, kg·m²
-    frequency : natural frequency ω of a locked joint, rad/s
-    damping_ratio : its ζ
-    period : L, s
-
     Raises
     ------
     ConfigurationError
@@ -59,12 +49,19 @@ class PdConfig:
     """
 
     target_posture: NDArray[np.float64]
+    """(n,) θ_rd, rad."""
     target_damping: NDArray[np.float64]
+    """(n,) B_rd of a joint while it is perturbed, N·m·s/rad."""
     target_stiffness: NDArray[np.float64]
+    """(n,) K_rd of a joint while it is perturbed, N·m/rad."""
     inertia: NDArray[np.float64]
+    """(n,) M that the gains of locked joints are made for, kg·m²."""
     frequency: float = 25.0
+    """Natural frequency ω of a locked joint, rad/s."""
     damping_ratio: float = 1.0
+    """Its ζ."""
     period: float = 1e-3
+    """L, s."""
 
     kind: ClassVar[int] = PD
     gamma: ClassVar[float] = 0.0

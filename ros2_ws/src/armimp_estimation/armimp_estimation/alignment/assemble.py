@@ -140,36 +140,25 @@ class StreamStatistics(JsonModel):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """A trial, as far as it was recorded.
-
-    Parameters
-    ----------
-    window : TrialWindow
-        What the trial was meant to be.
-    segments : tuple of TrialRecord
-        The longest runs of usable periods, in their order. Duplicates are dropped (the first one
-        stays, if all say the same) and the order is that of the stamps. Periods are not usable if a
-        stream with stamps has no sample of them, one that is not finite, or several that contradict
-        each other, nor while the controller clipped its command.
-    statistics : StreamStatistics
-        The account of the samples.
-    problems : tuple of Problem
-        Problems that were found in the trial.
-    source : str
-        Where the trial comes from, for messages.
-    bag : str or None
-        Where it is stored.
-    rtf : float
-        Times real time at which it ran; NaN if it was not run live.
-    """
+    """A trial, as far as it was recorded."""
 
     window: TrialWindow
+    """What the trial was meant to be."""
     segments: tuple[TrialRecord, ...]
+    """The longest runs of usable periods, in their order. Duplicates are dropped (the first one
+    stays, if all say the same) and the order is that of the stamps. Periods are not usable if a
+    stream with stamps has no sample of them, one that is not finite, or several that contradict
+    each other, nor while the controller clipped its command."""
     statistics: StreamStatistics
+    """The account of the samples."""
     problems: tuple[Problem, ...] = ()
+    """Problems that were found in the trial."""
     source: str = ""
+    """Where the trial comes from, for messages."""
     bag: str | None = None
+    """Where it is stored."""
     rtf: float = math.nan
+    """Times real time at which it ran; NaN if it was not run live."""
 
     @property
     def trial(self) -> int:

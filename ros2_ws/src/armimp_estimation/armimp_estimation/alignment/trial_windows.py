@@ -32,35 +32,6 @@ _GRID: Final = 51
 class TrialWindow:
     """The part of a recording that is one trial.
 
-    Parameters
-    ----------
-    trial : int
-        Number of the trial, 1-based.
-    joint : int
-        Perturbed joint, 0-based, in the order of the controller.
-    joint_name : str
-        Its name, which prevails over the number; may be empty.
-    start_ns : int
-        Stamp of the first perturbed sample (ns).
-    ticks : int
-        Planned number of samples.
-    seed : int or None
-        Seed of the experiment, if known.
-    ended : bool
-        Whether the recording goes on after the trial, so that all of its samples should be
-        there; else it may end within the trial.
-    fault : Problem or None
-        What spoiled the trial, according to the controller.
-    clipped : int
-        Joint commands that the controller had to limit.
-    clipped_intervals : tuple of (int, int)
-        First and last tick of the trial, from 0, of each run of such commands.
-    saved : int
-        Samples that were planned beyond `ticks`, before the controller ended the trial earlier.
-    tare : tuple of float
-        What the controller took from the torques of each joint, N·m, in its order of joints; not
-        taken from the samples. Empty without a tare.
-
     Raises
     ------
     DataError
@@ -68,17 +39,31 @@ class TrialWindow:
     """
 
     trial: int
+    """Number of the trial, 1-based."""
     joint: int
+    """Perturbed joint, 0-based, in the order of the controller."""
     joint_name: str
+    """Its name, which prevails over the number; may be empty."""
     start_ns: int
+    """Stamp of the first perturbed sample (ns)."""
     ticks: int
+    """Planned number of samples."""
     seed: int | None
+    """Seed of the experiment, if known."""
     ended: bool
+    """Whether the recording goes on after the trial, so that all of its samples should be there;
+    else it may end within the trial."""
     fault: Problem | None = None
+    """What spoiled the trial, according to the controller."""
     clipped: int = 0
+    """Joint commands that the controller had to limit."""
     clipped_intervals: tuple[tuple[int, int], ...] = ()
+    """First and last tick of the trial, from 0, of each run of such commands."""
     saved: int = 0
+    """Samples that were planned beyond `ticks`, before the controller ended the trial earlier."""
     tare: tuple[float, ...] = ()
+    """What the controller took from the torques of each joint, N·m, in its order of joints; not
+    taken from the samples. Empty without a tare."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.ticks <= MOST_TICKS:

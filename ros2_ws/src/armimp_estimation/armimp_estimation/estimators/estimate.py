@@ -51,97 +51,72 @@ def confidence_radius(variance: FloatArray, averages: float, level: float = 0.95
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpedanceColumn:
-    """Column k of the impedance matrix: what one trial alone tells.
-
-    Attributes
-    ----------
-    joint : int
-        Joint k, 0-based.
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    Z : ndarray, shape (n, n_freq)
-        Impedance from the angle of joint k to the torques of all joints, N·m/rad.
-    variance : ndarray, shape (n, n_freq)
-        Variance of each complex value, (N·m/rad)².
-    """
+    """Column k of the impedance matrix: what one trial alone tells."""
 
     joint: int
+    """Joint k, 0-based."""
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     Z: ComplexArray
+    """Impedance from the angle of joint k to the torques of all joints, N·m/rad; shape
+    (n, n_freq)."""
     variance: FloatArray
+    """Variance of each complex value, (N·m/rad)²; shape (n, n_freq)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ImpedanceEstimate:
-    """The impedance matrix over frequency.
-
-    Attributes
-    ----------
-    name : str
-        Name of the estimator.
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    Z : ndarray, shape (n, n, n_freq)
-        Impedance, N·m/rad.
-    variance : ndarray, shape (n, n, n_freq)
-        Variance of each complex value, (N·m/rad)²; real and imaginary part have half each.
-    bin_correlation : ndarray, shape (lags, n_freq)
-        Correlation of the errors at each frequency and the one 0, 1, 2... places above it; 1 at
-        lag 0.
-    averages : float
-        Number of independent averages behind each value and its variance.
-    T, R : ndarray, shape (n, n, n_freq)
-        Responses of torques and of angles (rad/(N·m)) to the perturbation.
-    systematics : tuple of ndarray, shape (n, n, n_freq)
-        Standard errors of corrections that the values contain, or of biases that they are known to
-        have, N·m/rad: complex, since each is the same error at all frequencies, in this proportion.
-        The variance includes them.
-    covariance : ndarray, shape (n, 2n, 2n, n_freq), or None
-        ``E[δ_a conj(δ_b)]`` of the errors of ``R_1k … R_nk, T_1k … T_nk``, for each trial k;
-        responses from different trials are independent. None if that is not so.
-    disturbance : ndarray, shape (n, n, n, n_freq), or None
-        ``E[V_ik conj(V_mk)]`` by k, i, m for the ``V = T - Z R`` that the disturbances leave.
-    inverse : ndarray, shape (n, n, n_freq), or None
-        What takes it to the errors of the impedance: ``δZ = V · inverse``.
-    line_power : ndarray, shape (n, n_freq), or None
-        Power of the perturbation of each trial by frequency, up to a factor, if it is not chance:
-        variances go with its inverse.
-    weight_floor : float or None
-        Relative error beside the variance that the M-B-K fit should allow for in its weights, see
-        :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit.
-    friction_skew : ndarray, shape (n, n, n_freq), or None
-        What was added for torques of friction that jump with the commands, N·m/rad.
-    delay_uncertainty : float or None
-        Standard error with which torques and angles are known to be of the same instant, s: the
-        fit then has a common delay as a parameter. None: they are taken as they are.
-    delay_unknown : float
-        Standard error to fall back upon where the data refute that, s.
-    unbiased : bool
-        Whether nothing but its variance separates the estimate from the truth: only then does lack
-        of fit mean another arm, and only such an estimate decides whether a result is valid.
-    hold : HoldCorrection or None
-        What torques do at each update of the commands, if that was found and corrected.
-    """
+    """The impedance matrix over frequency."""
 
     name: str
+    """Name of the estimator."""
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     Z: ComplexArray
+    """Impedance, N·m/rad; shape (n, n, n_freq)."""
     variance: FloatArray
+    """Variance of each complex value, (N·m/rad)²; real and imaginary part have half each; shape
+    (n, n, n_freq)."""
     bin_correlation: FloatArray
+    """Correlation of the errors at each frequency and the one 0, 1, 2... places above it; 1 at lag
+    0; shape (lags, n_freq)."""
     averages: float
+    """Number of independent averages behind each value and its variance."""
     T: ComplexArray
     R: ComplexArray
+    """Responses of torques and of angles (rad/(N·m)) to the perturbation; shape (n, n, n_freq)."""
     systematics: tuple[ComplexArray, ...] = ()
+    """Standard errors of corrections that the values contain, or of biases that they are known to
+    have, N·m/rad: complex, since each is the same error at all frequencies, in this proportion. The
+    variance includes them; shape (n, n, n_freq)."""
     covariance: ComplexArray | None = None
+    """``E[δ_a conj(δ_b)]`` of the errors of ``R_1k … R_nk, T_1k … T_nk``, for each trial k;
+    responses from different trials are independent. None if that is not so; shape
+    (n, 2n, 2n, n_freq)."""
     disturbance: ComplexArray | None = None
+    """``E[V_ik conj(V_mk)]`` by k, i, m for the ``V = T - Z R`` that the disturbances leave; shape
+    (n, n, n, n_freq)."""
     inverse: ComplexArray | None = None
+    """What takes it to the errors of the impedance: ``δZ = V · inverse``; shape (n, n, n_freq)."""
     line_power: FloatArray | None = None
+    """Power of the perturbation of each trial by frequency, up to a factor, if it is not chance:
+    variances go with its inverse; shape (n, n_freq)."""
     weight_floor: float | None = None
+    """Relative error beside the variance that the M-B-K fit should allow for in its weights, see
+    :class:`armimp_estimation.fit.FitConfig`; None leaves it to the options of the fit."""
     friction_skew: ComplexArray | None = None
+    """What was added for torques of friction that jump with the commands, N·m/rad; shape
+    (n, n, n_freq)."""
     delay_uncertainty: float | None = None
+    """Standard error with which torques and angles are known to be of the same instant, s: the fit
+    then has a common delay as a parameter. None: they are taken as they are."""
     delay_unknown: float = 0.0
+    """Standard error to fall back upon where the data refute that, s."""
     unbiased: bool = False
+    """Whether nothing but its variance separates the estimate from the truth: only then does lack
+    of fit mean another arm, and only such an estimate decides whether a result is valid."""
     hold: HoldCorrection | None = None
+    """What torques do at each update of the commands, if that was found and corrected."""
 
     @property
     def joints(self) -> int:

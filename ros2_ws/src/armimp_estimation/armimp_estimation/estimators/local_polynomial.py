@@ -34,16 +34,6 @@ _SMOOTH = 2
 class LocalPolynomialConfig:
     """Bins and degree of the local polynomials.
 
-    Parameters
-    ----------
-    order : int
-        Degree of the polynomials in frequency, for response and leakage alike.
-    half_width : int
-        Bins on either side that take part in the estimate at a bin. At the ends of the spectrum
-        the window of ``2·half_width + 1`` bins is not centred.
-    smooth_above : float
-        Frequency from which on polynomials of degree 2 are enough, Hz.
-
     Raises
     ------
     ConfigurationError
@@ -51,8 +41,12 @@ class LocalPolynomialConfig:
     """
 
     order: int = 4
+    """Degree of the polynomials in frequency, for response and leakage alike."""
     half_width: int = 12
+    """Bins on either side that take part in the estimate at a bin. At the ends of the spectrum the
+    window of ``2·half_width + 1`` bins is not centred."""
     smooth_above: float = math.inf
+    """Frequency from which on polynomials of degree 2 are enough, Hz."""
 
     def __post_init__(self) -> None:
         if self.order < 0:
@@ -80,33 +74,23 @@ class LocalPolynomialConfig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LocalResponse:
-    """Responses of C outputs to one input.
-
-    Attributes
-    ----------
-    f : ndarray, shape (n_freq,)
-        Frequencies, Hz.
-    response : ndarray, shape (C, n_freq)
-        Frequency responses, in units of output over input.
-    noise : ndarray, shape (C, C, n_freq)
-        ``E[V_c conj(V_d)]`` of the Fourier transforms of the outputs, from the residuals.
-    weights : ndarray, shape (n_freq, window)
-        ``response = Σ_w weights[:, w] · Y(first + w)`` for any output Y.
-    first : ndarray of int, shape (n_freq,)
-        First bin of each window.
-    freedom : int
-        Complex degrees of freedom behind the noise, at the frequency that has the fewest.
-    line_power : ndarray, shape (n_freq,), or None
-        Power of a periodic input at its lines.
-    """
+    """Responses of C outputs to one input."""
 
     f: FloatArray
+    """Frequencies, Hz; shape (n_freq,)."""
     response: ComplexArray
+    """Frequency responses, in units of output over input; shape (C, n_freq)."""
     noise: ComplexArray
+    """``E[V_c conj(V_d)]`` of the Fourier transforms of the outputs, from the residuals; shape
+    (C, C, n_freq)."""
     weights: ComplexArray
+    """``response = Σ_w weights[:, w] · Y(first + w)`` for any output Y; shape (n_freq, window)."""
     first: NDArray[np.intp]
+    """First bin of each window; shape (n_freq,)."""
     freedom: int
+    """Complex degrees of freedom behind the noise, at the frequency that has the fewest."""
     line_power: FloatArray | None = None
+    """Power of a periodic input at its lines; shape (n_freq,)."""
 
     @property
     def gain(self) -> FloatArray:

@@ -49,47 +49,36 @@ with friction of level 3 it makes 0.35 % at most.
 
 @dataclass(frozen=True, kw_only=True)
 class LpmConfig:
-    """Options of the estimator ``lpm_full``.
-
-    Parameters
-    ----------
-    local : LocalPolynomialConfig
-        Local polynomials: of degree 2 from 5 Hz on, as responses mostly change in proportion to
-        the frequency there. They let two thirds of the noise through.
-    span : float
-        Hz on either side of a bin that they may span: in shorter records, where bins are wider,
-        fewer take part. The responses of an arm have a resonance around 1 Hz. Over 0.25 Hz
-        polynomials of degree 2 miss up to 0.5 % of them, which makes B 0.1 to 0.2 % too large, and
-        those of degree 4 a tenth of that.
-    reading : TorqueReading
-        How the readings of torque come about, and so what is corrected: see
-        :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
-        :mod:`armimp_estimation.hold_correction`. Without commands in the records it has to be
-        everything.
-    skew_uncertainty : float
-        Relative standard error of the correction of what jumps, which no residual shows, as far as
-        it is of the inertial torque. In simulation D is within 0.7 %, half of the times within
-        0.2 %.
-    friction_uncertainty : float
-        And as far as it is of torque that overcomes friction, at the times when commands that
-        chatter reverse the motion within a control period, so that friction answers within it.
-    timing_uncertainty : float
-        Standard error with which the instant of torque readings is known where it was told, s.
-        Where it was not, or the records refute that torques jump as it says, it is half a period.
-    weight_floor : float
-        Relative error that is allowed for in the weights of the M-B-K fit, beside the variance;
-        see :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials.
-    """
+    """Options of the estimator ``lpm_full``."""
 
     local: LocalPolynomialConfig = field(
         default_factory=lambda: LocalPolynomialConfig(smooth_above=5.0)
     )
+    """Local polynomials: of degree 2 from 5 Hz on, as responses mostly change in proportion to the
+    frequency there. They let two thirds of the noise through."""
     span: float = 0.25
+    """Hz on either side of a bin that they may span: in shorter records, where bins are wider,
+    fewer take part. The responses of an arm have a resonance around 1 Hz. Over 0.25 Hz polynomials
+    of degree 2 miss up to 0.5 % of them, which makes B 0.1 to 0.2 % too large, and those of degree
+    4 a tenth of that."""
     reading: TorqueReading = field(default_factory=TorqueReading)
+    """How the readings of torque come about, and so what is corrected: see
+    :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
+    :mod:`armimp_estimation.hold_correction`. Without commands in the records it has to be
+    everything."""
     skew_uncertainty: float = 0.002
+    """Relative standard error of the correction of what jumps, which no residual shows,
+    as far as it is of the inertial torque. In simulation D is within 0.7 %, half of the
+    times within 0.2 %."""
     friction_uncertainty: float = 0.3
+    """And as far as it is of torque that overcomes friction, at the times when commands that
+    chatter reverse the motion within a control period, so that friction answers within it."""
     timing_uncertainty: float = 20e-6
+    """Standard error with which the instant of torque readings is known where it was told, s. Where
+    it was not, or the records refute that torques jump as it says, it is half a period."""
     weight_floor: float = 0.005
+    """Relative error that is allowed for in the weights of the M-B-K fit, beside the variance; see
+    :class:`armimp_estimation.fit.FitConfig`. It is that of the polynomials."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.span < np.inf:
@@ -120,44 +109,29 @@ class LpmConfig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FittedColumn:
-    """Column k of the fitted matrices, from the trial of joint k alone.
-
-    Attributes
-    ----------
-    joint : int
-        Joint k, 0-based.
-    values : ndarray, shape (3, n)
-        M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque.
-    errors : ndarray, shape (3, n)
-        Their standard errors, in the same units, which know of random errors alone.
-    preliminary : bool
-        Whether the motion of a locked joint is not accounted for, as it had no trial yet. The
-        values may then be off by many standard errors.
-    """
+    """Column k of the fitted matrices, from the trial of joint k alone."""
 
     joint: int
+    """Joint k, 0-based."""
     values: FloatArray
+    """M (kg·m²), B (N·m·s/rad) and K (N·m/rad) from the angle of joint k to each torque; shape
+    (3, n)."""
     errors: FloatArray
+    """Their standard errors, in the same units, which know of random errors alone; shape (3, n)."""
     preliminary: bool
+    """Whether the motion of a locked joint is not accounted for, as it had no trial yet. The values
+    may then be off by many standard errors."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LpmFull:
-    """``Z = T R⁻¹`` from local polynomials, at every bin of the record.
-
-    Parameters
-    ----------
-    config : LpmConfig
-        Options.
-    band : tuple of float
-        Lowest and highest frequency, Hz; bins on its ends belong to it.
-    name : str
-        Name of the estimator.
-    """
+    """``Z = T R⁻¹`` from local polynomials, at every bin of the record."""
 
     config: LpmConfig = field(default_factory=LpmConfig)
     band: tuple[float, float] = (WelchConfig.f_low, WelchConfig.f_high)
+    """Lowest and highest frequency, Hz; bins on its ends belong to it."""
     name: str = "lpm_full"
+    """Name of the estimator."""
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.

@@ -19,24 +19,6 @@ from armimp_estimation.verdict import Limits
 class IdentifyConfig:
     """Options of the spectra, of the parametric fit, and limits of the verdict.
 
-    Parameters
-    ----------
-    welch : WelchConfig
-        Segments and band.
-    lpm : LpmConfig
-        Options of the estimator ``lpm_full``, which takes the same band.
-    fit : FitConfig
-        Fit of M, B and K.
-    limits : Limits
-        What a valid result has to meet.
-    model : str
-        Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
-        default those that it takes where M, B and K don't fit.
-    calibration : Calibration
-        What is known of the torque transducers.
-    target : MBK or None
-        Target impedance of the law, if it is known; a score compares the robot with its diagonal.
-
     Raises
     ------
     ConfigurationError
@@ -44,12 +26,21 @@ class IdentifyConfig:
     """
 
     welch: WelchConfig = field(default_factory=WelchConfig)
+    """Segments and band."""
     lpm: LpmConfig = field(default_factory=LpmConfig)
+    """Options of the estimator ``lpm_full``, which takes the same band."""
     fit: FitConfig = field(default_factory=FitConfig)
+    """Fit of M, B and K."""
     limits: Limits = field(default_factory=Limits)
+    """What a valid result has to meet."""
     model: str = AUTO
+    """Model of the arm to fit beside M, B and K, see :mod:`armimp_estimation.arm_models`; by
+    default those that it takes where M, B and K don't fit."""
     calibration: Calibration = field(default_factory=Calibration)
+    """What is known of the torque transducers."""
     target: MBK | None = None
+    """MBK or None Target impedance of the law, if it is known; a score compares the robot with its
+    diagonal."""
 
     def __post_init__(self) -> None:
         require_model(self.model)

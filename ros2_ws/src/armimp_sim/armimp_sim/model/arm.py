@@ -16,13 +16,6 @@ class HumanArm:
 
     The matrices are general: nothing here assumes or makes them symmetric.
 
-    Parameters
-    ----------
-    posture : (n,) θ_0, rad
-    inertia : (n, n) M_h, kg·m²
-    damping : (n, n) B_h, N·m·s/rad
-    stiffness : (n, n) K_h, N·m/rad
-
     Raises
     ------
     ConfigurationError
@@ -30,9 +23,13 @@ class HumanArm:
     """
 
     posture: NDArray[np.float64]
+    """(n,) θ_0, rad."""
     inertia: NDArray[np.float64]
+    """(n, n) M_h, kg·m²."""
     damping: NDArray[np.float64]
+    """(n, n) B_h, N·m·s/rad."""
     stiffness: NDArray[np.float64]
+    """(n, n) K_h, N·m/rad."""
 
     def __post_init__(self) -> None:
         n = self.posture.size

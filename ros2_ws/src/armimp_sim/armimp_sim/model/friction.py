@@ -14,14 +14,6 @@ from armimp_common.errors import ConfigurationError
 class LuGre:
     """ż = v − σ0|v|z/g(v), g(v) = Fc + (Fs − Fc)·exp(−(v/vs)²), F = σ0 z + σ1 ż + σ2 v.
 
-    Parameters
-    ----------
-    coulomb, static : Fc, Fs, N·m
-    sigma_0 : bristle stiffness, N·m/rad
-    sigma_1 : bristle damping, N·m·s/rad
-    sigma_2 : viscous friction, N·m·s/rad
-    stribeck_velocity : vs, rad/s
-
     Raises
     ------
     ConfigurationError
@@ -30,10 +22,15 @@ class LuGre:
 
     coulomb: float
     static: float
+    """Fc, Fs, N·m."""
     sigma_0: float
+    """Bristle stiffness, N·m/rad."""
     sigma_1: float
+    """Bristle damping, N·m·s/rad."""
     sigma_2: float
+    """Viscous friction, N·m·s/rad."""
     stribeck_velocity: float = 0.01
+    """Velocity vs, rad/s."""
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():

@@ -14,13 +14,6 @@ from armimp_common.errors import ConfigurationError
 class PlanarChain:
     """Rigid links in series, turning about parallel vertical axes (so no gravity).
 
-    Parameters
-    ----------
-    lengths : (n,) joint to next joint, m
-    moments : (n,) moment of inertia of each link about its own joint, I + m·lg², kg·m²
-    masses : (n,) kg (that of the first link has no effect beyond ``moments``)
-    centres : (n,) joint to centre of mass lg, m (likewise)
-
     Raises
     ------
     ConfigurationError
@@ -29,9 +22,13 @@ class PlanarChain:
     """
 
     lengths: NDArray[np.float64]
+    """(n,) joint to next joint, m."""
     moments: NDArray[np.float64]
+    """(n,) moment of inertia of each link about its own joint, I + m·lg², kg·m²."""
     masses: NDArray[np.float64]
+    """(n,) kg (that of the first link has no effect beyond ``moments``)."""
     centres: NDArray[np.float64]
+    """(n,) joint to centre of mass lg, m (likewise)."""
 
     def __post_init__(self) -> None:
         n = self.lengths.size
