@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common.cdr import CommandEncoder, JointStateEncoder
+from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateEncoder
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, TrialStatus
 from armimp_common.topics import (
@@ -513,6 +513,24 @@ def test_a_command_of_somebody_else_before_the_trial_is_found_too(number: int) -
     stray = CommandEncoder(len(NAMES)).encode((0.0, 0.0), number)
     topics[COMMANDS] = [*commands[: FIRST - 1], stray, *commands[FIRST - 1 :]]
     assert ProblemCode.COMMANDS_FOREIGN in codes(assemble(topics))
+
+
+@pytest.mark.parametrize("rest", [0, 4])
+def test_commands_that_are_numbered_anew_for_each_trial_belong_to_their_samples(rest: int) -> None:
+    several = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=rest)
+    topics = several.by_topic()
+    expected = [trial.intact()[0].command for trial in trials_of(topics, statuses_of(several))]
+    decode = CommandDecoder(len(NAMES)).decode
+    encode = CommandEncoder(len(NAMES)).encode
+    topics[COMMANDS] = [
+        encode(decode(raw), index % (TICKS + rest) + 1)
+        for index, raw in enumerate(topics[COMMANDS])
+    ]
+    trials = trials_of(topics, statuses_of(several))
+    for trial, command in zip(trials, expected, strict=True):
+        (found,) = trial.intact()
+        assert found.command is not None
+        np.testing.assert_array_equal(found.command, command)
 
 
 @pytest.mark.parametrize("stray", [0, FIRST - 1, -1])

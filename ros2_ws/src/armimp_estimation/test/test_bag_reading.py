@@ -309,6 +309,25 @@ class TestForeignMessages:
         path = write_ours(tmp_path / "bag", messages)
         assert_same(read_bag(path).records()[0], record)
 
+    def test_further_joints_in_messages_of_sensors_are_passed_over_with_a_note(
+        self, tmp_path: Path
+    ) -> None:
+        record = RECORDING.records[0]
+        messages: list[Message] = []
+        for tick in range(record.samples):
+            stamp = record.start_ns + tick * PERIOD_NS
+            angles, torques = record.position[:, tick], record.torque[:, tick].tolist()
+            states = joint_state(stamp, ["grip", "shoulder", "elbow"], position=[0.1, *angles])
+            sensors = joint_state(stamp, ["shoulder", "elbow"], effort=torques)
+            messages += [(JOINT_STATES, stamp, states), (topics.TORQUE_SENSORS, stamp, sensors)]
+            perturbation = record.perturbation[:, tick].tolist()
+            raw = joint_state(stamp, ["shoulder", "elbow"], effort=perturbation)
+            messages.append((topics.PERTURBATION, stamp, raw))
+        content = read_bag(write_ours(tmp_path / "bag", messages))
+        np.testing.assert_array_equal(content.records()[0].position, record.position)
+        (note,) = content.notes
+        assert "joint_states has joints that were passed over, grip:" in note
+
     def test_order_of_the_controller_is_taken_without_metadata(self, tmp_path: Path) -> None:
         path = write_ours(tmp_path / "bag", metadata={})
         assert read_bag(path).joint_names == ("shoulder", "elbow")

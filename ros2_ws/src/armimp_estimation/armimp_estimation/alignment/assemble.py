@@ -552,14 +552,17 @@ def _count_commands(streams: Streams, leading: _Aligned) -> tuple[StreamCount, i
     if numbers.any():
         # Lost ones leave a step forward; whatever somebody else sends, there is one that is not.
         back = numbers[1:] <= numbers[:-1]
-        # A controller that began anew before the trial counts from 1 again.
-        anew = (numbers[1:-1] == 1) & (numbers[2:] == 2)
-        back[:-1] &= ~anew | (np.arange(1, back.size) >= before)
+        back[:before] &= ~_begins_anew(numbers)[:before]
         foreign = max(int(back.sum()), int((numbers == 0).sum()))
     else:
         # A recording may end between the two messages of a tick.
         foreign = max(commands.count - leading.stream.count - 1, 0)
     return StreamCount(expected=span, received=received, lost=span - received), foreign
+
+
+def _begins_anew(numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether each command after the first is that of a controller that counts from 1 again."""
+    return np.asarray((numbers[1:] == 1) & (np.append(numbers[2:], 0) == 2))
 
 
 def _of_commands(
@@ -631,8 +634,8 @@ def _commands(streams: Streams) -> NDArray[np.float64] | None:
     if commands.defect or abs(streams.stamped[PERTURBATION].count - commands.count) > 1:
         return None
     numbers = commands.stamps
-    jumps = np.flatnonzero(np.diff(numbers) != 1) if numbers.any() else np.empty(0, np.intp)
-    return commands.values[:, : int(jumps[0]) + 1] if jumps.size else commands.values
+    jumps = (np.diff(numbers) != 1) & ~_begins_anew(numbers) & numbers.any()
+    return commands.values[:, : int(jumps.argmax()) + 1] if jumps.any() else commands.values
 
 
 def _chosen(

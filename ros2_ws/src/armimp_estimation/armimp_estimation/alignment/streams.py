@@ -111,7 +111,8 @@ class Streams:
     Parameters
     ----------
     joint_names : sequence of str
-        Order of the rows of all values; messages may have any other.
+        Order of the rows of all values; messages may have any other. Those of sensors may have
+        further joints, which are passed over.
     stamped : mapping of str to Stream, optional
         Positions (rad), torque readings and perturbation (N·m), by topic of the contract; by
         default messages are added later.
@@ -131,7 +132,9 @@ class Streams:
         self.commands = Stream.empty(n) if commands is None else commands
         self._pending: dict[str, list[bytes]] = {topic: [] for topic in (*VALUE_FIELD, COMMANDS)}
         self._decoders = {
-            topic: JointStateDecoder(joint_names, field) for topic, field in VALUE_FIELD.items()
+            # Those of all joints of a robot may be published together, but the perturbed are known.
+            topic: JointStateDecoder(joint_names, field, others=topic != PERTURBATION)
+            for topic, field in VALUE_FIELD.items()
         }
         self._command_decoder = CommandDecoder(n)
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -64,8 +65,8 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
 
     Taken are rosbag2 directories with complete, provisional or no ``metadata.yaml``, and single
     MCAP or SQLite3 files, compressed or not, complete or cut. Topics may be under a namespace, and
-    the joints of every message in any order. Where there is no trial status, the trials are
-    inferred from the perturbation, as `infer_windows` says.
+    the joints of every message in any order, with further ones in those of sensors. Where there is
+    no trial status, the trials are inferred from the perturbation, as `infer_windows` says.
 
     Parameters
     ----------
@@ -111,6 +112,14 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
     if defect:
         notes.append(f"{path}: damaged messages of {topics.TRIAL}: {one_line(defect)}")
     notes += [f"{path}: {trial.note}" for trial in trials if trial.note]
+    for topic in (topics.JOINT_STATES, topics.TORQUE_SENSORS):
+        # Something could be decoded, but it need not be the first message.
+        with suppress(MalformedMessageError):
+            others = set(joint_names_of(messages[topic][0])).difference(joint_names)
+            if others:
+                passed_over = f"{path}: {topic} has joints that were passed over"
+                listed = one_line(", ".join(sorted(others)))
+                notes.append(f"{passed_over}, {listed}: they must not have moved")
     return BagContent(
         path=path,
         metadata=raw.metadata,
