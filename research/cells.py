@@ -1,24 +1,111 @@
-"""Errors of M, B and K over all seeds of one estimator in one condition."""
+"""Errors of M, B and K over all seeds of an estimator in a condition, and the runs behind them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.study.conditions import parse_seeds
+from armimp_common.errors import ConfigurationError
+from armimp_common.topics import NS_PER_S, PERIOD_NS
+from armimp_estimation.spectra import WelchConfig
+from research.decomposition_trials import in_blocks, in_threads
+
 FloatArray = NDArray[np.float64]
+Levels: TypeAlias = tuple[int, int, int]
+"""Of friction, resolution and perturbation."""
+Run: TypeAlias = tuple[float, str, FloatArray, FloatArray]
+"""Voluntary torque (N·m rms), name of the estimator, its errors and what they are compared with,
+both relative, of shape (3, n, n)."""
+Runs: TypeAlias = tuple[Levels, float, str, FloatArray, FloatArray]
+"""The same of all seeds, of shape (runs, 3, n, n), after the levels."""
 
 LETTERS: Final = ("M", "B", "K")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Estimators at some levels, with and without voluntary torque."""
+
+    base: ExperimentConfig = field(
+        default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
+    )
+    """Everything but seed, levels and voluntary torque. The plant takes steps of 0.05 ms: those of
+    0.01 ms, the default, find the same in twice the time."""
+    levels: tuple[Levels, ...]
+    seeds: str
+    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
+    voluntary: tuple[float, ...] = (0.3, 0.0)
+    """Rms of the voluntary torque, N·m."""
+    estimators: tuple[str, ...]
+
+    @property
+    def welch(self) -> WelchConfig:
+        """Segments and band of every run."""
+        return WelchConfig.for_samples(round(self.base.duration * NS_PER_S / PERIOD_NS))
+
+    def at(self, levels: Levels) -> ExperimentConfig:
+        """Base at these levels."""
+        names = ("friction", "resolution", "perturbation")
+        return self.base.model_copy(update=dict(zip(names, levels, strict=True)))
+
+    def described(self) -> dict[str, Any]:
+        """As it stands in the JSON file."""
+        of_runs = {"seed", "estimators", "friction", "resolution", "perturbation"}
+        experiment = self.base.model_dump(mode="json", exclude=of_runs)
+        return {"schema": 1, "experiment": experiment, "seeds": self.seeds}
+
+    def runs(
+        self,
+        work: Callable[[ExperimentConfig, tuple[int, ...]], list[Run]],
+        workers: int | None = None,
+    ) -> Iterator[Runs]:
+        """Do all runs.
+
+        Parameters
+        ----------
+        work : simulates and estimates some seeds of one base, with all torques and estimators
+        workers : number of threads; None: one per core
+
+        Returns
+        -------
+        iterator of Runs
+            By estimator, voluntary torque and levels, in the order of the plan.
+
+        Raises
+        ------
+        ConfigurationError, ArmimpError
+            If there are fewer than two seeds, the plan does not make experiments, or they cannot be
+            simulated or estimated.
+        """
+        seeds = parse_seeds(self.seeds)
+        if len(seeds) < 2:
+            raise ConfigurationError(f"--seeds {self.seeds}: one seed is too few for statistics")
+        tasks = [(levels, block) for levels in self.levels for block in in_blocks(seeds)]
+        found: dict[tuple[Levels, float, str], list[tuple[FloatArray, FloatArray]]] = {}
+        done = in_threads(lambda task: work(self.at(task[0]), task[1]), tasks, workers)
+        for (levels, _), results in zip(tasks, done, strict=True):
+            for voluntary, estimator, errors, limits in results:
+                found.setdefault((levels, voluntary, estimator), []).append((errors, limits))
+        for estimator in self.estimators:
+            for voluntary in self.voluntary:
+                for levels in self.levels:
+                    errors, limits = map(
+                        np.stack, zip(*found[levels, voluntary, estimator], strict=True)
+                    )
+                    yield levels, voluntary, estimator, errors, limits
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ErrorCell:
     """One estimator in one condition, over all seeds."""
 
-    levels: tuple[int, int, int]
-    """Of friction, resolution and perturbation."""
+    levels: Levels
     voluntary: float
     """Rms of the voluntary torque, N·m."""
     estimator: str

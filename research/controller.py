@@ -19,12 +19,11 @@ from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import display
 from armimp_common.errors import ArmimpError, ConfigurationError
 from research.controller_figures import controller_figure
 from research.decomposition_trials import in_threads
 from research.options import InvestigationOptions
-from research.writing import figure_style, print_table, to_json, write_figure, write_tables
+from research.writing import present, print_table
 
 FloatArray = NDArray[np.float64]
 WALK, GAMMA, LOCK = "walk", "gamma", "lock"
@@ -204,13 +203,13 @@ def investigate(options: InvestigationOptions, plan: ControllerPlan | None = Non
         "seeds": chosen.seeds,
         "rows": rows,
     }
-    write_tables(options.out, "controller", result, shown)
-    display().phase("drawing")
-    with figure_style():
-        write_figure(options.out, "controller", controller_figure(shown, PARAMETERS, REFERENCE))
-    display().close()
-    if options.json:
-        print(to_json(result))
+    if not present(
+        options,
+        "controller",
+        result,
+        shown,
+        lambda: {"controller": controller_figure(shown, PARAMETERS, REFERENCE)},
+    ):
         return 0
     columns = [name for name in shown[0] if name not in {"parameter", "value", "refused"}]
     for parameter, value in settings(chosen):

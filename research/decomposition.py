@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import display
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_figures import decomposition_figures
@@ -33,12 +32,7 @@ from research.decomposition_trials import (
     with_voluntary,
 )
 from research.options import InvestigationOptions
-from research.writing import (
-    figure_style,
-    to_json,
-    write_figure,
-    write_tables,
-)
+from research.writing import present
 
 FloatArray = NDArray[np.float64]
 
@@ -150,14 +144,12 @@ def investigate(options: InvestigationOptions, plan: DecompositionPlan | None = 
         "units": "errors of M, B, K in % of sqrt(|X_ii X_jj|), of Z in % of |Z_ij|",
         "cells": [cell.described() for cell in cells],
     }
-    write_tables(options.out, "decomposition", result, cell_rows(cells))
-    display().phase("drawing")
-    with figure_style():
-        for name, figure in decomposition_figures(cells, chosen.coupled_at).items():
-            write_figure(options.out, name, figure)
-    display().close()
-    if options.json:
-        print(to_json(result))
-    else:
+    if present(
+        options,
+        "decomposition",
+        result,
+        cell_rows(cells),
+        lambda: decomposition_figures(cells, chosen.coupled_at),
+    ):
         print_cells(cells)
     return 0

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import display
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_trials import (
     ESTIMATORS,
@@ -30,13 +29,7 @@ from research.decomposition_trials import (
 from research.growth_figures import growth_figure
 from research.growth_outcomes import Cell, Outcome
 from research.options import InvestigationOptions
-from research.writing import (
-    figure_style,
-    print_table,
-    to_json,
-    write_figure,
-    write_tables,
-)
+from research.writing import present, print_table
 
 FloatArray = NDArray[np.float64]
 
@@ -144,14 +137,9 @@ def investigate(options: InvestigationOptions, plan: GrowthPlan | None = None) -
         "units": "bias, spread and worst in % of sqrt(|X_ii X_jj|), worst_relative in % of |X_ij|",
         "cells": rows,
     }
-    write_tables(options.out, "growth", result, rows)
-    display().phase("drawing")
-    with figure_style():
-        write_figure(options.out, "growth", growth_figure(cells, chosen.target))
-    display().close()
-    if options.json:
-        print(to_json(result))
-    else:
+    if present(
+        options, "growth", result, rows, lambda: {"growth": growth_figure(cells, chosen.target)}
+    ):
         _print(cells, chosen)
     return 0
 

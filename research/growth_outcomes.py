@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_bringup.offline import SimulatedExperiment
 from armimp_common.topics import NS_PER_S, PERIOD_NS
+from research.cells import LETTERS, FloatArray
 from research.decomposition_statistics import Mean, root_mean_square
 from research.decomposition_trials import (
     MIMO,
@@ -18,9 +18,6 @@ from research.decomposition_trials import (
     matrices,
     scales,
 )
-
-FloatArray = NDArray[np.float64]
-LETTERS: Final = ("M", "B", "K")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,104 +2,38 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-
-import numpy as np
-from numpy.typing import NDArray
+from dataclasses import dataclass, replace
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study.conditions import parse_seeds
-from armimp_bringup.terminal import display
-from armimp_common.errors import ConfigurationError
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_estimation.spectra import WelchConfig
 from armimp_sim.voluntary import power_spectrum
+from research.cells import FloatArray, Levels, Plan, Run
 from research.cramer_rao import (
     SensorNoise,
     cramer_rao_bound,
     error_covariance,
     motion_in_band,
 )
-from research.decomposition_trials import (
-    estimate,
-    in_blocks,
-    in_threads,
-    matrices,
-    scales,
-    with_voluntary,
-)
+from research.decomposition_trials import estimate, matrices, scales, with_voluntary
 from research.limits_figure import limits_figure
 from research.limits_statistics import Cell
 from research.limits_tables import in_words, print_cells
 from research.options import InvestigationOptions
-from research.writing import (
-    figure_style,
-    to_json,
-    write_figure,
-    write_tables,
-)
-
-FloatArray = NDArray[np.float64]
+from research.writing import present
 
 
 @dataclass(frozen=True, kw_only=True)
-class LimitsPlan:
+class LimitsPlan(Plan):
     """What is simulated."""
 
-    base: ExperimentConfig = field(
-        default_factory=lambda: ExperimentConfig(arm_sim={"substeps": 20})
-    )
-    """Everything but seed, levels and voluntary torque. The plant takes steps of 0.05 ms: those of
-    0.01 ms, the default, find the same in twice the time."""
-    levels: tuple[tuple[int, int, int], ...] = (
+    levels: tuple[Levels, ...] = (
         *((0, 1, 3), (1, 1, 2), (3, 1, 3)),
         *((3, 3, 3), (0, 3, 1), (3, 3, 1)),
     )
-    """Of friction, resolution and perturbation."""
     seeds: str = "0:64"
-    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
-    voluntary: tuple[float, ...] = (0.3, 0.0)
-    """Rms of the voluntary torque, N·m."""
     estimators: tuple[str, ...] = ("lpm_full", "welch_full", "welch_siso")
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Setting:
-    """What all runs of a cell have in common."""
-
-    levels: tuple[int, int, int]
-    voluntary: float
-    estimator: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Task:
-    """Runs that are simulated side by side."""
-
-    base: ExperimentConfig
-    levels: tuple[int, int, int]
-    voluntary: tuple[float, ...]
-    estimators: tuple[str, ...]
-    seeds: tuple[int, ...]
-
-    def __call__(self) -> list[tuple[_Setting, FloatArray, FloatArray]]:
-        """Relative errors and relative bounds of M, B and K of each run."""
-        levels = dict(zip(("friction", "resolution", "perturbation"), self.levels, strict=True))
-        base = self.base.model_copy(update=levels)
-        welch = WelchConfig.for_samples(round(self.base.duration * NS_PER_S / PERIOD_NS))
-        relaxed = simulate(with_voluntary(base, 0.0, self.seeds))
-        found = []
-        for torque in self.voluntary:
-            experiments = simulate(with_voluntary(base, torque, self.seeds)) if torque else relaxed
-            for experiment, quiet in zip(experiments, relaxed, strict=True):
-                true = matrices(experiment.truth)
-                bound = bound_of(experiment, quiet, (welch.f_low, welch.f_high)) / scales(true)
-                for name, run in estimate(experiment, self.estimators, welch).items():
-                    setting = _Setting(levels=self.levels, voluntary=torque, estimator=name)
-                    found.append((setting, (matrices(run.fit.mbk) - true) / scales(true), bound))
-        return found
 
 
 def bound_of(
@@ -136,52 +70,27 @@ def bound_of(
 
 
 def run_limits(plan: LimitsPlan, workers: int | None = None) -> list[Cell]:
-    """Simulate and estimate all of a plan.
+    """Simulate and estimate all of a plan, see :meth:`research.cells.Plan.runs`."""
+    band = plan.welch.f_low, plan.welch.f_high
 
-    Returns
-    -------
-    list of Cell
-        By estimator, voluntary torque and levels, in the order of the plan.
+    def work(base: ExperimentConfig, seeds: tuple[int, ...]) -> list[Run]:
+        """Relative errors and relative bounds of M, B and K of each run."""
+        relaxed = simulate(with_voluntary(base, 0.0, seeds))
+        found: list[Run] = []
+        for torque in plan.voluntary:
+            experiments = simulate(with_voluntary(base, torque, seeds)) if torque else relaxed
+            for experiment, quiet in zip(experiments, relaxed, strict=True):
+                true = matrices(experiment.truth)
+                bound = bound_of(experiment, quiet, band) / scales(true)
+                for name, run in estimate(experiment, plan.estimators, plan.welch).items():
+                    found.append(
+                        (torque, name, (matrices(run.fit.mbk) - true) / scales(true), bound)
+                    )
+        return found
 
-    Raises
-    ------
-    ConfigurationError, ArmimpError
-        If there are fewer than two seeds, the plan does not make experiments, or they cannot be
-        simulated or estimated.
-    """
-    seeds = parse_seeds(plan.seeds)
-    if len(seeds) < 2:
-        raise ConfigurationError(f"--seeds {plan.seeds}: one seed is too few to tell an rms error")
-    tasks = [
-        _Task(
-            base=plan.base,
-            levels=levels,
-            voluntary=plan.voluntary,
-            estimators=plan.estimators,
-            seeds=block,
-        )
-        for levels in plan.levels
-        for block in in_blocks(seeds)
-    ]
-    found: dict[_Setting, list[tuple[FloatArray, FloatArray]]] = {}
-    for runs in in_threads(_Task.__call__, tasks, workers):
-        for setting, errors, bounds in runs:
-            found.setdefault(setting, []).append((errors, bounds))
     return [
-        Cell(
-            levels=setting.levels,
-            voluntary=setting.voluntary,
-            estimator=setting.estimator,
-            errors=np.stack([errors for errors, _ in runs]),
-            bounds=np.stack([bounds for _, bounds in runs]),
-        )
-        for setting in (
-            _Setting(levels=levels, voluntary=torque, estimator=name)
-            for name in plan.estimators
-            for torque in plan.voluntary
-            for levels in plan.levels
-        )
-        for runs in (found[setting],)
+        Cell(levels=levels, voluntary=voluntary, estimator=estimator, errors=errors, bounds=bounds)
+        for levels, voluntary, estimator, errors, bounds in plan.runs(work, workers)
     ]
 
 
@@ -210,24 +119,13 @@ def investigate(options: InvestigationOptions, plan: LimitsPlan | None = None) -
     cells = run_limits(chosen, options.workers)
     sentences = in_words(cells)
     result = {
-        "schema": 1,
-        "experiment": chosen.base.model_dump(
-            mode="json", exclude={"seed", "estimators", "friction", "resolution", "perturbation"}
-        ),
-        "seeds": chosen.seeds,
+        **chosen.described(),
         "units": "bound, errors, bias and spread in % of sqrt(|X_ii X_jj|)",
         "in_words": sentences,
         "cells": [cell.described() for cell in cells],
     }
-    write_tables(options.out, "limits", result, [row for cell in cells for row in cell.rows()])
-    display().phase("drawing")
-    with figure_style():
-        write_figure(options.out, "limits", limits_figure(cells))
-    display().close()
-    if options.json:
-        print(to_json(result))
-    else:
+    rows = [row for cell in cells for row in cell.rows()]
+    if present(options, "limits", result, rows, lambda: {"limits": limits_figure(cells)}):
         print_cells(cells)
-        for sentence in sentences:
-            print(sentence)
+        print("\n".join(sentences))
     return 0

@@ -7,8 +7,7 @@ import functools
 import io
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,7 +16,9 @@ from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
 
+from armimp_bringup.terminal import display
 from armimp_estimation.atomic_write import write_atomically, write_text
+from research.options import InvestigationOptions
 
 # Colours by Okabe and Ito, which colour-blind readers can tell apart.
 COLOURS: Final = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -43,13 +44,42 @@ _STYLE: Final[Any] = {
 }
 
 
-@contextmanager
-def figure_style() -> Iterator[None]:
-    """Make figures look as those of the study while this is open."""
+def present(
+    options: InvestigationOptions,
+    name: str,
+    result: Mapping[str, Any],
+    rows: Sequence[Mapping[str, Any]],
+    figures: Callable[[], Mapping[str, Any]],
+) -> bool:
+    """Write tables and figures of an investigation, and its JSON to the terminal if that is wanted.
+
+    Parameters
+    ----------
+    options : where to, and whether to print JSON
+    name, result, rows : as for :func:`write_tables`
+    figures : draws the figures, by name of their files
+
+    Returns
+    -------
+    bool
+        Whether the investigation is to be told in words and tables.
+
+    Raises
+    ------
+    DataError
+        If a file can't be written.
+    """
     import matplotlib as mpl
 
+    write_tables(options.out, name, result, rows)
+    display().phase("drawing")
     with mpl.rc_context(_STYLE):
-        yield
+        for file, figure in figures().items():
+            write_figure(options.out, file, figure)
+    display().close()
+    if options.json:
+        print(to_json(result))
+    return not options.json
 
 
 def write_figure(directory: Path, name: str, figure: Any) -> list[Path]:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_common.errors import ConfigurationError
 from research.decomposition_trials import (
     with_voluntary,
 )
@@ -130,11 +129,6 @@ def test_words_name_the_worst_element() -> None:
     (sentence,) = in_words([cell])
     assert "2.00 to 6.00 times the bound" in sentence
     assert "B12 at levels 0 1 3, an error of 3 %" in sentence
-
-
-def test_one_seed_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match="--seeds 7: one seed is too few"):
-        run_limits(replace(PLAN, seeds="7"))
 
 
 def test_investigation_leaves_tables_and_a_figure(
