@@ -28,14 +28,12 @@ from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
-from armimp_estimation.result import Result, conclude, load_result
+from armimp_estimation.result import Result, conclude
 from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_averages
 from armimp_estimation.summary import ModelParameterSummary, read_summary, write_summary
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, segments_for
 from support.recordings import recorded_arm
-from support.results import METADATA as CONFIGURED
-from support.results import make_result
 from support.streams import record
 from support.synthetic_bags import Message
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
@@ -462,12 +460,10 @@ def test_when_a_bag_is_of_another_run_expect_the_worse_run_to_count(
         assert latest_metadata(stored(*order)) == stored(bad)[0]
 
 
-def test_the_report_has_a_timing_part_for_a_run_in_real_time_only(tmp_path: Path) -> None:
-    paced = make_result(tmp_path / "a", metadata={**CONFIGURED, **stored(timing(BAD))[0]})
-    plain = make_result(tmp_path / "b")
-    page = report_page(load_result(paced))
+def test_the_report_has_a_timing_part_for_a_run_in_real_time_only() -> None:
+    page = report_page(result_of([], metadata={**METADATA, **stored(timing(BAD))[0]}))
     assert 'id="timing"' in page
-    assert 'id="timing"' not in report_page(load_result(plain))
+    assert 'id="timing"' not in report_page(result_of([]))
     section = page[page.index('id="timing"') :]
     section = section[: section.index("</section>")]
     for shown in ("1.000", "1.100", "2.500", "0.200", "0.400", "1.500", "0.150", "5.000", "2000"):
