@@ -176,3 +176,19 @@ def test_fit_takes_the_floor_of_weights_that_the_estimate_carries() -> None:
     same = dataclasses.replace(estimate, weight_floor=None)
     np.testing.assert_array_equal(own, stacked(fit_mbk(same, FitConfig(weight_floor=0.005))))
     assert (own != stacked(fit_mbk(same))).all()
+
+
+def test_few_wide_bins_of_a_short_trial_hardly_bias_the_stiffness() -> None:
+    arm = TWO_JOINT_ARM
+    data = [
+        with_records(
+            [trial],
+            **{
+                name: getattr(trial.record, name)[:, :400]
+                for name in ("perturbation", "position", "torque")
+            },
+        )[0]
+        for trial in synthetic_trials()
+    ]
+    found = fit_mbk(LPM.estimate(data)).mbk.K
+    assert np.max(np.abs(found / arm.K - 1.0)) < 0.001

@@ -37,6 +37,7 @@ ComplexArray = NDArray[np.complex128]
 _SPARE_BINS = 3
 # Frequencies at which an arm is taken from the responses that is near to the one which is sought.
 _MOST_NEAR = 64
+_NEARER = 3
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
 _HARMONICS = 0.0015
@@ -157,16 +158,7 @@ class LpmFull:
         jump = self.jump(records)
         rate, n = records[0].rate, len(records)
         near = self._arm_near(records, jump)
-
-        def mixed(f: FloatArray) -> ComplexArray:
-            """Angles, torques less those of the arm that is near, and what skew adds to them."""
-            skew = self._skew(jump, f, rate, n)
-            added = skew.copy()
-            added[:, :n] -= self._without_skew(_unit(n, n, f), f, rate)
-            chosen = _angles_and(np.concatenate((skew, added)), n)
-            chosen[n : 2 * n, :n] = -near.impedance(f)
-            return chosen
-
+        mixed = self._beside(near, jump, rate)
         columns = self._columns(records, with_steps=jump is not None, mix=mixed)
         f = columns[0].f
         stacked = np.stack([column.response for column in columns], axis=1)
@@ -347,24 +339,54 @@ class LpmFull:
         reading = self.config.reading.at_rate(rate)
         return torque if reading.prompt else torque / reading.response(f)
 
+    def _beside(self, near: MBK, jump: HoldCorrection | None, rate: float) -> Mix:
+        """What is mixed of all channels to estimate an arm beside one that is near.
+
+        Angles, torques less those of the near arm, and what skew adds to torques, n rows each.
+        """
+        n = near.joints
+
+        def mixed(f: FloatArray) -> ComplexArray:
+            skew = self._skew(jump, f, rate, n)
+            added = skew.copy()
+            added[:, :n] -= self._without_skew(_unit(n, n, f), f, rate)
+            chosen = _angles_and(np.concatenate((skew, added)), n)
+            chosen[n : 2 * n, :n] = -near.impedance(f)
+            return chosen
+
+        return mixed
+
     def _arm_near(self, records: Sequence[TrialRecord], jump: HoldCorrection | None) -> MBK:
-        """M, B and K of ``T = Z R`` by least squares of relative errors, at some frequencies."""
-        columns = self._columns(records, with_steps=jump is not None, most=_MOST_NEAR)
-        n, f = len(records), columns[0].f
-        stacked = np.stack([column.response for column in columns], axis=1)
-        torques = multiply(self._skew(jump, f, records[0].rate, n), stacked[n:])
-        s = 2j * np.pi * f
-        motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * stacked[:n]
-        rows = []
-        for torque in torques:
-            size = np.maximum(np.abs(torque), np.finfo(np.float64).tiny)
-            design, aim = (motion / size).reshape(3 * n, -1), (torque / size).ravel()
-            parts = np.concatenate((design.real, design.imag), axis=1)
-            scale = np.linalg.norm(parts, axis=1)[:, None]
-            aims = np.concatenate((aim.real, aim.imag))
-            rows.append(np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0])
-        M, B, K = np.moveaxis(np.reshape(rows, (n, 3, n)), 1, 0)
-        return MBK(M=M, B=B, K=K)
+        """M, B and K by least squares of relative errors, at some frequencies.
+
+        What the polynomials miss is in proportion to the distance from the arm that was near
+        before, so that the second time little of it is left, however few the bins.
+        """
+        n, rate = len(records), records[0].rate
+        found = np.zeros((3, n, n))
+        for _ in range(_NEARER):
+            near = MBK(M=found[0], B=found[1], K=found[2])
+            columns = self._columns(
+                records,
+                with_steps=jump is not None,
+                mix=self._beside(near, jump, rate),
+                most=_MOST_NEAR,
+            )
+            f = columns[0].f
+            stacked = np.stack([column.response for column in columns], axis=1)
+            R, beside = stacked[:n], stacked[n : 2 * n]
+            s = 2j * np.pi * f
+            motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * R
+            torques = beside + multiply(near.impedance(f), R)
+            for row, (torque, left) in enumerate(zip(torques, beside, strict=True)):
+                size = np.maximum(np.abs(torque), np.finfo(np.float64).tiny)
+                design, aim = (motion / size).reshape(3 * n, -1), (left / size).ravel()
+                parts = np.concatenate((design.real, design.imag), axis=1)
+                scale = np.linalg.norm(parts, axis=1)[:, None]
+                aims = np.concatenate((aim.real, aim.imag))
+                solved = np.linalg.lstsq((parts / scale).T, aims, rcond=None)[0] / scale[:, 0]
+                found[:, row] += solved.reshape(3, n)
+        return MBK(M=found[0], B=found[1], K=found[2])
 
     def _columns(
         self,
