@@ -14,7 +14,7 @@ from armimp_estimation.bags import BagWriter, read_bag
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import conclude
-from support.recordings import recorded_arm
+from support.synthetic_bags import recorded_arm
 
 TARGET = 0.2
 """Longest time for a trial of 50 s, s."""

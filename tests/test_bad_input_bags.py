@@ -13,8 +13,7 @@ from armimp_common.cdr import JointStateDecoder, JointStateEncoder
 from armimp_common.topics import PERIOD_NS
 from support.bag_files import STORE, write_bag, write_foreign
 from support.command import Told, behaved, call, refused
-from support.recordings import recorded_arm
-from support.synthetic_bags import Message
+from support.synthetic_bags import Message, recorded_arm
 
 SAMPLES = 1800
 MESSAGES = recorded_arm(SAMPLES).messages

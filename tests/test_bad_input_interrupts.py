@@ -12,7 +12,7 @@ import pytest
 
 from support.bag_files import write_bag
 from support.command import call
-from support.recordings import recorded_arm
+from support.synthetic_bags import recorded_arm
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 

@@ -14,8 +14,8 @@ from armimp_estimation.curves import FRF_FILE
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.summary import SUMMARY_FILE, Summary, read_summary
-from support.recordings import recorded_arm
 from support.streams import record
+from support.synthetic_bags import recorded_arm
 
 pytestmark = pytest.mark.usefixtures("environment")
 

@@ -26,7 +26,7 @@ from armimp_estimation.problems import ProblemCode
 from support.bag_files import iterate_messages
 from support.fault_figures import Figures
 from support.processes import processes_of
-from support.recordings import recorded_arm
+from support.synthetic_bags import recorded_arm
 
 pytestmark = [pytest.mark.alone, pytest.mark.slow]
 
@@ -43,7 +43,7 @@ from armimp_common.topics import TRIAL
 from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.alignment.synchronizer import TOGETHER
 from armimp_estimation.recorder import TrialRecorder
-from support.recordings import recorded_arm
+from support.synthetic_bags import recorded_arm
 from support.streams import fed_synchronizer
 
 directory, trial, samples = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])

@@ -44,7 +44,7 @@ from armimp_common.topics import (
 from armimp_estimation.bags.mcap_writer import MAGIC
 from armimp_estimation.bags.metadata_yaml import bag_information, dump
 from armimp_estimation.bags.statuses import encode_trial_status
-from support.recordings import recorded_arm
+from support.synthetic_bags import recorded_arm
 
 Arguments: TypeAlias = tuple[str, ...]
 Attack: TypeAlias = Callable[[Path], Arguments]

@@ -10,8 +10,7 @@ from pathlib import Path
 from armimp_estimation.bags import read_bag
 from armimp_estimation.result import conclude
 from support.bag_files import write_bag
-from support.recordings import recorded_arm
-from support.synthetic_bags import Message
+from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import TWO_JOINT_ARM
 
 METADATA: Mapping[str, str] = {

@@ -1,14 +1,11 @@
-"""Made-up recordings, for tests and demonstrations of whatever takes a bag.
+"""Recordings of given and of made-up trials, for tests of whatever takes messages or a bag."""
 
-The numbers have no physical meaning: a random walk as position, noise as torque.
-"""
-
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+import functools
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from armimp_common.cdr import CommandEncoder, JointStateEncoder
 from armimp_common.status import Phase, TrialStatus
@@ -23,6 +20,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.record import TrialRecord
+from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 Message: TypeAlias = tuple[str, int, bytes]
 """Topic of the contract, log time (ns) and serialised message."""
@@ -61,7 +59,9 @@ def synthetic_recording(
     start_ns: int = 1_000_000_000,
     seed: int = 1,
 ) -> SyntheticRecording:
-    """Make up the recording of some trials, one after the other.
+    """Make up the recording of some trials, one after the other; its end is not announced.
+
+    The numbers have no physical meaning: a random walk as position, noise as torque.
 
     Parameters
     ----------
@@ -79,96 +79,106 @@ def synthetic_recording(
         Of the numbers, and as seed of the experiment.
     """
     names = tuple(joint_names)
-    length = (settle + ticks + rest) * len(perturbed)
     rng = np.random.default_rng(seed)
-    shape = (len(names), length)
-    position = np.cumsum(rng.normal(scale=1e-3, size=shape), axis=1)
-    torque = rng.normal(size=shape)
-    perturbation = np.zeros(shape)
-    records: list[TrialRecord] = []
-    statuses: list[tuple[int, TrialStatus]] = []
-    for index, joint in enumerate(perturbed):
-        first = index * (settle + ticks + rest) + settle
-        part = slice(first, first + ticks)
-        perturbation[joint, part] = rng.uniform(0.1, 1.0, ticks)
-        first_ns = start_ns + first * PERIOD_NS
+    records = []
+    for joint in perturbed:
+        torque = rng.normal(size=(len(names), ticks))
+        perturbation = np.zeros(torque.shape)
+        perturbation[joint] = rng.uniform(0.1, 1.0, ticks)
         records.append(
             TrialRecord(
-                trial=index + 1,
+                trial=0,
                 perturbed_joint=joint,
                 rate=NS_PER_S / PERIOD_NS,
                 joint_names=names,
-                perturbation=perturbation[:, part],
-                position=position[:, part],
-                torque=torque[:, part],
-                start_ns=first_ns,
+                perturbation=perturbation,
+                position=np.cumsum(rng.normal(scale=1e-3, size=torque.shape), axis=1),
+                torque=torque,
+                start_ns=0,
                 seed=seed,
+                command=torque + perturbation,
             )
         )
-        for phase, tick in (
-            (Phase.SETTLE, first - settle),
-            (Phase.PERTURB, first),
-            (Phase.REST, first + ticks),
-        ):
-            status = TrialStatus(
-                phase=phase,
-                trial=index + 1,
-                trials=len(perturbed),
-                joint=joint,
-                joint_name=names[joint],
-                tick=tick,
-                start_ns=None if phase is Phase.SETTLE else first_ns,
-                ticks=ticks,
-                seed=seed,
-                valid=True,
-            )
-            statuses.append((tick, status))
-    samples = _samples(names, start_ns, position, torque, perturbation)
-    return SyntheticRecording(
-        messages=tuple(_interleaved(samples, statuses, start_ns, length)),
-        records=tuple(records),
-    )
+    made = recording_of(records, settle=settle, rest=rest, start_ns=start_ns)
+    return replace(made, messages=made.messages[:-1])  # without the end
 
 
-def _samples(
-    names: Sequence[str],
-    start_ns: int,
-    position: NDArray[np.float64],
-    torque: NDArray[np.float64],
-    perturbation: NDArray[np.float64],
-) -> list[list[Message]]:
-    """Messages of each control period, in the order in which the graph sends them."""
-    states = JointStateEncoder(names, "position")
-    efforts = JointStateEncoder(names, "effort")
+def recording_of(
+    records: Sequence[TrialRecord], *, settle: int = 60, rest: int = 60, start_ns: int = 0
+) -> SyntheticRecording:
+    """Return the messages which an experiment with these trials would have sent.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One for each trial, in order; numbers and stamps in them are given anew. Those without
+        commands get the perturbation as such.
+    settle, rest : int
+        Control periods before and after the perturbation of each trial, without motion.
+    start_ns : int
+        Stamp of the first sample (ns).
+
+    Returns
+    -------
+    SyntheticRecording
+        Messages in the order of the graph, statuses included, with the stamp as log time; and
+        the records with their new numbers and stamps.
+    """
+    names = records[0].joint_names
+    states, efforts = JointStateEncoder(names, "position"), JointStateEncoder(names, "effort")
     commands = CommandEncoder(len(names))
-    periods: list[list[Message]] = []
-    for tick in range(position.shape[1]):
-        stamp = start_ns + tick * PERIOD_NS
-        raws = {
-            JOINT_STATES: states.encode(stamp, position[:, tick]),
-            TORQUE_SENSORS: efforts.encode(stamp, torque[:, tick]),
-            COMMANDS: commands.encode(torque[:, tick] + perturbation[:, tick]),
-            PERTURBATION: efforts.encode(stamp, perturbation[:, tick]),
-        }
-        periods.append(
-            [(topic, stamp + 10_000 * (1 + i), raw) for i, (topic, raw) in enumerate(raws.items())]
+    messages: list[Message] = []
+    renumbered: list[TrialRecord] = []
+    stamp = start_ns
+
+    def announce(phase: Phase) -> None:
+        record = renumbered[-1]
+        status = TrialStatus(
+            phase=phase,
+            trial=record.trial,
+            trials=len(records),
+            joint=record.perturbed_joint,
+            joint_name=names[record.perturbed_joint],
+            tick=(stamp - start_ns) // PERIOD_NS,
+            start_ns=None if phase is Phase.SETTLE else record.start_ns,
+            ticks=record.samples,
+            seed=record.seed or 0,
+            valid=True,
         )
-    return periods
+        messages.append((TRIAL, stamp, encode_trial_status(status)))
+
+    for number, given in enumerate(records, 1):
+        renumbered.append(replace(given, trial=number, start_ns=stamp + settle * PERIOD_NS))
+        command = given.perturbation if given.command is None else given.command
+        padding = ((0, 0), (settle, rest))
+        position = np.pad(given.position, padding, mode="edge")
+        torque, perturbation, command = (
+            np.pad(one, padding) for one in (given.torque, given.perturbation, command)
+        )
+        begins = {Phase.SETTLE: 0, Phase.PERTURB: settle, Phase.REST: settle + given.samples}
+        for tick in range(position.shape[1] + 1):
+            for phase, first in begins.items():
+                if tick == first:
+                    announce(phase)
+            if tick == position.shape[1]:
+                break
+            raws = {
+                JOINT_STATES: states.encode(stamp, position[:, tick]),
+                TORQUE_SENSORS: efforts.encode(stamp, torque[:, tick]),
+                COMMANDS: commands.encode(command[:, tick]),
+                PERTURBATION: efforts.encode(stamp, perturbation[:, tick]),
+            }
+            messages += [(topic, stamp, raw) for topic, raw in raws.items()]
+            stamp += PERIOD_NS
+    announce(Phase.DONE)
+    return SyntheticRecording(messages=tuple(messages), records=tuple(renumbered))
 
 
-def _interleaved(
-    samples: list[list[Message]],
-    statuses: Sequence[tuple[int, TrialStatus]],
-    start_ns: int,
-    length: int,
-) -> Iterator[Message]:
-    for tick in range(length + 1):
-        for when, status in statuses:
-            if when == tick:
-                log_time = start_ns + tick * PERIOD_NS
-                yield TRIAL, log_time, encode_trial_status(status)
-        if tick < length:
-            yield from samples[tick]
+@functools.cache
+def recorded_arm(samples: int = 10_000) -> SyntheticRecording:
+    """Return the recording of two trials on `TWO_JOINT_ARM`, each of so many samples."""
+    config = SyntheticConfig(samples=samples)
+    return recording_of([synthetic_trial(TWO_JOINT_ARM, k, config, seed=1) for k in range(2)])
 
 
 def assert_same(record: TrialRecord, expected: TrialRecord) -> None:

@@ -42,9 +42,8 @@ from armimp_estimation.stopping import PrecisionGoal, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from support.bag_files import iterate_messages
-from support.recordings import recorded_arm
 from support.streams import record
-from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
 from support.synthetic_trials import SyntheticConfig, synthetic_trial
 

@@ -18,9 +18,8 @@ from armimp_estimation.report.formats import difference, number, uncertain
 from armimp_estimation.result import Result, load_result
 from armimp_estimation.summary import Summary, read_summary, write_summary
 from support.pages import Page
-from support.recordings import recorded_arm
 from support.results import METADATA, make_result
-from support.synthetic_bags import Message, synthetic_recording
+from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 
 HOSTILE = "\"'><script>alert(1)</script><img src=x onerror=alert(1)><a href='javascript:alert(1)'>"
 

@@ -33,9 +33,8 @@ from armimp_estimation.spectra import WelchConfig, bin_correlation, effective_av
 from armimp_estimation.summary import ModelParameterSummary, read_summary, write_summary
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData, segments_for
-from support.recordings import recorded_arm
 from support.streams import record
-from support.synthetic_bags import Message
+from support.synthetic_bags import Message, recorded_arm
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 RECORDING = recorded_arm()
