@@ -473,6 +473,13 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for time in (0.05, 0.3):
             muscle: dict[str, Any] = {"relaxing": 2.0, "relaxation": time, "voluntary": hiding}
             add(MUST, "relaxation under voluntary", (f"{time:g} s, {hiding:g} N·m", muscle))
+    for push in (0.3, 1.0):
+        for name, change in (
+            ("torque larger in one direction", _uneven(0.1)),
+            ("gain that grows", _ramped(0.05)),
+        ):
+            shifted: dict[str, Any] = {"voluntary": push, "readings": changed(torque=change)}
+            add(MUST, f"{name}, voluntary", (f"{push:g} N·m", shifted))
     restless: dict[str, Any] = {"voluntary": 1.0, "tremor": 0.1, "duration": 30.0}
     add(NOISE, "voluntary and tremor", ("1 N·m", restless))
     for slow in (0.5, 1.0, 2.0):

@@ -62,6 +62,15 @@ def test_a_soft_cuff_that_noise_hides_in_some_elements_is_in_the_intervals_of_al
     judge("cuff, voluntary 0.3 N·m 100 kN·m/rad", seed=5)
 
 
+@pytest.mark.parametrize(
+    "name", ["torque larger in one direction, voluntary 0.3 N·m", "voluntary and tremor 1 N·m"]
+)
+def test_what_a_person_does_neither_hides_a_bent_transducer_nor_looks_like_friction(
+    name: str,
+) -> None:
+    judge(name, seed=1)
+
+
 READINGS: dict[str, dict[str, bool]] = {
     "before": {},
     "after": {"after": True},

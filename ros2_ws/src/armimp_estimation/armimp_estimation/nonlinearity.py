@@ -5,9 +5,11 @@ perturbed joint, in the band. If stiffness falls or grows with the angle, e foll
 spring of short range yields, a play operator of the angle (the spring's stretch:
 Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign
 of ``θ̇``; if stiffness changes over the trial, ``θ t``. If the transducer is not linear, e follows
-the fitted torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it shows more in one direction,
+the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it shows more in one direction,
 ``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain changes over the trial.
-Regressors and e are taken without all that any linear filter makes of the angle: so a linear arm
+Terms and e are taken without all that any linear filter makes of angle and perturbation, and the
+coefficient is found with the same term of what the perturbation alone causes as the instrument
+(Söderström & Stoica, *Instrumental Variable Methods for System Identification*): so a linear arm
 gives zero on average, whatever the person does beside, although that moves the arm, too. What M, B
 and K are alike of the regressor, times the coefficient, is what the term does to them; what the
 gain of a transducer changes by is in doubt for all that it measures. What readings lack because
@@ -231,6 +233,12 @@ def _fitted(arm: MBK, record: TrialRecord, band: _Band, angle: ComplexArray) -> 
     return np.asarray(np.sum(arm.impedance(band.f)[record.perturbed_joint] * angle, axis=0))
 
 
+def _caused(signals: FloatArray, forces: FloatArray) -> FloatArray:
+    """What any linear filter makes of the perturbation, (2 bands, N), in signals (..., N)."""
+    normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
+    return np.asarray((signals @ forces.T) @ normal @ forces)
+
+
 def deviations(
     record: TrialRecord,
     arm: MBK,
@@ -253,14 +261,23 @@ def deviations(
     band, k = _Band(record), record.perturbed_joint
     motion, rest = unexplained_torque(record, arm, jump, reading)
     wide = _Band(record, WIDE)
-    fitted = wide.signal(_fitted(arm, record, wide, wide.of(record.position)))
+    # All motion and torque are bent, but what the perturbation causes of them alone is independent
+    # of what the person does: it is the instrument by which the rest is found.
+    torque = wide.signal(wide.of(record.torque[k]))
     kept = band.kept
-    sizes = np.append(np.std(motion[:2], axis=1), np.std(fitted[kept]))
-    signals = np.stack([*motion[:2], band.inner(fitted + record.torque[k].mean())])
+    sizes = np.append(np.std(motion[:2], axis=1), np.std(torque[kept]))[:, None]
+    forces = record.perturbation[k]
+    caused = [_caused(motion[:2], band.filters(forces)), _caused(torque, wide.filters(forces))]
+    offset = record.torque[k].mean()
+    signals, known = (
+        np.stack([*angles, band.inner(one + offset)]) / sizes
+        for angles, one in ((motion[:2], torque), caused)
+    )
     own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
     if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
-    filtered = band.filters(record.position[k])[:, kept]
+    linear = [band.filters(one) for one in (record.position[k], record.perturbation[k])]
+    filtered = np.concatenate(linear)[:, kept]
     inverse = np.linalg.pinv(filtered @ filtered.T, hermitian=True)
 
     def without_linear(signal: FloatArray) -> FloatArray:
@@ -272,27 +289,32 @@ def deviations(
     rest = without_linear(rest[kept])
     found = {}
     for name, bend in _BENT.items():
-        values = band.of(bend(*(signals / sizes[:, None])))
-        signal = band.signal(values)[kept]
+        bent = np.stack([band.of(bend(*one)) for one in (known, signals)])
         # A person's own torque hides what M shows of a transducer, unless it is weighed.
         of_gain = name in _DOUBTED
-        regressor = without_linear(band.signal(values * weights)[kept] if of_gain else signal)
-        parts = [np.array_split(one, _PARTS) for one in (regressor, white if of_gain else rest)]
-        products = np.array([np.sum(p * q) for p, q in zip(*parts, strict=True)])
-        squares = np.array([np.sum(p * p) for p in parts[0]])
+        instrument, term = (
+            without_linear(band.signal(one)[kept]) for one in (bent * weights if of_gain else bent)
+        )
+        left = white if of_gain else rest
+        parts = [np.array_split(one, _PARTS) for one in (instrument, term, left)]
+        products = np.array([np.sum(p * q) for p, _, q in zip(*parts, strict=True)])
+        squares = np.array([np.sum(p * q) for p, q, _ in zip(*parts, strict=True)])
         slope = float(np.sum(products) / np.sum(squares))
-        error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / np.sum(squares))
+        error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / abs(np.sum(squares)))
         shift, gain = np.zeros(3), 0.0
         if of_gain:
-            share = _SLOPES[name] * slope / float(sizes[2])
+            share = _SLOPES[name] * slope / float(sizes[2, 0])
             gain = _DOUBTED[name] * share
         else:
             # What M, B and K are alike of it: the derivatives 2, 1, 0.
-            shift = slope * np.linalg.lstsq(motion[2::-1, kept].T, signal, rcond=None)[0]
+            shift = (
+                slope
+                * np.linalg.lstsq(motion[2::-1, kept].T, band.signal(bent[1])[kept], rcond=None)[0]
+            )
             if name in {"hysteresis", "friction"}:
                 share = float(np.max(np.abs(shift / own)))
             else:
-                share = _SLOPES[name] * slope / (own[2] * float(sizes[0]))
+                share = _SLOPES[name] * slope / (own[2] * float(sizes[0, 0]))
         relative = abs(share * error / slope) if slope else 0.0
         found[name] = Deviation(share=share, error=relative, shift=shift, gain=gain)
     return found
