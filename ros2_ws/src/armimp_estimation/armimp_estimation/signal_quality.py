@@ -42,6 +42,9 @@ _LOST = 0.16
 _WINDOW = 0.5
 _VALUES = 3
 _CHANGES = 5
+_OF_COMMAND = 0.02
+"""Share of a torque beside its command below which it is none on the arm: a robot has inertia."""
+_LAGS = 4
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
 RESOLVED = 8.0
@@ -79,6 +82,11 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                 if share > DROPPED:
                     about = {"count": dropped, "percent": 100.0 * share}
                     found.append((ProblemCode.DROPPED, about))
+            if stream == TORQUE_SENSORS and joint == record.perturbed_joint:
+                factor, share = beside_command(record)
+                if share < _OF_COMMAND:
+                    about = {"factor": factor, "percent": 100.0 * share}
+                    found.append((ProblemCode.TORQUE_IS_COMMAND, about))
             problems += [
                 Problem(
                     code=code, trial=record.trial, values={"stream": stream, "name": name, **values}
@@ -269,6 +277,33 @@ def dropouts(signal: FloatArray, partner: FloatArray) -> tuple[int, float]:
     if counts.size and np.max(counts) >= max(_LEAST_DIPS, np.sum(dips) / 2):
         found |= dips & (signal[starts] == values[np.argmax(counts)])
     return int(np.sum(found)), float(np.sum(runs[found])) / signal.size
+
+
+def beside_command(record: TrialRecord) -> tuple[float, float]:
+    """How the torque of the perturbed joint follows its command.
+
+    Parameters
+    ----------
+    record : TrialRecord
+        Without commands, the share is 1.
+
+    Returns
+    -------
+    factor, share : float, float
+        Torque per command, up to 3 samples late, and the rms of the rest per rms of the torque.
+    """
+    torque = record.torque[record.perturbed_joint]
+    best = (0.0, 1.0)
+    if record.command is None or record.samples <= _LAGS or not np.ptp(torque):
+        return best
+    command = record.command[record.perturbed_joint]
+    for lag in range(_LAGS):
+        given, shown = command[: torque.size - lag], torque[lag:]
+        given, shown = given - np.mean(given), shown - np.mean(shown)
+        factor = float(given @ shown) / max(float(given @ given), np.finfo(np.float64).tiny)
+        share = float(np.std(shown - factor * given)) / float(np.std(torque))
+        best = min(best, (factor, share), key=lambda one: one[1])
+    return best
 
 
 def _rests(signal: FloatArray, start: int, run: int) -> bool:

@@ -1,15 +1,19 @@
 """What is wrong with single signals, and what isn't."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
+from armimp_estimation.problems import ProblemCode
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import (
     DROPPED,
     clipping,
     counts_of,
     dropouts,
+    judge_signals,
     lost_motion,
     sticking,
     unseen_share,
@@ -109,6 +113,18 @@ def test_torque_that_jumps_with_the_perturbation_and_rests_with_the_joint_doesn_
     angle = sosfilt(butter(1, 10.0, fs=RATE, output="sos"), angle)
     torque = np.round(angle + np.gradient(np.repeat(np.sign(angle[::1000]), 1000)), 1)
     assert dropouts(torque, angle)[1] < DROPPED
+
+
+@pytest.mark.parametrize(("inertia", "told"), [(0.0, 1), (0.1, 0)])
+def test_a_torque_that_is_only_the_command_of_a_drive_is_told_from_one_on_the_arm(
+    inertia: float, told: int
+) -> None:
+    record = trials_of(motion(3, 1.0))[0]
+    command = 0.1 * motion(2, 1e-3) + record.perturbation
+    torque = 1.3 * np.roll(command, 1) - inertia * motion(5, 1e-3)
+    found = judge_signals(replace(record, command=command, torque=torque))
+    codes = [one.code for one in found]
+    assert codes.count(ProblemCode.TORQUE_IS_COMMAND) == told
 
 
 def test_counts_are_steps_of_the_resolution() -> None:
