@@ -223,7 +223,8 @@ class RobotResponses:
         impedance = multiply(moving, self.inverse)
         coefficients = mixed.copy()
         coefficients[:, :n] -= impedance
-        systematics = unresolved(self.records, impedance, self.inverse)
+        angles, torques = stacked[:n], stacked[n : 2 * n]
+        systematics = unresolved(self.records, impedance, angles, torques, self.inverse, f)
         if delay is not None:
             torque = multiply(mixed[:, n : 2 * n], stacked[n : 2 * n])
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))

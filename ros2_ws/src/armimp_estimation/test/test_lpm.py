@@ -79,20 +79,28 @@ def test_when_everything_is_late_commands_are_of_no_concern() -> None:
     assert LpmFull().estimate(commanded).Z.tobytes() == LPM.estimate(data).Z.tobytes()
 
 
-def test_motion_that_an_encoder_misses_counts_once_whatever_its_phase() -> None:
+def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None:
     step, records = 1e-4, []
     for k, trial in enumerate(synthetic_trials()):
         position = step * np.rint(trial.record.position / step)
         position[1 - k] = 0.0
         records.append(dataclasses.replace(trial.record, position=position))
     rng = np.random.default_rng(2)
-    Z, inverse = rng.standard_normal((2, 2, 2, 5)) + 1j * rng.standard_normal((2, 2, 2, 5))
-    added = np.sum([np.abs(one) ** 2 for one in unresolved(records, Z, inverse)], axis=0)
+    Z, R, T, inverse = rng.standard_normal((4, 2, 2, 5, 2)) @ [1.0, 1j]
+    f = np.linspace(1.0, 5.0, 5)
+    effects = unresolved(records, Z, R, T, inverse, f)
+    added = np.sum([np.abs(one) ** 2 for one in effects], axis=0)
     expected = np.zeros(Z.shape)
+    share, beside = lost_motion(records)
     for joint, k in ((1, 0), (0, 1)):
-        share = lost_motion(records)[joint, k] / np.std(records[k].perturbation[k])
-        assert share > 0.0
-        expected += np.abs(share * Z[:, joint, None] * inverse[None, k]) ** 2
+        size = beside[joint, k] / np.std(records[k].perturbation[k])
+        assert size > 0.0
+        responses = [share[joint, k] * R[joint, k]]
+        for power in (0, 1):
+            shape = T[joint, k] / f**power
+            responses.append(size * shape / np.sqrt(np.mean(np.abs(shape) ** 2)))
+        for one in responses:
+            expected += np.abs(one * Z[:, joint, None] * inverse[None, k]) ** 2
     np.testing.assert_allclose(added, expected, rtol=1e-12)
 
 

@@ -165,4 +165,4 @@ def test_a_joint_that_rests_within_a_step_may_move_unseen() -> None:
     slow = np.round(np.linspace(0.0, 3.0, 50_000))
     records = trials_of(slow)
     assert unseen_share(records)[1, 0] == 1.0
-    assert lost_motion(records)[1, 0] == pytest.approx(0.16)
+    assert lost_motion(records)[1][1, 0] == pytest.approx(0.16)

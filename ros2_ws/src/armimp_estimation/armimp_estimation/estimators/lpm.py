@@ -38,6 +38,7 @@ _SPARE_BINS = 3
 # Frequencies at which an arm is taken from the responses that is near to the one which is sought.
 _MOST_NEAR = 64
 _NEARER = 3
+_TINY = float(np.finfo(np.float64).tiny)
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
 _HARMONICS = 0.0015
@@ -166,13 +167,14 @@ class LpmFull:
         inverse = invert(R, f)
         beside, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
         impedance = near.impedance(f) + beside
+        torque = multiply(impedance, R)
         reversing = _reversals(records, jump, impedance, f)
         skewed = self._doubts(added, reversing[:, None])
 
         every = _angles_and(_unit(n, 2 * n, f), n)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
-        systematics = (*skewed, *unresolved(records, impedance, inverse))
+        systematics = (*skewed, *unresolved(records, impedance, R, torque, inverse, f))
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
@@ -192,7 +194,7 @@ class LpmFull:
             variance=variance,
             bin_correlation=_mean([column.bin_correlation() for column in columns]),
             averages=min(column.freedom for column in columns) + 1.0,
-            T=multiply(impedance, R),
+            T=torque,
             R=R,
             systematics=systematics,
             line_power=powers,
@@ -437,20 +439,29 @@ def _without_drift(record: TrialRecord) -> TrialRecord:
 
 
 def unresolved(
-    records: Sequence[TrialRecord], impedance: ComplexArray, inverse: ComplexArray
+    records: Sequence[TrialRecord],
+    impedance: ComplexArray,
+    R: ComplexArray,
+    T: ComplexArray,
+    inverse: ComplexArray,
+    f: FloatArray,
 ) -> list[ComplexArray]:
-    """What motion of locked joints within a count of their encoders may do to the impedance.
+    """What motion of locked joints that their encoders don't show may do to the impedance.
 
-    What is lost may have any phase, so either part has half of its variance. It is taken to be as
-    broad a noise as the perturbation x, so a motion of a is a response ``|δR| = a / rms(x)``, with
-    the effect ``δZ = -Z δR R⁻¹``.
+    Rounding takes a share off the responses R that are seen, or adds it. What isn't seen at all
+    follows the torque on the joint, which is a spring to that, or a damper: with ``S = T`` or
+    ``T/s``, a motion of a is a response ``δR = a S / rms(S x)``. The effect of either is
+    ``δZ = -Z δR R⁻¹``.
     """
-    motion = lost_motion(records)
+    share, beside = lost_motion(records)
     lost = []
-    for joint, k in np.argwhere(motion > 0.0):
-        share = np.sqrt(0.5) * motion[joint, k] / float(np.std(records[k].perturbation[k]))
-        effect = share * impedance[:, joint, None] * inverse[None, k]
-        lost += [effect, 1j * effect]
+    for joint, k in np.argwhere(share + beside > 0.0):
+        responses = [share[joint, k] * R[joint, k]]
+        for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
+            caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
+            responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
+        effect = impedance[:, joint, None] * inverse[None, k]
+        lost += [one * effect for one in responses if one.any()]
     return lost
 
 
@@ -543,7 +554,7 @@ def _speed(record: TrialRecord, f: FloatArray) -> float:
     below = turning <= 2.0 * np.pi * f[-1]
     spectrum = (turning * np.fft.rfft(angle - np.mean(angle)))[below]
     speed = float(np.sqrt(2.0 * np.sum(np.abs(spectrum) ** 2))) / record.samples
-    return max(speed, float(np.finfo(np.float64).tiny))
+    return max(speed, _TINY)
 
 
 def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
