@@ -30,8 +30,8 @@ HIGHEST = 2.0
 What the polynomials do not follow of that would be taken for drift in a short record. Within one a
 drift does little, too.
 """
-LOCAL = LocalPolynomialConfig(order=2)
-"""Bins and degree: polynomials of a higher one would follow the ramp itself."""
+# Polynomials of a higher degree would follow the ramp itself.
+_LOCAL = LocalPolynomialConfig()
 SIGNIFICANT = 6.0
 """Standard errors beyond which a slope is taken for drift: in no record does chance get there."""
 
@@ -68,15 +68,13 @@ class Drift:
         return replace(record, position=record.position - position, torque=record.torque - torque)
 
 
-def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) -> Drift | None:
+def drift_of(record: TrialRecord) -> Drift | None:
     """Find the slopes of angles and torques.
 
     Parameters
     ----------
     record : TrialRecord
         A trial without gaps.
-    local : LocalPolynomialConfig, optional
-        Bins and degree, by default :data:`LOCAL`.
 
     Returns
     -------
@@ -84,11 +82,10 @@ def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) ->
         None if the record is too short (see :data:`HIGHEST`), or its perturbation too poor, to
         tell.
     """
-    config = local or LOCAL
-    places = np.arange(1, config.window + 1)
+    places = np.arange(1, _LOCAL.window + 1)
     record = record.whole_periods
     samples, n = record.samples, record.joints
-    if (samples - 1) // 2 < config.window or places[-1] * record.rate / samples > HIGHEST:
+    if (samples - 1) // 2 < _LOCAL.window or places[-1] * record.rate / samples > HIGHEST:
         return None
     inputs = np.fft.rfft(record.perturbation[record.perturbed_joint])[places]
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2))
@@ -99,7 +96,7 @@ def drift_of(record: TrialRecord, local: LocalPolynomialConfig | None = None) ->
         places = places[places % record.periods.count != 0]
     ramp = np.fft.rfft(np.arange(samples) / record.rate)[places]
     size = np.sqrt(np.mean(np.abs(ramp) ** 2))
-    powers = ((places - places.mean()) / config.half_width)[:, None] ** np.arange(config.order + 1)
+    powers = ((places - places.mean()) / _LOCAL.half_width)[:, None] ** np.arange(_LOCAL.order + 1)
     columns = [powers, (ramp / size)[:, None]]
     if record.periods is None:
         columns.insert(0, (inputs / scale)[:, None] * powers)

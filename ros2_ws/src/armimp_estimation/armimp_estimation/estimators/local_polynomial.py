@@ -9,7 +9,6 @@ are taken as polynomials, whose coefficients follow by least squares; the residu
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
@@ -26,8 +25,6 @@ Mix = Callable[[FloatArray], ComplexArray]
 
 # Smallest ratio of the parts of the regressors that are independent of each other.
 _DEGENERATE = 1e-9
-# Degree that is enough for responses that change in proportion to the frequency, and leakage.
-_SMOOTH = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,13 +37,11 @@ class LocalPolynomialConfig:
         If the window has not more bins than there are coefficients.
     """
 
-    order: int = 4
+    order: int = 2
     """Degree of the polynomials in frequency, for response and leakage alike."""
     half_width: int = 12
     """Bins on either side that take part in the estimate at a bin. At the ends of the spectrum the
     window of ``2·half_width + 1`` bins is not centred."""
-    smooth_above: float = math.inf
-    """Frequency from which on polynomials of degree 2 are enough, Hz."""
 
     def __post_init__(self) -> None:
         if self.order < 0:
@@ -64,12 +59,8 @@ class LocalPolynomialConfig:
 
     @property
     def freedom(self) -> int:
-        """Complex degrees of freedom of the residual, where the degree is highest."""
+        """Complex degrees of freedom of the residual."""
         return self.window - 2 * (self.order + 1)
-
-    def order_at(self, f: FloatArray) -> NDArray[np.intp]:
-        """Degree at each frequency, Hz."""
-        return np.where(f < self.smooth_above, self.order, min(self.order, _SMOOTH))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,37 +224,27 @@ def local_response(
     scale = np.sqrt(np.mean(np.abs(inputs) ** 2, axis=1))
     scale[~perturbed] = largest
     observed = _observed(outputs, rate, places, mix)
-    channels = observed.shape[2]
+    distance = (places - centres[:, None]) / config.half_width
+    powers = distance[:, :, None] ** np.arange(config.order + 1)
+    scaled = inputs / scale[:, None]
+    basis, triangle = np.linalg.qr(np.concatenate((scaled[:, :, None] * powers, powers), axis=2))
+    diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
+    poor = np.min(diagonal, axis=1) < _DEGENERATE * np.max(diagonal, axis=1)
+    perturbed &= ~poor
+    triangle[poor] = np.eye(triangle.shape[1])
+    adjoint = np.conj(np.swapaxes(basis, 1, 2))
+    to_response = np.linalg.inv(triangle)[:, :1, :]
+    weights = (to_response @ adjoint)[:, 0, :] / scale[:, None]
+    residual = observed - basis @ (adjoint @ observed)
+    noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / config.freedom
     found = LocalResponse(
         f=f,
-        response=np.empty((channels, f.size), dtype=np.complex128),
-        noise=np.empty((channels, channels, f.size), dtype=np.complex128),
-        weights=np.empty(places.shape, dtype=np.complex128),
+        response=np.ascontiguousarray((weights[:, None, :] @ observed)[:, 0, :].T),
+        noise=np.ascontiguousarray(np.moveaxis(noise, 0, 2)),
+        weights=weights,
         first=first,
         freedom=config.freedom,
     )
-    distance = (places - centres[:, None]) / config.half_width
-    orders = config.order_at(f)
-    for order in np.unique(orders):
-        rows = orders == order
-        powers = distance[rows, :, None] ** np.arange(order + 1)
-        scaled = inputs[rows] / scale[rows, None]
-        regressors = np.concatenate((scaled[:, :, None] * powers, powers), axis=2)
-        basis, triangle = np.linalg.qr(regressors)
-        diagonal = np.abs(np.diagonal(triangle, axis1=1, axis2=2))
-        poor = np.min(diagonal, axis=1) < _DEGENERATE * np.max(diagonal, axis=1)
-        if poor.any():
-            perturbed[np.flatnonzero(rows)[poor]] = False
-            triangle[poor] = np.eye(triangle.shape[1])
-        adjoint = np.conj(np.swapaxes(basis, 1, 2))
-        to_response = np.linalg.inv(triangle)[:, :1, :]
-        weights = (to_response @ adjoint)[:, 0, :] / scale[rows, None]
-        of_outputs = observed[rows]
-        residual = of_outputs - basis @ (adjoint @ of_outputs)
-        noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / (window - 2 * (order + 1))
-        found.weights[rows] = weights
-        found.response[:, rows] = (weights[:, None, :] @ of_outputs)[:, 0, :].T
-        found.noise[:, :, rows] = np.moveaxis(noise, 0, 2)
     if not perturbed.any():
         raise DataError(
             f"perturbation has too few spectral lines between {band[0]:.4g} and {band[1]:.4g} Hz"
@@ -302,7 +283,7 @@ def _periodic_response(
     at_line = (places == centres[:, None]).astype(np.float64)
     between = (places % periods.count != 0).astype(np.float64)
     distance = (places - centres[:, None]) / config.half_width
-    powers = between[:, :, None] * distance[:, :, None] ** np.arange(_SMOOTH + 1)
+    powers = between[:, :, None] * distance[:, :, None] ** np.arange(config.order + 1)
     basis, triangle = np.linalg.qr(powers)
     adjoint = np.swapaxes(basis, 1, 2)
     leakage = (np.linalg.inv(triangle)[:, :1, :] @ adjoint)[:, 0, :]
@@ -310,7 +291,7 @@ def _periodic_response(
     weights = (at_line - leakage) / inputs[:, None]
     observed = _observed(outputs[:, -used:], rate, places, mix)
     residual = between[:, :, None] * observed - basis @ (adjoint @ observed)
-    freedom = np.sum(between, axis=1) - (_SMOOTH + 1)
+    freedom = np.sum(between, axis=1) - (config.order + 1)
     noise = np.swapaxes(residual, 1, 2) @ np.conj(residual) / freedom[:, None, None]
     return LocalResponse(
         f=np.asarray(centres * float(rate / used), dtype=np.float64),

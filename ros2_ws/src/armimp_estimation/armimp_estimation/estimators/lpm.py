@@ -53,16 +53,11 @@ with friction of level 3 it makes 0.35 % at most.
 class LpmConfig:
     """Options of the estimator ``lpm_full``."""
 
-    local: LocalPolynomialConfig = field(
-        default_factory=lambda: LocalPolynomialConfig(smooth_above=5.0)
-    )
-    """Local polynomials: of degree 2 from 5 Hz on, as responses mostly change in proportion to the
-    frequency there. They let two thirds of the noise through."""
+    local: LocalPolynomialConfig = field(default_factory=LocalPolynomialConfig)
+    """Local polynomials."""
     span: float = 0.25
     """Hz on either side of a bin that they may span: in shorter records, where bins are wider,
-    fewer take part. The responses of an arm have a resonance around 1 Hz. Over 0.25 Hz polynomials
-    of degree 2 miss up to 0.5 % of them, which makes B 0.1 to 0.2 % too large, and those of degree
-    4 a tenth of that."""
+    fewer take part. The responses of an arm have a resonance around 1 Hz."""
     reading: TorqueReading = field(default_factory=TorqueReading)
     """How the readings of torque come about, and so what is corrected: see
     :mod:`armimp_estimation.torque_timing`. What jumps with the commands is told by
