@@ -14,9 +14,12 @@ gives zero on average, whatever the person does beside, although that moves the 
 and K are alike of the regressor, times the coefficient, is what the term does to them; what the
 gain of a transducer changes by is in doubt for all that it measures. What readings lack because
 torques jump with commands is put right before: commands that overcome friction would make it look
-like a bent spring. The trial is cut into parts, in each of which the coefficient is found anew: its
-scatter is its error, with no assumption about the spectrum of e. Its ends are left out: there the
-derivatives of a record that is cut off ring.
+like a bent spring. The trial is cut into parts, and the scatter of what each of them says is the
+error, with no assumption about the spectrum of e; parts that weigh much pull the coefficient
+towards themselves, which is made up for (MacKinnon & White, *Journal of Econometrics* 29, 1985:
+HC3). Few parts tell that scatter badly, so what counts as significant follows Student's
+distribution. The ends of a trial are left out: there the derivatives of a record that is cut off
+ring.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from armimp_estimation.hold_correction import HoldCorrection, command_steps
 from armimp_estimation.mbk import MBK
@@ -43,8 +47,10 @@ They are not sharp, so that the ends of the record soon die away.
 """
 WIDE = (BAND[0], (30.0, 40.0))
 """Edges of the part of the fitted torque that bends a transducer: all that is perturbed, Hz."""
-SIGNIFICANT = 4.5
-_ALL, _SIGNIFICANT_OF_ALL = 1.0, 3.5
+MOVING = ((0.0, 0.1), BAND[1])
+"""Edges of the part of the motion that bends a spring, Hz: slow motion goes along its curve."""
+SIGNIFICANT = 3.5
+"""Standard errors that are significant if there are many parts: by chance, 1 in 2000 is larger."""
 LARGE = {
     "amplitude": 0.03,
     "hysteresis": 0.05,
@@ -69,21 +75,23 @@ _ENDS = 3.0
 _WIDTH = 1.0
 _RATE = 200.0
 _MOST_ENDS = 0.2
-_PARTS = 20
+_PART = 1.5
+"""Seconds of a part: motion and torque of a person hardly are alike any more after it."""
 _NEGLIGIBLE = 0.003
 _BETWEEN = 0.02
 """Share of the power of a periodic motion between its lines that distortion may have."""
 _LEAST = 10.0
-_BENT: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray], FloatArray]] = {
-    "amplitude": lambda x, *_: x**3,
-    "hysteresis": lambda x, *_: play(x, PLAY),
-    "friction": lambda _, v, __: np.tanh(v / SLOW),
-    "time": lambda x, *_: x * np.linspace(-0.5, 0.5, x.size),
-    "direction": lambda *signals: np.abs(signals[2]),
-    "gain": lambda *signals: signals[2] ** 3,
-    "drift": lambda *signals: signals[2] * np.linspace(-0.5, 0.5, signals[2].size),
+_BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
+    "amplitude": lambda signals: signals[0] ** 3,
+    "hysteresis": lambda signals: play(signals[1], PLAY),
+    "friction": lambda signals: np.tanh(signals[2] / SLOW),
+    "time": lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
+    "direction": lambda signals: np.abs(signals[3]),
+    "gain": lambda signals: signals[3] ** 3,
+    "drift": lambda signals: signals[3] * np.linspace(-0.5, 0.5, signals.shape[1]),
 }
-"""What follows from angle, speed and torque, in units of their rms."""
+"""What follows from angle, the same and speed without what is slow, and torque, each in units of
+its rms; (4, N)."""
 _SLOPES = {"amplitude": 3.0, "time": 1.0, "direction": 2.0, "gain": 3.0, "drift": 1.0}
 """Of these terms over their argument at one rms, or between both directions: 3 x² of a cube."""
 _DOUBTED = {"direction": 0.5, "gain": 1.0, "drift": 0.5}
@@ -111,10 +119,18 @@ class Deviation:
     """Change of the stiffness from rest to the rms angle, or from begin to end, relative to it; of
     hysteresis and friction its share in the largest of M, B and K; of a transducer the change of
     its gain. And its standard error."""
+    freedom: float
+    """Degrees of freedom of that error."""
     shift: FloatArray
     """What it adds to M, B and K of the joint itself, SI units; shape (3,)."""
     gain: float = 0.0
     """What it adds to the gain of the transducer, relative to that."""
+
+    @property
+    def significant(self) -> bool:
+        """Whether chance hardly explains it."""
+        chance = float(stats.norm.sf(SIGNIFICANT))
+        return bool(abs(self.share) > stats.t.isf(chance, self.freedom) * self.error)
 
 
 class _Band:
@@ -260,22 +276,26 @@ def deviations(
     record = record.whole_periods
     band, k = _Band(record), record.perturbed_joint
     motion, rest = unexplained_torque(record, arm, jump, reading)
-    wide = _Band(record, WIDE)
+    wide, moving = _Band(record, WIDE), _Band(record, MOVING)
     # All motion and torque are bent, but what the perturbation causes of them alone is independent
-    # of what the person does: it is the instrument by which the rest is found.
+    # of what the person does: it is the instrument by which the rest is found. Slow motion of the
+    # person would make it a weak one of terms that go by the direction of the motion.
+    angle = moving.signal(moving.of(record.position[k]))
     torque = wide.signal(wide.of(record.torque[k]))
     kept = band.kept
-    sizes = np.append(np.std(motion[:2], axis=1), np.std(torque[kept]))[:, None]
     forces = record.perturbation[k]
-    caused = [_caused(motion[:2], band.filters(forces)), _caused(torque, wide.filters(forces))]
-    offset = record.torque[k].mean()
-    signals, known = (
-        np.stack([*angles, band.inner(one + offset)]) / sizes
-        for angles, one in ((motion[:2], torque), caused)
+    caused = (
+        _caused(angle, moving.filters(forces)),
+        _caused(motion[:2], band.filters(forces)),
+        _caused(torque, wide.filters(forces)),
     )
+    actual = np.stack([angle, *motion[:2], band.inner(torque + record.torque[k].mean())])
+    known = np.stack([caused[0], *caused[1], band.inner(caused[2] + record.torque[k].mean())])
+    sizes = np.std(actual[:, kept], axis=1)[:, None]
     own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
     if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
+    signals, known = actual / sizes, known / sizes
     linear = [band.filters(one) for one in (record.position[k], record.perturbation[k])]
     filtered = np.concatenate(linear)[:, kept]
     inverse = np.linalg.pinv(filtered @ filtered.T, hermitian=True)
@@ -289,21 +309,17 @@ def deviations(
     rest = without_linear(rest[kept])
     found = {}
     for name, bend in _BENT.items():
-        bent = np.stack([band.of(bend(*one)) for one in (known, signals)])
+        bent = np.stack([band.of(bend(one)) for one in (known, signals)])
         # A person's own torque hides what M shows of a transducer, unless it is weighed.
         of_gain = name in _DOUBTED
         instrument, term = (
             without_linear(band.signal(one)[kept]) for one in (bent * weights if of_gain else bent)
         )
         left = white if of_gain else rest
-        parts = [np.array_split(one, _PARTS) for one in (instrument, term, left)]
-        products = np.array([np.sum(p * q) for p, _, q in zip(*parts, strict=True)])
-        squares = np.array([np.sum(p * q) for p, q, _ in zip(*parts, strict=True)])
-        slope = float(np.sum(products) / np.sum(squares))
-        error = float(np.sqrt(np.sum((products - slope * squares) ** 2)) / abs(np.sum(squares)))
+        slope, error, freedom = _slope(instrument, term, left)
         shift, gain = np.zeros(3), 0.0
         if of_gain:
-            share = _SLOPES[name] * slope / float(sizes[2, 0])
+            share = _SLOPES[name] * slope / float(sizes[3, 0])
             gain = _DOUBTED[name] * share
         else:
             # What M, B and K are alike of it: the derivatives 2, 1, 0.
@@ -316,8 +332,28 @@ def deviations(
             else:
                 share = _SLOPES[name] * slope / (own[2] * float(sizes[0, 0]))
         relative = abs(share * error / slope) if slope else 0.0
-        found[name] = Deviation(share=share, error=relative, shift=shift, gain=gain)
+        found[name] = Deviation(
+            share=share, error=relative, freedom=freedom, shift=shift, gain=gain
+        )
     return found
+
+
+def _slope(
+    instrument: FloatArray, term: FloatArray, left: FloatArray
+) -> tuple[float, float, float]:
+    """Coefficient of the term in what is left, its standard error, and that's degrees of freedom.
+
+    All are signals (N,) at the lower rate.
+    """
+    count = max(round(left.size / (_RATE * _PART)), 3)
+    parts = [np.array_split(one, count) for one in (instrument, term, left)]
+    products = np.array([np.sum(p * q) for p, _, q in zip(*parts, strict=True)])
+    squares = np.array([np.sum(p * q) for p, q, _ in zip(*parts, strict=True)])
+    total = float(np.sum(squares))
+    slope = float(np.sum(products)) / total
+    weights = np.clip(squares / total, 0.0, 0.9)
+    error = float(np.linalg.norm((products - slope * squares) / (1.0 - weights))) / abs(total)
+    return slope, error, max(1.0 / float(np.sum(weights**2)) - 1.0, 1.0)
 
 
 def judge_linearity(
@@ -343,9 +379,7 @@ def judge_linearity(
     problems = []
     shift, gain = np.zeros(3), 0.0
     for name, one in deviations(record, arm, jump, reading).items():
-        # By chance, no stiffness seems to change by all of it, unless the trial tells nothing.
-        least = SIGNIFICANT if abs(one.share) < _ALL else _SIGNIFICANT_OF_ALL
-        if not abs(one.share) > least * one.error or abs(one.share) < _NEGLIGIBLE:
+        if not one.significant or abs(one.share) < _NEGLIGIBLE:
             continue
         shift, gain = np.hypot(shift, one.shift), float(np.hypot(gain, one.gain))
         severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE
