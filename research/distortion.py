@@ -2,7 +2,8 @@
 
 Runs of the project's own rig at levels 3/3/3 with a multisine, flat or optimal: a constant linear
 arm, one with a cubic spring that changes the shoulder's stiffness by 5 % from rest to the rms
-angle, and one whose stiffness changes by 5 % over each trial.
+angle, and one whose stiffness changes by 5 % over each trial; and a linear one on the realistic
+rig, with the torque of a person.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import collections
 import itertools
 from collections.abc import Mapping
+from typing import Literal, TypeAlias
 
 from pydantic import JsonValue
 
@@ -26,13 +28,15 @@ CODES = {
     ProblemCode.HYSTERESIS,
     ProblemCode.CHANGES_OVER_TIME,
 }
+Rig: TypeAlias = Literal["paper", "realistic"]
 RMS_ANGLE = 0.045
 CUBIC = 0.05 / (3.0 * RMS_ANGLE**2)
 """Of K c x³, whose slope is 3 K c x², 1/rad²."""
-ARMS: dict[str, tuple[Mapping[str, JsonValue], ProblemCode | None]] = {
-    "linear": ({}, None),
-    "cubic": ({"muscle.cubic": CUBIC}, ProblemCode.DEPENDS_ON_AMPLITUDE),
-    "drift": ({"muscle.stiffening": 0.05 / 50.0}, ProblemCode.CHANGES_OVER_TIME),
+ARMS: dict[str, tuple[Rig, Mapping[str, JsonValue], ProblemCode | None]] = {
+    "linear": ("paper", {}, None),
+    "cubic": ("paper", {"muscle.cubic": CUBIC}, ProblemCode.DEPENDS_ON_AMPLITUDE),
+    "drift": ("paper", {"muscle.stiffening": 0.05 / 50.0}, ProblemCode.CHANGES_OVER_TIME),
+    "realistic": ("realistic", {}, None),
 }
 KINDS: tuple[PerturbationKind, ...] = ("multisine", "optimal")
 _SIDE_BY_SIDE = 8
@@ -41,7 +45,7 @@ _SIDE_BY_SIDE = 8
 def investigate(options: InvestigationOptions) -> int:
     """Print how many runs of each arm are flagged, and as what; returns exit status 0."""
     seeds = parse_seeds(options.seeds or "0:40")
-    for kind, (arm, (changes, code)) in itertools.product(KINDS, ARMS.items()):
+    for kind, (arm, (rig, changes, code)) in itertools.product(KINDS, ARMS.items()):
         name = f"{kind} {arm}"
         if options.only not in name:
             continue
@@ -49,7 +53,7 @@ def investigate(options: InvestigationOptions) -> int:
         found: collections.Counter[str] = collections.Counter()
         for first in range(0, len(seeds), _SIDE_BY_SIDE):
             configs = [
-                ExperimentConfig(perturbation_kind=kind, seed=seed, arm_sim=dict(changes))
+                ExperimentConfig(perturbation_kind=kind, rig=rig, seed=seed, arm_sim=dict(changes))
                 for seed in seeds[first : first + _SIDE_BY_SIDE]
             ]
             for experiment in simulate(configs):

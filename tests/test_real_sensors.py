@@ -279,3 +279,15 @@ def test_whoever_plants_a_wrong_calibration_does_not_declare_the_transducers_exa
         node_parameters(chosen(sensors), None).estimator.bag_metadata() for sensors in ({}, planted)
     )
     assert set(declared) - set(wrong) == {"gain_uncertainty", "cross_talk_uncertainty"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["multisine", "optimal"])
+def test_a_persons_own_torque_beside_a_periodic_perturbation_looks_like_no_bent_arm(
+    kind: str,
+) -> None:
+    values = {"rig": "realistic", "perturbation_kind": kind, "duration": 60.0}
+    config = ExperimentConfig.model_validate({**values, "arm_sim": {"substeps": 20}})
+    for experiment in simulate([config.model_copy(update={"seed": seed}) for seed in (1, 2, 3)]):
+        result = experiment.identify(["lpm_full"])
+        assert result.valid, result.problems

@@ -78,8 +78,6 @@ _MOST_ENDS = 0.2
 _PART = 1.5
 """Seconds of a part: motion and torque of a person hardly are alike any more after it."""
 _NEGLIGIBLE = 0.003
-_BETWEEN = 0.02
-"""Share of the power of a periodic motion between its lines that distortion may have."""
 _LEAST = 10.0
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "amplitude": lambda signals: signals[0] ** 3,
@@ -156,10 +154,7 @@ class _Band:
         if record.periods is not None:
             bins = np.arange(self.bins.start, self.bins.stop)
             lines = record.periods.lines * record.periods.count
-            at_lines = np.isin(bins, lines)
-            power = np.abs(self.of(record.position[record.perturbed_joint])) ** 2
-            if np.sum(power[~at_lines]) < _BETWEEN * np.sum(power):
-                self._parts = np.where(at_lines, np.searchsorted(lines, bins), -1)
+            self._parts = np.where(np.isin(bins, lines), np.searchsorted(lines, bins), -1)
 
     def of(self, signal: FloatArray) -> ComplexArray:
         spectrum: ComplexArray = np.fft.rfft(signal - signal.mean(axis=-1, keepdims=True))
@@ -169,7 +164,9 @@ class _Band:
         """A signal cut into bands, each as it is and turned by 90 degrees, (2 bands, N).
 
         Under a periodic perturbation each line is a band, and what lies between them, which is
-        distortion, is in none, unless it is so much that a person must have moved.
+        distortion and what a person does, is in none: what was made of a person's motion there
+        would go with the person's torque. Nor does anything remain at the lines of what a fitted
+        arm leaves there that is a little off, which no scatter between parts of the trial shows.
         """
         values = self.of(signal)
         parts = np.unique(self._parts[self._parts >= 0])
