@@ -185,9 +185,10 @@ _REFLEX, _REFLEX_DELAY, _MUSCLE, _SHOWN = 0.5, 0.04, 30.0, 0.2
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997); and the share of that
 gain that the lack of fit shows."""
-_RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
-"""Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
-with which time constants, s."""
+_RELAXED, _RELAXATIONS = 0.1, (0.05, 0.3)
+"""Assumption: standard error of stiffness that a joint may have in addition to K and that relaxes,
+relative to K, and with which time constants, s. Arms with five times that are off by less than 3.5
+standard errors of K; with 0.4, K would have intervals three times too wide if there is none."""
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10

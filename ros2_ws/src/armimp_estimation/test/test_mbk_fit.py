@@ -152,16 +152,20 @@ def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_o
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((2, 2, F.size)) + 1j * rng.standard_normal((2, 2, F.size))
 
-    def fit_of(relaxing: ComplexArray | float, low: float) -> MBKFit:
-        deviation = np.where(F < 2.0, low, 0.2) * np.ones((2, 2, 1))
+    def fit_of(
+        relaxing: ComplexArray | float, low: float, high: float = 0.2, *, unbiased: bool = True
+    ) -> MBKFit:
+        deviation = np.where(F < 1.0, low, high) * np.ones((2, 2, 1))
         Z = TWO_JOINT_ARM.impedance(F) + relaxing + np.sqrt(0.5) * deviation * noise
-        return fit_mbk(replace(estimate_of(Z, deviation**2), unbiased=True))
+        return fit_mbk(replace(estimate_of(Z, deviation**2), unbiased=unbiased))
 
-    hidden = fit_of(spring, low=10.0)
-    assert (np.abs(hidden.mbk.K - TWO_JOINT_ARM.K) < 2.0 * hidden.K_se).all()
-    seen = fit_of(spring, low=0.2)
+    hidden = fit_of(spring, 10.0, 0.05)
+    assert (np.abs(hidden.mbk.K - TWO_JOINT_ARM.K) < 3.5 * hidden.K_se).all()
+    unknown = fit_of(spring, 10.0, 0.05, unbiased=False)
+    assert (np.abs(unknown.mbk.K - TWO_JOINT_ARM.K) > 3.5 * unknown.K_se).any()
+    seen = fit_of(spring, 0.2)
     assert (seen.lack > seen.lack_limit).any()
-    without = fit_of(0.0, low=0.2)
+    without = fit_of(0.0, 0.2)
     assert (np.diag(without.K_se / TWO_JOINT_ARM.K) < 0.03).all()
 
 
