@@ -169,6 +169,12 @@ def _sampled(at: Callable[[FloatArray], FloatArray]) -> Change:
     return resample
 
 
+def _steadied(cutoff: float) -> Change:
+    """Readings behind a high-pass of first order, Hz, as of a charge amplifier."""
+    high_pass = butter(1, cutoff, "high", fs=1000.0, output="sos")
+    return lambda values: np.asarray(sosfilt(high_pass, values - values[:, :1]))
+
+
 def _smoothed(cutoff: float) -> Change:
     """Readings behind a Butterworth low-pass of order 2, Hz."""
     low_pass = butter(2, cutoff, fs=1000.0, output="sos")
@@ -267,6 +273,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         # A law that knows nothing of the filter bears 3 ms with soft locks alone.
         lag = {"angle_low_pass": low * MILLI, "lock": min(150.0, 0.12 / (low * MILLI))}
         add(MUST, "angle low-pass", (f"{low:g} ms", lag))
+    for cutoff in (0.016, 0.05, 0.16, 0.5):
+        steadied = {"voluntary": 0.3, "readings": changed(torque=_steadied(cutoff))}
+        add(MUST, "torque high-pass, voluntary", (f"{cutoff:g} Hz", steadied))
     for cutoff in (20.0, 30.0, 100.0):
         maximally_flat = {"voluntary": 0.3, "readings": changed(torque=_smoothed(cutoff))}
         add(MUST, "torque low-pass of order 2, voluntary", (f"{cutoff:g} Hz", maximally_flat))

@@ -37,6 +37,27 @@ def test_intervals_hold_the_arm_that_was_simulated(recording: armimp.Recording) 
     assert result.Z.shape == result.Z_variance.shape == (2, 2, result.f.size)
 
 
+def test_transducers_that_show_nothing_of_locked_joints_are_refused(
+    recording: armimp.Recording,
+) -> None:
+    perturbation, position, torque = arrays_of(recording)
+    for k, one in enumerate(torque):
+        torque[k] = np.where(np.arange(2)[:, None] == k, one, 0.0)
+    made = armimp.Recording.from_arrays(perturbation, position, torque, rate=1000.0)
+    result = armimp.identify(made)
+    assert not result.impedance_valid
+    assert sum("0 counts of its resolution" in one for one in result.problems) == 2
+
+
+def test_an_encoder_that_begins_another_turn_is_named(recording: armimp.Recording) -> None:
+    perturbation, position, torque = arrays_of(recording)
+    position[0] = (position[0] - position[0].mean(axis=1, keepdims=True)) % (2.0 * np.pi)
+    made = armimp.Recording.from_arrays(perturbation, position, torque, rate=1000.0)
+    result = armimp.identify(made)
+    assert not result.impedance_valid
+    assert any("jump by 6.28 rad: unwrap them" in one for one in result.problems)
+
+
 def test_a_wider_level_makes_a_wider_interval_of_a_normal_distribution(
     recording: armimp.Recording,
 ) -> None:

@@ -524,8 +524,10 @@ class _Elements:
     def change_by_more_terms(self) -> FloatArray:
         """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, cuffs and what hides.
 
-        Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off. It is
-        the same in all elements, so it counts in those, too, where noise hides it.
+        Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off, and a
+        high-pass of first order with the corner c, which torques passed and angles didn't, about
+        ``c Z_ij/s``. They are the same in all elements, so they count in those, too, where noise
+        hides them.
         """
         squares = np.zeros((3, len(self.Z)))
         plain = self.values()
@@ -538,12 +540,14 @@ class _Elements:
         n = math.isqrt(len(self.Z))
         if self.whole and n <= _MOST_CUFFS:
             Z = np.stack([_of_mbk(one, self.omega) for one in plain.T]).reshape(n, n, -1)
-            for joint in range(n):
-                yielding = -(Z[:, joint, None] * Z[None, joint]).reshape(self.Z.shape)
-                value, error = self.common_coefficient(yielding)
-                if value > _NOTICED * error:
+            common = [-Z[:, joint, None] * Z[None, joint] for joint in range(n)]
+            for place, one in enumerate([*common, -1j * Z / self.omega]):
+                terms = one.reshape(self.Z.shape)
+                value, error = self.common_coefficient(terms)
+                # No cuff has a negative compliance; angles may have passed the high-pass, too.
+                if (value if place < n else abs(value)) > _NOTICED * error:
                     for row, of_mbk in enumerate(self._all_coefficients):
-                        squares[:, row] += (value * _apply(of_mbk, yielding[row])) ** 2
+                        squares[:, row] += (value * _apply(of_mbk, terms[row])) ** 2
             hidden = np.zeros_like(squares)
             for row, term in self.hidden_terms(plain):
                 hidden[:, row] = np.maximum(hidden[:, row], self._change_by_hidden(term, row))

@@ -26,6 +26,8 @@ RANGES: Final = {"M": (1e-4, 10.0), "B": (0.0, 150.0), "K": (0.0, 1500.0)}
 """What a joint may have, from a wrist to a stiff ankle and ten times beyond; SI units."""
 LARGEST_POSTURE = 2.0 * np.pi
 """Angle beyond which a posture isn't in radians, rad."""
+TURN = 0.9 * 2.0 * np.pi
+"""Step between two samples that is none of a joint, but of an encoder that counts in turns, rad."""
 LARGEST_MOTION = 1.5
 """Peak to peak motion beyond which it isn't, rad: linear models end far below."""
 ASYMMETRY = 0.2
@@ -120,7 +122,7 @@ def least_eigenvalue(matrix: FloatArray, errors: FloatArray) -> tuple[float, flo
 
 
 def judge_angles(record: TrialRecord) -> list[Problem]:
-    """Find angles that aren't radians.
+    """Find angles that aren't radians, or begin another turn.
 
     Parameters
     ----------
@@ -130,9 +132,17 @@ def judge_angles(record: TrialRecord) -> list[Problem]:
     problems = []
     for name, angle in zip(record.joint_names, record.position, strict=True):
         posture, motion = float(np.abs(np.median(angle))), float(np.ptp(angle))
-        if posture > LARGEST_POSTURE:
-            what, value = "are about", posture
+        step = float(np.max(np.abs(np.diff(angle)), initial=0.0))
+        if step > TURN:
+            what, value, cause = "jump by", step, "unwrap them, if the encoder began another turn"
+        elif posture > LARGEST_POSTURE:
+            what, value, cause = (
+                "are about",
+                posture,
+                "radians of an arm are less; are they degrees?",
+            )
         elif motion > LARGEST_MOTION:
+            cause = "that is too far for one impedance, unless they are degrees"
             what, value = "move by", motion
         else:
             continue
@@ -140,7 +150,7 @@ def judge_angles(record: TrialRecord) -> list[Problem]:
             Problem(
                 code=ProblemCode.IMPLAUSIBLE_ANGLE,
                 trial=record.trial,
-                values={"name": name, "what": what, "value": value},
+                values={"name": name, "what": what, "value": value, "cause": cause},
             )
         )
     return problems

@@ -31,6 +31,7 @@ STUCK = 0.1
 _STUCK_TIMES = 6.0
 _RESTING = 0.3
 _JUMP = 12.0
+_SETS_OFF = 4.0
 _HELD_TIMES = 3.0
 _LEAST_HELD = 5
 _LEAST_DIPS = 3
@@ -70,7 +71,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
             moves = stream == TORQUE_SENSORS or joint == record.perturbed_joint
             if moves:
                 counts = counts_of(signal)
-                if counts < RESOLVED and not (stream == TORQUE_SENSORS and counts == 0.0):
+                if counts < RESOLVED:
                     found.append((ProblemCode.UNRESOLVED, {"counts": counts}))
                 k = record.perturbed_joint
                 partner = (record.torque if stream == JOINT_STATES else record.position)[k]
@@ -228,7 +229,9 @@ def sticking(
     What is too long follows from the signal: 6 times the time for which it keeps a value but in one
     of a hundred moments, and no less than 100 ms. Signals of fewer than 50 counts may rest as they
     like, and so may one whose partner rests as well: a joint that friction holds has a steady
-    torque.
+    torque. If the person pushes against that friction, it has not, but such a joint sets off
+    slowly: unless its record ends there, a signal is stuck only if it then jumps by more than 4
+    times the usual step.
 
     Parameters
     ----------
@@ -250,9 +253,12 @@ def sticking(
     typical = float(np.quantile(runs, 0.99))
     limit = max(STUCK * rate, _STUCK_TIMES * typical)
     starts = np.concatenate(([0], edges + 1))
+    sizes = np.abs(np.diff(signal)[edges])
+    jumps = np.concatenate((sizes > _SETS_OFF * float(np.median(sizes)), [True]))
+    chosen = (runs > limit) & jumps
     long = [
         int(run)
-        for start, run in zip(starts[runs > limit], runs[runs > limit], strict=True)
+        for start, run in zip(starts[chosen], runs[chosen], strict=True)
         if partner is None or not _rests(partner, start, run)
     ]
     return max(long, default=int(np.max(runs))) / rate, len(long), limit / rate

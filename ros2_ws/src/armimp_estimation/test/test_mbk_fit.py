@@ -169,6 +169,23 @@ def test_stiffness_that_relaxes_where_noise_hides_it_is_in_the_standard_errors_o
     assert (np.diag(without.K_se / TWO_JOINT_ARM.K) < 0.03).all()
 
 
+def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors() -> None:
+    s = 2j * np.pi * F
+    rng = np.random.default_rng(3)
+    deviation = 0.3 / F**1.5 * np.ones((2, 2, 1))
+    noise = rng.standard_normal(deviation.shape) + 1j * rng.standard_normal(deviation.shape)
+    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
+
+    def fit_of(corner: float) -> MBKFit:
+        Z = TWO_JOINT_ARM.impedance(F) * s / (s + corner) + np.sqrt(0.5) * deviation * noise
+        return fit_mbk(replace(estimate_of(Z, deviation**2), weight_floor=0.005))
+
+    passed, plain = fit_of(0.3), fit_of(0.0)
+    assert (np.abs(stacked(passed) - truth)[1] > 4.0 * errors(plain)[1]).any()
+    assert (np.abs(stacked(passed) - truth) < 3.0 * errors(passed)).all()
+    assert (errors(plain)[1] < 0.5 * errors(passed)[1]).all()
+
+
 def test_r_squared_is_one_for_a_perfect_fit_and_zero_for_the_mean() -> None:
     values = np.array([1.0 + 2.0j, 3.0 - 4.0j, 0.5 + 1.0j])
     mean = float(np.mean([values.real, values.imag]))

@@ -63,6 +63,13 @@ def test_a_joint_that_rests_with_its_torque_is_not_stuck() -> None:
     assert sticking(signal, RATE, torque)[1] == 0
 
 
+def test_a_joint_that_friction_holds_while_the_person_pushes_is_not_stuck() -> None:
+    signal = motion(1, 1e-3)
+    top = int(np.argmax(signal))
+    signal = np.insert(signal, top, np.full(500, signal[top]))
+    assert sticking(signal, RATE, np.insert(motion(2, 1e-3), top, motion(3, 1e-3)[:500]))[1] == 0
+
+
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_a_signal_that_keeps_its_value_for_too_long_is_stuck(seconds: float) -> None:
     signal = motion(1, 1e-3)

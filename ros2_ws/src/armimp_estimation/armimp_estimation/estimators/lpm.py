@@ -376,7 +376,9 @@ class LpmFull:
             motion = np.stack((s**2, s, np.ones_like(s)))[:, None, None] * R
             torques = beside + multiply(near.impedance(f), R)
             for row, (torque, left) in enumerate(zip(torques, beside, strict=True)):
-                size = np.maximum(np.abs(torque), np.finfo(np.float64).tiny)
+                size = np.abs(torque)
+                # Of a transducer that shows nothing, nothing is no error.
+                size = np.maximum(size, np.finfo(np.float64).eps * np.max(size) or 1.0)
                 design, aim = (motion / size).reshape(3 * n, -1), (left / size).ravel()
                 parts = np.concatenate((design.real, design.imag), axis=1)
                 scale = np.linalg.norm(parts, axis=1)[:, None]
