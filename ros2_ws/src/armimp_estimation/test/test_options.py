@@ -46,7 +46,7 @@ def radius(level: float) -> np.ndarray:
             for floor in (-0.1, NAN)
         ),
         (LocalPolynomialConfig, "order must not be negative, got -1", {"order": -1}),
-        (LocalPolynomialConfig, "5 bins are too few .* at least 5, got 2", {"half_width": 2}),
+        (LocalPolynomialConfig, "5 bins are too few .* at least 3, got 2", {"half_width": 2}),
         (LocalPolynomialConfig, "at least 6, got 5", {"order": 5, "half_width": 5}),
         *(
             (FitConfig, option, {option: value})
