@@ -10,10 +10,11 @@ from rosbags.typesys import Stores, get_typestore
 
 from armimp_common.errors import BagError
 from armimp_common.topics import MESSAGE_TYPES
-from armimp_estimation.bags import BagWriter
+from armimp_estimation.bags import BagContent, BagWriter
 from armimp_estimation.bags.files import read_storage
 from armimp_estimation.bags.metadata_yaml import absolute, message_definition
 from armimp_estimation.bags.topics import contract_topic, resolve_topics
+from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import Message
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -101,3 +102,8 @@ def iterate_messages(path: Path, *, namespace: str | None = None) -> Iterator[Me
     found = resolve_topics(raw.topics, bag=str(path), namespace=namespace)
     names = {index: topic for topic, index in found.items()}
     return ((names[index], time, payload) for index, time, payload in raw if index in names)
+
+
+def records_of(content: BagContent) -> list[TrialRecord]:
+    """Records of all trials of a bag, or the refusal of the first that must not be estimated."""
+    return [record for trial in content.trials for record in trial.intact()]

@@ -14,29 +14,25 @@ from rclpy.qos import (
 from armimp_common import topics
 
 
-def _profile(depth: int, *, reliable: bool = True, latched: bool = False) -> QoSProfile:
+def _profile(offered: topics.Qos) -> QoSProfile:
     return QoSProfile(
         history=HistoryPolicy.KEEP_LAST,
-        depth=depth,
-        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
-        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+        depth=offered.depth,
+        reliability=ReliabilityPolicy[offered.reliability.upper()],
+        durability=DurabilityPolicy[offered.durability.upper()],
     )
 
 
-SAMPLE: Final = _profile(2000)
-"""Data streams: two seconds of depth, since a process that stalls must not lose samples."""
+PROFILES: Final[dict[str, QoSProfile]] = {
+    topic: _profile(offered) for topic, offered in topics.QOS.items()
+}
+"""The profile of every topic of the contract."""
 
-LATCHED: Final = _profile(10, latched=True)
-"""Trial status and results: whoever joins late must still learn the last ones."""
-
-PROGRESS: Final = _profile(10)
-"""Live progress: for people who look now, of no use later."""
-
-CLOCK: Final = _profile(1, reliable=False)
-"""Simulated time: only the newest counts, and a slow reader must not hold the simulator up."""
-
-DIAGNOSTICS: Final = _profile(10)
-"""Diagnostics: what diagnostic aggregators expect."""
+SAMPLE: Final = _profile(topics.SAMPLE_QOS)
+LATCHED: Final = _profile(topics.LATCHED_QOS)
+PROGRESS: Final = PROFILES[topics.PROGRESS]
+CLOCK: Final = PROFILES[topics.CLOCK]
+DIAGNOSTICS: Final = PROFILES[topics.DIAGNOSTICS]
 
 OFFERED_LEASE_MS: Final = 3000
 """Lease of a heartbeat (ms): the middleware renews it after two thirds of that time.
@@ -52,7 +48,7 @@ WATCHED_LEASE_MS: Final = 6000
 
 
 def _alive(lease_ms: int) -> QoSProfile:
-    profile = _profile(1, latched=True)
+    profile = _profile(topics.Qos(1, durability="transient_local"))
     profile.liveliness = LivelinessPolicy.AUTOMATIC
     profile.liveliness_lease_duration = Duration(nanoseconds=lease_ms * 1_000_000)
     return profile
@@ -63,15 +59,3 @@ ALIVE: Final = _alive(OFFERED_LEASE_MS)
 
 ALIVE_WATCHED: Final = _alive(WATCHED_LEASE_MS)
 """Profile of whoever monitors a heartbeat."""
-
-PROFILES: Final[dict[str, QoSProfile]] = {
-    **dict.fromkeys(topics.DATA_STREAMS, SAMPLE),
-    topics.TRIAL: LATCHED,
-    topics.RESULT: LATCHED,
-    topics.RECEIVED: LATCHED,
-    topics.STOPPING: LATCHED,
-    topics.PROGRESS: PROGRESS,
-    topics.CLOCK: CLOCK,
-    topics.DIAGNOSTICS: DIAGNOSTICS,
-}
-"""The profile of every topic of the contract."""

@@ -3,7 +3,7 @@
 Topic names without a leading slash are relative, so namespaces and remapping apply to them.
 """
 
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 ValueField = Literal["position", "effort"]
 """The array of a ``sensor_msgs/JointState`` in which a stream carries its numbers."""
@@ -50,6 +50,30 @@ MESSAGE_TYPES: Final[dict[str, str]] = {
 
 DATA_STREAMS: Final = (JOINT_STATES, TORQUE_SENSORS, COMMANDS, PERTURBATION)
 """The topics with one message in every control period."""
+
+
+class Qos(NamedTuple):
+    """Quality of service of a topic, with the names that rosbag2 has for it."""
+
+    depth: int
+    """Messages that are kept until they are taken."""
+    reliability: Literal["reliable", "best_effort"] = "reliable"
+    durability: Literal["volatile", "transient_local"] = "volatile"
+
+
+SAMPLE_QOS: Final = Qos(2000)
+"""Data streams: two seconds of depth, since a process that stalls must not lose samples."""
+LATCHED_QOS: Final = Qos(10, durability="transient_local")
+"""Trial status and results: whoever joins late must still learn the last ones."""
+
+QOS: Final[dict[str, Qos]] = {
+    **dict.fromkeys(DATA_STREAMS, SAMPLE_QOS),
+    **dict.fromkeys((TRIAL, RESULT, RECEIVED, STOPPING), LATCHED_QOS),
+    PROGRESS: Qos(10),  # for people who look now, of no use later
+    CLOCK: Qos(1, "best_effort"),  # only the newest counts, and nobody may hold the simulator up
+    DIAGNOSTICS: Qos(10),  # what diagnostic aggregators expect
+}
+"""That of every topic of the contract."""
 
 VALUE_FIELD: Final[dict[str, ValueField]] = {
     JOINT_STATES: "position",

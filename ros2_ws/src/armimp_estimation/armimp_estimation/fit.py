@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.json_model import JsonModel, Number
 from armimp_estimation.mbk import MBK
 
 FloatArray = NDArray[np.float64]
@@ -108,25 +109,19 @@ class Calibration:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class CommonDelay:
-    """Delay of all torques against the angles, beyond what the estimator knew of.
+class CommonDelay(JsonModel):
+    """Delay of all torques against the angles, beyond what the estimator knew of."""
 
-    Attributes
-    ----------
-    delay, error : float
-        Delay that was corrected, and its standard error, s.
-    told, told_error : float
-        What the data alone tell, s.
-    refuted : bool
-        Whether that contradicts what was declared.
-    """
-
-    delay: float
-    error: float
-    told: float
-    told_error: float
+    delay: Number
+    """Delay that was corrected, s."""
+    error: Number
+    """Its standard error, s."""
+    told: Number
+    """What the data alone tell, s."""
+    told_error: Number
+    """Standard error of that, s."""
     refuted: bool = False
+    """Whether that contradicts what was declared."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

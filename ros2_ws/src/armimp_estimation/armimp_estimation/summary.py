@@ -17,6 +17,7 @@ from armimp_common.errors import DataError
 from armimp_estimation.alignment.assemble import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.atomic_write import read_bytes, write_atomically
+from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.metadata import Timing, Truth
@@ -35,16 +36,6 @@ class Verdict(JsonModel):
 
     impedance: bool
     parameters: bool
-
-
-class DelaySummary(JsonModel):
-    """Delay of torques against angles that was fitted, s; see `armimp_estimation.fit`."""
-
-    delay: Number
-    error: Number
-    told: Number
-    told_error: Number
-    refuted: bool
 
 
 class ModelParameterSummary(JsonModel):
@@ -123,7 +114,7 @@ class EstimatorSummary(JsonModel):
     """Lack of fit beyond which M, B and K are not valid."""
     decides: bool = True
     """Whether problems of its own make the result not valid."""
-    delay: DelaySummary | None = None
+    delay: CommonDelay | None = None
     """Delay that was corrected, if one was left open."""
     models: dict[str, ModelSummary] = Field(default_factory=dict)
     """Models of the arm that were fitted beside M, B and K."""
@@ -148,7 +139,7 @@ class EstimatorSummary(JsonModel):
             **found,
             lack_of_fit=fit.lack.tolist(),
             decides=decides,
-            delay=None if fit.delay is None else DelaySummary(**vars(fit.delay)),
+            delay=fit.delay,
             models={one.model.name: ModelSummary.of(one) for one in result.models},
             model=None if best is None else best.model.name,
         )

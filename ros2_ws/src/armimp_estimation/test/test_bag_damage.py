@@ -15,7 +15,14 @@ from rosbags.rosbag2 import CompressionMode, StoragePlugin
 from armimp_common.errors import BagError, DataError
 from armimp_estimation.bags import read_bag
 from armimp_estimation.record import TrialRecord
-from support.bag_files import iterate_messages, typed, write_bag, write_foreign, write_mcap
+from support.bag_files import (
+    iterate_messages,
+    records_of,
+    typed,
+    write_bag,
+    write_foreign,
+    write_mcap,
+)
 from support.fault_figures import Figures
 from support.synthetic_bags import synthetic_recording
 
@@ -35,14 +42,14 @@ def storage_file(bag: Path) -> Path:
     return file
 
 
-def read_or_refused(bag: Path) -> tuple[TrialRecord, ...]:
+def read_or_refused(bag: Path) -> list[TrialRecord]:
     """The records, none if the bag is refused in one line with its name."""
     text = ""
-    records: tuple[TrialRecord, ...] = ()
+    records: list[TrialRecord] = []
     try:
         content = read_bag(bag)
         text = "".join(content.notes)
-        records = content.records()
+        records = records_of(content)
     except (BagError, DataError) as error:
         text = str(error)
         assert str(bag) in text

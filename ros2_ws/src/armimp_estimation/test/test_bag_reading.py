@@ -18,7 +18,15 @@ from armimp_common.errors import BagError, DataError
 from armimp_common.topics import JOINT_STATES, PERIOD_NS, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.metadata_yaml import absolute, dump
-from support.bag_files import STORE, iterate_messages, typed, write_bag, write_foreign, write_mcap
+from support.bag_files import (
+    STORE,
+    iterate_messages,
+    records_of,
+    typed,
+    write_bag,
+    write_foreign,
+    write_mcap,
+)
 from support.synthetic_bags import (
     Message,
     SyntheticRecording,
@@ -53,7 +61,7 @@ def write_rosbags(
 
 def assert_reads(path: Path, expected: SyntheticRecording = RECORDING) -> None:
     content = read_bag(path)
-    records = content.records()
+    records = records_of(content)
     assert len(records) == len(expected.records)
     for record, wanted in zip(records, expected.records, strict=True):
         assert_same(record, wanted)
@@ -69,7 +77,7 @@ def assert_reads(path: Path, expected: SyntheticRecording = RECORDING) -> None:
 def refusal(path: Path, *, namespace: str | None = None) -> str:
     """The line with which reading or estimating the bag is refused."""
     with pytest.raises((BagError, DataError)) as error:
-        read_bag(path, namespace=namespace).records()
+        records_of(read_bag(path, namespace=namespace))
     text = str(error.value)
     assert "\n" not in text
     assert str(path) in text
@@ -233,8 +241,8 @@ class TestTopics:
         )
         with pytest.raises(BagError, match="choose a namespace"):
             iterate_messages(path)
-        assert_same(read_bag(path, namespace="left").records()[0], other.records[0])
-        assert_same(read_bag(path, namespace="/").records()[0], RECORDING.records[0])
+        assert_same(records_of(read_bag(path, namespace="left"))[0], other.records[0])
+        assert_same(records_of(read_bag(path, namespace="/"))[0], RECORDING.records[0])
         assert list(iterate_messages(path, namespace="/left/")) == list(other.messages)
         assert "has no joint positions" in refusal(path, namespace="right")
 
@@ -307,7 +315,7 @@ class TestForeignMessages:
                 )
                 messages.append((topic, stamp, raw))
         path = write_ours(tmp_path / "bag", messages)
-        assert_same(read_bag(path).records()[0], record)
+        assert_same(records_of(read_bag(path))[0], record)
 
     def test_further_joints_in_messages_of_sensors_are_passed_over_with_a_note(
         self, tmp_path: Path
@@ -324,7 +332,7 @@ class TestForeignMessages:
             raw = joint_state(stamp, ["shoulder", "elbow"], effort=perturbation)
             messages.append((topics.PERTURBATION, stamp, raw))
         content = read_bag(write_ours(tmp_path / "bag", messages))
-        np.testing.assert_array_equal(content.records()[0].position, record.position)
+        np.testing.assert_array_equal(records_of(content)[0].position, record.position)
         (note,) = content.notes
         assert "joint_states has joints that were passed over, grip:" in note
 
@@ -336,9 +344,9 @@ class TestForeignMessages:
         path = write_ours(tmp_path / "bag", metadata={"joint_names": '["elbow", "shoulder"]'})
         content = read_bag(path)
         assert content.joint_names == ("elbow", "shoulder")
-        assert [record.perturbed_joint for record in content.records()] == [1, 0]
+        assert [record.perturbed_joint for record in records_of(content)] == [1, 0]
         np.testing.assert_array_equal(
-            content.records()[0].position, RECORDING.records[0].position[::-1]
+            records_of(content)[0].position, RECORDING.records[0].position[::-1]
         )
 
     @pytest.mark.parametrize(
@@ -363,7 +371,7 @@ class TestForeignMessages:
     def test_commands_are_not_needed(self, tmp_path: Path) -> None:
         path = write_ours(tmp_path / "bag", without(topics.COMMANDS))
         content = read_bag(path)
-        assert_same(content.records()[1], RECORDING.records[1])
+        assert_same(records_of(content)[1], RECORDING.records[1])
         assert content.trials[0].statistics.streams[topics.COMMANDS].lost == 120
 
 
@@ -473,7 +481,7 @@ class TestSpoiledTrials:
         # The last status and ten periods are missing, and of one more the perturbation.
         path = write_ours(tmp_path / "bag", recording.messages[:-42])
         content = read_bag(path)
-        (record,) = content.records()
+        (record,) = records_of(content)
         assert record.samples == 39
         assert content.notes == (f"{path}: trial 1 is cut short: 39 of 50 samples",)
         assert content.trials[0].shortfall == 11
@@ -485,7 +493,7 @@ class TestSpoiledTrials:
         assert topic == topics.TRIAL
         path = write_ours(tmp_path / "bag", (*recording.messages[:-1], (topic, time, raw[:40])))
         content = read_bag(path)
-        assert_same(content.records()[0], recording.records[0])
+        assert_same(records_of(content)[0], recording.records[0])
         (note,) = content.notes
         assert note.startswith(f"{path}: damaged messages of {topics.TRIAL}: DiagnosticStatus")
 

@@ -155,16 +155,6 @@ class TestFormat:
         topics = document["rosbag2_bagfile_information"]["topics_with_message_count"]
         assert [topic["topic_metadata"]["name"] for topic in topics] == ["/clock"]
 
-    def test_qos_is_that_of_the_nodes(self) -> None:
-        qos = pytest.importorskip("armimp_common.qos")
-        for topic in MESSAGE_TYPES:
-            profile = qos.PROFILES[topic]
-            (written,) = qos_profiles(topic)
-            assert written["depth"] == profile.depth
-            assert written["history"] == profile.history.name.lower()
-            assert written["reliability"] == profile.reliability.name.lower()
-            assert written["durability"] == profile.durability.name.lower()
-
 
 class TestRefusals:
     def test_existing_path_is_not_touched(self, tmp_path: Path) -> None:

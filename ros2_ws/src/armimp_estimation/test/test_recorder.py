@@ -41,7 +41,7 @@ from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.stopping import PrecisionGoal, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
-from support.bag_files import iterate_messages
+from support.bag_files import iterate_messages, records_of
 from support.streams import record
 from support.synthetic_bags import Message, recorded_arm, synthetic_recording
 from support.synthetic_trials import TWO_JOINT_ARM as ARM
@@ -306,7 +306,7 @@ def test_when_stopped_in_a_trial_expect_its_bag_closed_and_readable(tmp_path: Pa
     assert trial.shortfall == TICKS - 40
     (bag,) = desk.bags
     assert (bag / "metadata.yaml").exists()
-    assert_equal(read_bag(bag).records()[0], MADE_UP.records[0], 40)
+    assert_equal(records_of(read_bag(bag))[0], MADE_UP.records[0], 40)
 
 
 def test_when_stopped_while_settling_expect_no_trial_and_no_open_bag(tmp_path: Path) -> None:

@@ -9,17 +9,7 @@ import yaml
 
 from armimp_common.errors import BagError
 from armimp_common.schema import TextLoader, load_yaml
-from armimp_common.topics import (
-    CLOCK,
-    DATA_STREAMS,
-    DIAGNOSTICS,
-    MESSAGE_TYPES,
-    PROGRESS,
-    RECEIVED,
-    RESULT,
-    STOPPING,
-    TRIAL,
-)
+from armimp_common.topics import MESSAGE_TYPES, QOS
 from armimp_estimation.atomic_write import read_text, replace_atomically
 
 FILE_NAME: Final = "metadata.yaml"
@@ -31,21 +21,6 @@ _NO_MESSAGES: Final = "message_count: 0"
 _INFINITE: Final = {"sec": 9223372036, "nsec": 854775807}
 _MOST_BYTES: Final = 4 << 20
 _DUMPER: Final[Any] = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-
-# Depth, reliability, durability of the publishers; armimp_common.qos, which needs rclpy, has
-# the same numbers.
-_SAMPLE: Final = (2000, "reliable", "volatile")
-_LATCHED: Final = (10, "reliable", "transient_local")
-_QOS: Final[dict[str, tuple[int, str, str]]] = {
-    **dict.fromkeys(DATA_STREAMS, _SAMPLE),
-    TRIAL: _LATCHED,
-    RESULT: _LATCHED,
-    RECEIVED: _LATCHED,
-    STOPPING: _LATCHED,
-    PROGRESS: (10, "reliable", "volatile"),
-    CLOCK: (1, "best_effort", "volatile"),
-    DIAGNOSTICS: (10, "reliable", "volatile"),
-}
 
 
 @cache
@@ -73,7 +48,7 @@ def message_definition(type_name: str) -> tuple[str, str]:
 
 def qos_profiles(topic: str) -> list[dict[str, Any]]:
     """Offered QoS of the publisher of a topic of the contract, as rosbag2 writes it."""
-    depth, reliability, durability = _QOS[topic]
+    depth, reliability, durability = QOS[topic]
     return [
         {
             "history": "keep_last",

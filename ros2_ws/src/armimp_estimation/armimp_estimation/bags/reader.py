@@ -17,7 +17,6 @@ from armimp_estimation.bags.files import read_storage
 from armimp_estimation.bags.raw import RawMessages, one_line
 from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.bags.topics import contract_topic, require_topics, resolve_topics
-from armimp_estimation.record import TrialRecord
 
 _MOST_JOINTS: Final = 100
 _MOST_STATUSES: Final = 20_000
@@ -42,16 +41,6 @@ class BagContent:
     """What a user should know of the bag, one line each: a cut, damaged messages."""
     _raw: RawMessages
     _contract_names: Mapping[int, str]
-
-    def records(self) -> tuple[TrialRecord, ...]:
-        """Return the records of all trials.
-
-        Raises
-        ------
-        DataError
-            If one of the trials must not be estimated; the message names bag and trial.
-        """
-        return tuple(record for trial in self.trials for record in trial.intact())
 
     def messages(self) -> Iterator[tuple[str, int, bytes]]:
         """Topic, time of reception (ns) and bytes of each message of the contract, in order."""
@@ -81,7 +70,7 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
     ------
     BagError
         If the path is not a readable bag, or the bag lacks something; the message is one line
-        that names the file. A trial that is there but spoiled raises only in `records`.
+        that names the file. A trial that is there but spoiled raises only where it is estimated.
     """
     raw = read_storage(path, contract_topic, trust=trust)
     if not raw.payloads:
