@@ -18,6 +18,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import expit, log_ndtr
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -176,17 +177,15 @@ _SUREST = 20e-6
 _NOTICED = 2.0
 _MOST_CUFFS = 8
 """Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
-_REFLEX, _REFLEX_DELAY, _MUSCLE, _SHOWN = 0.5, 0.04, 30.0, 0.2
+_LIKELY = 0.1
+"""Assumption: how likely a joint has a reflex or a spring that relaxes, before the trial."""
+_REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
-the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997); and the share of that
-gain that the lack of fit shows."""
-_RELAXED, _RELAXATIONS = 0.1, (0.05, 0.3)
-"""Assumption: standard error of stiffness that a joint may have in addition to K and that relaxes,
-relative to K, and with which time constants, s. Arms with five times that are off by less than 3.5
-standard errors of K; with 0.4, K would have intervals three times too wide if there is none."""
+the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997)."""
+_RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
+"""Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
+with which time constants, s."""
 _ITERATIONS = 3
-_ORDERS = (2, 3, 4, 5)
-_SINGULAR = 1e-10
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10
 _ROUNDING = 1e-9
@@ -530,8 +529,7 @@ class _Elements:
         for term in (-1j * relative**3, relative**4 + 0j):
             for row, of_mbk in enumerate(self._all_coefficients):
                 value, error = self.coefficient_of(term, row)
-                if abs(value) > _NOTICED * error:
-                    squares[:, row] += (value * _apply(of_mbk, term)) ** 2
+                squares[:, row] += _noticed(value, error) * _apply(of_mbk, term) ** 2
         n = math.isqrt(len(self.Z))
         if self.whole and n <= _MOST_CUFFS:
             Z = np.stack([_of_mbk(one, self.omega) for one in plain.T]).reshape(n, n, -1)
@@ -540,9 +538,9 @@ class _Elements:
                 terms = one.reshape(self.Z.shape)
                 value, error = self.common_coefficient(terms)
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
-                if (value if place < n else abs(value)) > _NOTICED * error:
-                    for row, of_mbk in enumerate(self._all_coefficients):
-                        squares[:, row] += (value * _apply(of_mbk, terms[row])) ** 2
+                square = _noticed(max(value, 0.0) if place < n else value, error)
+                for row, of_mbk in enumerate(self._all_coefficients):
+                    squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2
             hidden = np.zeros_like(squares)
             for row, term in self.hidden_terms(plain):
                 hidden[:, row] = np.maximum(hidden[:, row], self._change_by_hidden(term, row))
@@ -576,17 +574,19 @@ class _Elements:
     def _change_by_hidden(self, term: ComplexArray, row: int) -> FloatArray:
         """Squared change of M, B and K, (3,), by a term that the noise may hide.
 
-        Before the trial, its coefficient is 0 ± 1. After data that tell it as g with the standard
-        error e, its mean square is ``m² + v``, with ``v = e²/(1 + e²)`` and ``m = g v/e²``. Where e
-        is small, the lack of fit shows such a term, and it counts by ``e²/_SHOWN²`` only.
+        Before the trial it is there with the probability ``_LIKELY``, and then of the size 0 ± 1,
+        but not negative. Data that tell it as g with the standard error e make that probability
+        larger or smaller by the ratio ``2 Φ(m/√v) √v exp(m²/2v)`` of their likelihoods, with
+        ``v = e²/(1 + e²)`` and ``m = g v/e²``, and its mean square, if it is there, ``m² + v``.
         """
         told, error = self.coefficient_of(term, row)
         if not 0.0 < error < math.inf:
             return np.zeros(3)
         left = error**2 / (1.0 + error**2)
-        hidden = min(error**2 / _SHOWN**2, 1.0)
-        # No reflex and no spring is negative.
-        square = hidden * ((max(told, 0.0) * left / error**2) ** 2 + left)
+        mean = told * left / error**2
+        odds = math.log(2.0 * _LIKELY / (1.0 - _LIKELY) * math.sqrt(left))
+        odds += float(log_ndtr(mean / math.sqrt(left))) + 0.5 * mean**2 / left
+        square = float(expit(odds)) * (max(mean, 0.0) ** 2 + left)
         return np.asarray(square * _apply(self.coefficients(row), term) ** 2)
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
@@ -801,6 +801,14 @@ def _of_mbk(values: FloatArray, omega: FloatArray) -> ComplexArray:
 def _functional(functional: ComplexArray, values: ComplexArray) -> float:
     """``Re Σ_f conj(b_f) y_f``."""
     return float(np.sum(functional.real * values.real + functional.imag * values.imag))
+
+
+def _noticed(value: float, error: float) -> float:
+    """Squared size of a term as far as it is beyond what chance makes of none.
+
+    A threshold alone would add the whole of it where chance exceeds that.
+    """
+    return max(value**2 - (_NOTICED * error) ** 2, 0.0) if math.isfinite(error) else 0.0
 
 
 def _apply(coefficients: FloatArray, values: ComplexArray) -> FloatArray:
