@@ -23,6 +23,7 @@ _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}
 _CLIPPED = 8
 _HEAPED = 4.0
 _NEIGHBOURS = 8
+_REACH = 3.0
 _VISITS = 3
 _APPROACH = 5
 _UNSLOWED = 0.4
@@ -102,7 +103,9 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
 
     A signal that turns where it likes has fewer samples at its extreme value than at the next
     ones. One that is clipped heaps them up there: it is taken as clipped if the extreme value has
-    at least 8 samples and 4 times as many as each of the 8 distinct values next to it. A joint that
+    at least 8 samples and 4 times as many as each of the 8 distinct values next to it, and of those
+    within 3 usual steps: a signal that was interpolated has many values from one count of its
+    resolution to the next. A joint that
     friction holds may rest there as long. But it does not come back to the same value, and it slows
     down before: so a signal is clipped only if it comes there 3 times, at both ends together, and
     arrives with more than 0.4 of the speed that it had 5 samples before. (A motion that comes to
@@ -115,11 +118,15 @@ def clipping(signal: FloatArray) -> list[tuple[float, int]]:
     values, places, counts = np.unique(signal, return_inverse=True, return_counts=True)
     if values.size <= _NEIGHBOURS:
         return []
+    steps = np.abs(np.diff(signal))
+    reach = _REACH * float(np.median(steps[steps > 0.0]))
+    above = max(_NEIGHBOURS, int(np.sum(values <= values[0] + reach)) - 1)
+    below = max(_NEIGHBOURS, int(np.sum(values >= values[-1] - reach)) - 1)
     found, visits = [], 0
     speed = np.zeros(2)
     for rank, heap, inner in (
-        (places, counts[0], counts[1 : 1 + _NEIGHBOURS]),
-        (values.size - 1 - places, counts[-1], counts[-1 - _NEIGHBOURS : -1]),
+        (places, counts[0], counts[1 : 1 + above]),
+        (values.size - 1 - places, counts[-1], counts[-1 - below : -1]),
     ):
         if heap >= _CLIPPED and heap > _HEAPED * float(np.max(inner)):
             arrivals = _arrivals(rank)

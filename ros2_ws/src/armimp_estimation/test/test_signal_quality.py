@@ -47,6 +47,14 @@ def test_a_clipped_signal_tells_where(limit: float, step: float) -> None:
     assert [value for value, _ in found] == [pytest.approx(limit)]
 
 
+def test_a_joint_of_few_counts_that_was_interpolated_is_not_clipped() -> None:
+    noise = np.random.default_rng(1).standard_normal(50_000)
+    chatter = sosfilt(butter(1, 50.0, fs=RATE, output="sos"), noise)
+    counts = np.round(0.3 * chatter / chatter.std())
+    k = np.arange(counts.size)
+    assert clipping(np.interp(1.00005 * k, k, counts)) == []
+
+
 @pytest.mark.parametrize("step", [1e-4, 1e-2])
 def test_a_joint_that_rests_at_its_extreme_value_is_not_clipped(step: float) -> None:
     signal = motion(1, step)
