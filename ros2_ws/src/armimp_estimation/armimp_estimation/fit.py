@@ -148,6 +148,9 @@ class MBKFit:
         Delay that was fitted and corrected, if the estimate leaves that open.
     covariance : ndarray, shape (3n², 3n²)
         Of all parameters: those of M row by row, then B, then K.
+    high_pass : tuple of float
+        Corner of a high-pass that torques passed and angles didn't, and its standard error, Hz; to
+        first order. Negative if angles passed it.
     """
 
     mbk: MBK
@@ -160,6 +163,7 @@ class MBKFit:
     lack: FloatArray
     lack_limit: float
     delay: CommonDelay | None = None
+    high_pass: tuple[float, float] = (0.0, math.inf)
 
     def with_doubt(self, shift: FloatArray) -> MBKFit:
         """Return the same with a change of M, B and K, (3, n, n), as one more standard error."""
@@ -312,6 +316,7 @@ def fit_impedance(
         lack_limit=lack_limit(estimate.bin_correlation),
         delay=delay,
         covariance=_parameter_covariance(estimate, problem),
+        high_pass=problem.high_pass(fitted),
     )
     return estimate, fit
 
@@ -548,6 +553,11 @@ class _Elements:
         # What rounding leaves is no change.
         least = _ROUNDING * np.abs(plain)
         return np.where(squares > least**2, squares, 0.0)
+
+    def high_pass(self, Z: ComplexArray) -> tuple[float, float]:
+        """Corner of a common high-pass of the torques of an arm Z, and its error, Hz."""
+        value, error = self.common_coefficient((1j * Z / self.omega).reshape(self.Z.shape))
+        return value / (2.0 * np.pi), error / (2.0 * np.pi)
 
     def hidden_terms(self, values: FloatArray) -> list[tuple[int, ComplexArray]]:
         """Reflexes and springs that relax, which joints may have beside M, B and K, (3, elements).

@@ -84,6 +84,7 @@ class ProblemCode(str, Enum):
     DELAY_CORRECTED = "delay_corrected"
     TIMING_REFUTED = "timing_refuted"
     LACK_OF_FIT = "lack_of_fit"
+    HIGH_PASSED = "high_passed"
     MODEL_OFFERED = "model_offered"
     NO_MODEL = "no_model"
     CALIBRATION_ASSUMED = "calibration_assumed"

@@ -44,6 +44,8 @@ class Limits:
 
 
 _NOTICED = 5.0
+_CORNER = 0.03
+"""Corner of a high-pass, Hz, below which what it does is small enough for the standard errors."""
 _SUREST = 1e-6
 """Standard error below which no delay is known, s."""
 SINGLE = "welch_siso"
@@ -210,6 +212,15 @@ def judge_estimate(
                     },
                 )
             )
+    corner, error = fit.high_pass
+    if abs(corner) > max(_CORNER, _NOTICED * error):
+        passed: dict[str, float | int | str] = {
+            "passed": "torques" if corner > 0.0 else "angles",
+            "corner": abs(corner),
+            "error": error,
+        }
+        code = ProblemCode.HIGH_PASSED
+        problems.append(Problem(code=code, estimator=estimate.name, values=passed))
     delay = fit.delay
     if delay is not None and abs(delay.delay) > _NOTICED * max(delay.error, _SUREST):
         values: dict[str, float | int | str] = {

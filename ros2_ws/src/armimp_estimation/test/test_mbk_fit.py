@@ -184,6 +184,9 @@ def test_a_high_pass_of_the_torques_that_noise_hides_is_in_the_standard_errors()
     assert (np.abs(stacked(passed) - truth)[1] > 4.0 * errors(plain)[1]).any()
     assert (np.abs(stacked(passed) - truth) < 3.0 * errors(passed)).all()
     assert (errors(plain)[1] < 0.5 * errors(passed)[1]).all()
+    for found, corner in ((passed, 0.3), (plain, 0.0)):
+        value, error = np.multiply(found.high_pass, 2.0 * np.pi)
+        assert abs(value - corner) < 3.0 * error + 0.2 * corner
 
 
 def test_r_squared_is_one_for_a_perfect_fit_and_zero_for_the_mean() -> None:
