@@ -26,6 +26,7 @@ STUDIES = {
     "truth": "whether what is valid is true, on recordings of a rig that is not ours",
     "ideal": "whether each check leaves ideal runs alone",
     "distortion": "whether a multisine shows arms that bend or change over time",
+    "efficiency": "what each kind of perturbation tells, and the time of a person",
     "growth": "accuracy, time and record length from two to seven joints",
 }
 """What each module of this package finds out; a new one is a module with `investigate`."""
