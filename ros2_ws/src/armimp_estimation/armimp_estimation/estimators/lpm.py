@@ -163,8 +163,8 @@ class LpmFull:
         beside, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
         impedance = near.impedance(f) + beside
         torque = multiply(impedance, R)
-        reversing = _reversals(records, jump, impedance, f)
-        skewed = self._doubts(added, reversing[:, None])
+        reversing, bending = _reversals(records, jump, impedance, f)
+        skewed = self._doubts(added, f, reversing[:, None], bending)
 
         every = _angles_and(_unit(n, 2 * n, f), n)
         coefficients = every[n:].copy()
@@ -252,9 +252,9 @@ class LpmFull:
         torque = multiply(skew, stacked[n:, None])[:, 0]
         impedance = torque / stacked[k]
         uncorrected = self._without_skew(stacked[n : 2 * n], f, record.rate)
-        (reversing,) = _reversals([record], jump, impedance[:, None], f)
+        reversing, bending = _reversals([record], jump, impedance[:, None], f)
         systematics: tuple[ComplexArray, ...]
-        systematics = self._doubts((torque - uncorrected) / stacked[k], reversing)
+        systematics = self._doubts((torque - uncorrected) / stacked[k], f, reversing, bending)
         if response.line_power is not None:
             power = response.line_power[None]
             (beside,) = beside_few_lines(power, impedance[:, None], f)
@@ -284,16 +284,19 @@ class LpmFull:
         return self.config.weight_floor if column.line_power is None else LINE_FLOOR
 
     def _doubts(
-        self, correction: ComplexArray, reversing: FloatArray | float
-    ) -> tuple[ComplexArray, ComplexArray]:
+        self, correction: ComplexArray, f: FloatArray, reversing: FloatArray, bending: FloatArray
+    ) -> tuple[ComplexArray, ...]:
         """Standard errors of what was added to an impedance for the skew.
 
         It is ``jωL/2`` times what jumps: imaginary for the inertial torque, which goes with s²,
         and real for that of friction, which goes with s, and is in doubt where motion reverses.
+        What friction bends there within a period is not in it at all, and looks like viscosity.
         """
         inertial = np.asarray(1j * self.config.skew_uncertainty * correction.imag)
         share = np.hypot(self.config.skew_uncertainty, self.config.friction_uncertainty * reversing)
-        return inertial, np.asarray(share * correction.real, dtype=np.complex128)
+        rubbing = np.asarray(share * correction.real, dtype=np.complex128)
+        bent = (_inertia(correction, f) * bending)[..., None] * 2j * np.pi * f
+        return inertial, rubbing, np.asarray(bent, dtype=np.complex128)
 
     def _skew(
         self, jump: HoldCorrection | None, f: FloatArray, rate: float, joints: int
@@ -507,7 +510,7 @@ def untold_friction(
     effects = []
     for k, record in enumerate(records):
         inertia = _inertia(impedance[:, k], f)
-        amplitude = np.sqrt(2.0) * _speed(record, f)
+        amplitude = np.sqrt(2.0) * max(float(np.std(_speed(record, f))), _TINY)
         largest = 0.25 / record.rate * 4.0 * _FRICTION / (np.pi * amplitude)
         effect = np.zeros_like(impedance)
         effect[:, k] = largest / np.sqrt(3.0) * (inertia / abs(inertia[k]))[:, None] * squared
@@ -520,21 +523,39 @@ def _reversals(
     jump: HoldCorrection | None,
     impedance: ComplexArray,
     f: FloatArray,
-) -> FloatArray:
-    """Share of the time in which commands reverse the motion of the perturbed joint, (trials,).
+) -> tuple[FloatArray, FloatArray]:
+    """How much friction of the perturbed joint answers commands that chatter, within periods.
 
-    A step Δu of the commands accelerates joint k by ``(D Δu)_k / M_kk``, so within a period it
-    reverses any speed below L times that; speeds are taken as normally distributed.
+    A step Δu of the commands accelerates joint k by ``(M⁻¹ D Δu)_k``, so within a period its speed
+    changes by ``Δv``, L times that, which reverses any speed below. A force F that bends with
+    speed is then, on average over the period, not the mean of those at its ends, but lacks
+    ``F'' Δv²/12``. Of F that changes its sign with v this is like
+    ``E[v F'']/E[v²] = -p(0) E[v F]/(E|v| E[v²])`` times 2 of viscosity, with the density p of v,
+    and ``E[v F]/E[v²]`` is in what is added to torques for the skew.
+
+    Returns
+    -------
+    reversing : ndarray, shape (trials,)
+        Share of the time in which commands reverse the motion of the joint.
+    bending : ndarray, shape (trials,)
+        Viscosity per inertia that was added for the skew, 1/s.
     """
-    shares = np.zeros(len(records))
+    reversing, bending = np.zeros((2, len(records)))
     if jump is None:
-        return shares
+        return reversing, bending
+    inertia = _inertia(impedance, f)
+    whole = len(records) == len(inertia)
     for number, record in enumerate(records):
         k = record.perturbed_joint
-        jumps = jump.torque[k] @ command_steps(record, record.samples)
-        gained = float(np.std(jumps)) / abs(_inertia(impedance[k, number], f)) / record.rate
-        shares[number] = min(np.sqrt(2.0 / np.pi) * gained / _speed(record, f), 1.0)
-    return shares
+        jumps = jump.torque @ command_steps(record, record.samples)
+        # With one trial alone, no more is known than the inertia of its joint.
+        steps = np.linalg.solve(inertia, jumps)[k] if whole else jumps[k] / inertia[k, number]
+        gained = float(np.std(steps)) / record.rate
+        speed = np.abs(_speed(record, f))
+        reversing[number] = np.mean(speed < gained)
+        usual = max(float(np.mean(speed)), _TINY)
+        bending[number] = record.rate * reversing[number] * gained / (6.0 * usual)
+    return reversing, bending
 
 
 def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:
@@ -544,14 +565,13 @@ def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:
     return np.asarray(-np.mean(impedance.real[..., high] / squared, axis=-1))
 
 
-def _speed(record: TrialRecord, f: FloatArray) -> float:
-    """Rms speed of the perturbed joint, up to the end of the band, rad/s."""
+def _speed(record: TrialRecord, f: FloatArray) -> FloatArray:
+    """Speed of the perturbed joint, up to the end of the band, rad/s; (N,)."""
     angle = record.position[record.perturbed_joint]
     turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
-    below = turning <= 2.0 * np.pi * f[-1]
-    spectrum = (turning * np.fft.rfft(angle - np.mean(angle)))[below]
-    speed = float(np.sqrt(2.0 * np.sum(np.abs(spectrum) ** 2))) / record.samples
-    return max(speed, _TINY)
+    spectrum = 1j * turning * np.fft.rfft(angle - np.mean(angle))
+    spectrum[turning > 2.0 * np.pi * f[-1]] = 0.0
+    return np.asarray(np.fft.irfft(spectrum, record.samples))
 
 
 def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
