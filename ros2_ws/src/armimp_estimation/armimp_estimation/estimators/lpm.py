@@ -163,7 +163,7 @@ class LpmFull:
         beside, added = (multiply(part, inverse) for part in (stacked[n : 2 * n], stacked[2 * n :]))
         impedance = near.impedance(f) + beside
         torque = multiply(impedance, R)
-        reversing, bending = _reversals(records, jump, impedance, f)
+        reversing, bending = _reversals(records, impedance, f)
         skewed = self._doubts(added, f, reversing[:, None], bending)
 
         every = _angles_and(_unit(n, 2 * n, f), n)
@@ -176,7 +176,7 @@ class LpmFull:
         if powers is not None:
             systematics += beside_few_lines(powers, impedance, f)
         if jump is None and delay_uncertainty == half_period:
-            systematics += untold_friction(records, impedance, f)
+            systematics += untold_friction(records, impedance, f, bending)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for k, column in enumerate(columns):
             for i in range(n):
@@ -252,7 +252,7 @@ class LpmFull:
         torque = multiply(skew, stacked[n:, None])[:, 0]
         impedance = torque / stacked[k]
         uncorrected = self._without_skew(stacked[n : 2 * n], f, record.rate)
-        reversing, bending = _reversals([record], jump, impedance[:, None], f)
+        reversing, bending = _reversals([record], impedance[:, None], f)
         systematics: tuple[ComplexArray, ...]
         systematics = self._doubts((torque - uncorrected) / stacked[k], f, reversing, bending)
         if response.line_power is not None:
@@ -496,65 +496,61 @@ _FRICTION = 2.0
 
 
 def untold_friction(
-    records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray
+    records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray, bending: FloatArray
 ) -> tuple[ComplexArray, ...]:
     """What commands that nobody recorded may do to the impedance where their instant is not known.
 
     With each update Δu the torque on the arm jumps by ``D Δu``, ``D = M_h (M_r + M_h)⁻¹``. As far
     as u moves the arm, reading before the jump is a delay, which is fitted. The rest overcomes
     friction, like ``jω c θ`` with ``c = 4 F_c/(π V)`` at a velocity of amplitude V (describing
-    function), and its jumps are missing by half: ``δZ = -ω² L D c/2``, which looks like inertia.
+    function), and its jumps are missing by half: ``δZ = -ω² L D c/2``, which looks like inertia,
+    and so is what it bends (`_reversals`), which looks like viscosity.
     F_c up to `_FRICTION` and ``D_ik = M_ik/(2 M_kk)`` are assumptions.
     """
-    squared = -((2.0 * np.pi * f) ** 2)
+    turning = 2j * np.pi * f
     effects = []
     for k, record in enumerate(records):
         inertia = _inertia(impedance[:, k], f)
         amplitude = np.sqrt(2.0) * max(float(np.std(_speed(record, f))), _TINY)
+        of_one = turning * (turning - bending[k])
         largest = 0.25 / record.rate * 4.0 * _FRICTION / (np.pi * amplitude)
         effect = np.zeros_like(impedance)
-        effect[:, k] = largest / np.sqrt(3.0) * (inertia / abs(inertia[k]))[:, None] * squared
+        effect[:, k] = largest / np.sqrt(3.0) * (inertia / abs(inertia[k]))[:, None] * of_one
         effects.append(effect)
     return tuple(effects)
 
 
 def _reversals(
-    records: Sequence[TrialRecord],
-    jump: HoldCorrection | None,
-    impedance: ComplexArray,
-    f: FloatArray,
+    records: Sequence[TrialRecord], impedance: ComplexArray, f: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """How much friction of the perturbed joint answers commands that chatter, within periods.
 
-    A step Δu of the commands accelerates joint k by ``(M⁻¹ D Δu)_k``, so within a period its speed
-    changes by ``Δv``, L times that, which reverses any speed below. A force F that bends with
-    speed is then, on average over the period, not the mean of those at its ends, but lacks
-    ``F'' Δv²/12``. Of F that changes its sign with v this is like
-    ``E[v F'']/E[v²] = -p(0) E[v F]/(E|v| E[v²])`` times 2 of viscosity, with the density p of v,
-    and ``E[v F]/E[v²]`` is in what is added to torques for the skew.
+    Torques on the arm that step by Δτ from reading to reading change its speed by ``Δv = M⁻¹ Δτ L``
+    in between, which reverses any speed below. A force F that bends with speed is then, on average
+    over the period, not the mean of those at its ends, but lacks ``F'' Δv²/12``. Of F that changes
+    its sign with v this is like ``E[v F'']/E[v²] = -2 p(0) E[v F]/(E|v| E[v²])`` of viscosity, with
+    the density p of v, and half of ``L E[v F]/E[v²]`` is the inertia that is added for the skew.
 
     Returns
     -------
     reversing : ndarray, shape (trials,)
-        Share of the time in which commands reverse the motion of the joint.
+        Share of the time in which the motion of the joint is reversed.
     bending : ndarray, shape (trials,)
-        Viscosity per inertia that was added for the skew, 1/s.
+        Viscosity per inertia that is added for the skew, 1/s.
     """
     reversing, bending = np.zeros((2, len(records)))
-    if jump is None:
-        return reversing, bending
     inertia = _inertia(impedance, f)
-    whole = len(records) == len(inertia)
     for number, record in enumerate(records):
         k = record.perturbed_joint
-        jumps = jump.torque @ command_steps(record, record.samples)
+        steps = np.diff(record.torque, axis=1)
         # With one trial alone, no more is known than the inertia of its joint.
-        steps = np.linalg.solve(inertia, jumps)[k] if whole else jumps[k] / inertia[k, number]
-        gained = float(np.std(steps)) / record.rate
+        whole = len(records) == len(inertia)
+        gained = np.linalg.solve(inertia, steps)[k] if whole else steps[k] / inertia[k, number]
+        change = float(np.std(gained)) / record.rate
         speed = np.abs(_speed(record, f))
-        reversing[number] = np.mean(speed < gained)
+        reversing[number] = np.mean(speed < change)
         usual = max(float(np.mean(speed)), _TINY)
-        bending[number] = record.rate * reversing[number] * gained / (6.0 * usual)
+        bending[number] = record.rate * reversing[number] * change / (6.0 * usual)
     return reversing, bending
 
 
