@@ -24,7 +24,7 @@ from armimp_bringup.orchestrator import run_experiment
 from armimp_common.domain import DomainClaim
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.browser import Browser
-from support.graph import hosted
+from support.graph import PATIENCE, hosted
 from support.runs import FinishedRun, Run
 from support.stalls import StallWitness
 
@@ -150,8 +150,11 @@ def host(driver_domain: int) -> Iterator[Callable[..., None]]:
 
 
 @pytest.fixture
-def check(driver_domain: int) -> Callable[..., dict[str, Finding]]:
+def check(driver_domain: int, monkeypatch: pytest.MonkeyPatch) -> Callable[..., dict[str, Finding]]:
     """Judges the driver that is running; gives the findings by the names of the checks."""
+    # How quickly a service answers and a fault is heard of tells something of the machine, too.
+    for limit in ("_ANSWER", "_TOLD"):
+        monkeypatch.setattr(f"armimp_bringup.driver_check.rules.{limit}", PATIENCE)
 
     def run(**options: Any) -> dict[str, Finding]:
         given = {"joints": ("shoulder", "elbow"), "duration": 1.0, **options}

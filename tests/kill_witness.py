@@ -38,6 +38,7 @@ class Witness(Node):
         super().__init__("witness", context=context)
         self._file = file
         self._torques: list[float] = []
+        self._resting = True
         self._stamps: list[tuple[float, int]] = []
         self._statuses: list[tuple[float, dict[str, str]]] = []
         self._reports: list[tuple[float, str, str]] = []
@@ -65,7 +66,8 @@ class Witness(Node):
             self._file.with_suffix(".known").touch()
 
     def _on_command(self, command: tuple[float, ...]) -> None:
-        if any(command):
+        self._resting = not any(command)
+        if not self._resting:
             self._torques.append(time.monotonic())
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
@@ -81,6 +83,7 @@ class Witness(Node):
         """Leave what was seen behind."""
         seen = {
             "torques": self._torques,
+            "resting": self._resting,
             "stamps": self._stamps,
             "statuses": self._statuses,
             "reports": self._reports,

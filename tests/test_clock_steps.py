@@ -161,7 +161,6 @@ with Spinner([node]) as spinner:
     eventually(spinner, lambda: len(ticks) > 5, "ticks before the step")
     threading.Timer(0.1, set_clock).start()
     eventually(spinner, lambda: stepped and ticks[-1] > stepped[0] + 0.1, "ticks after the step")
-assert max(b - a for a, b in zip(ticks, ticks[1:])) < 10.0
 """
 
 

@@ -18,6 +18,7 @@ from armimp_estimation.bags import read_bag
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary, read_summary
 from support.runs import FinishedRun
+from support.telling import tell_by_samples
 
 SHORT: dict[str, Any] = {"duration": 10.0}
 pytestmark = pytest.mark.usefixtures("environment")
@@ -50,8 +51,9 @@ def whole_samples(bag: Path) -> int:
     ],
 )
 def test_when_interrupted_expect_closed_readable_bags_and_an_invalid_result(
-    tmp_path: Path, processes: str, trial: int
+    tmp_path: Path, processes: str, trial: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    tell_by_samples(monkeypatch)
     told: list[Progress] = []
 
     def interrupted() -> bool:

@@ -19,6 +19,7 @@ from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.spectra import WelchConfig
 from support.graph import PATIENCE, hosted
 from support.runs import FinishedRun
+from support.telling import tell_by_samples
 
 SHORT = ExperimentConfig(duration=2.0)
 
@@ -58,7 +59,8 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
     with DomainClaim() as claim:
         domain_id = claim.domain_id
     progress: list[Progress] = []
-    with hosted(Bystander, domain_id) as bystander:
+    with hosted(Bystander, domain_id) as bystander, pytest.MonkeyPatch.context() as patch:
+        tell_by_samples(patch)
         result = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
         # Whoever draws needs not read the bags.
         assert [len(trial.segments) for trial in result.trials] == [1, 1]
@@ -116,9 +118,10 @@ def test_published_columns_have_the_curves_of_their_joint(account: Account) -> N
 
 
 def test_progress_grows_in_every_trial(account: Account) -> None:
-    assert account.progress
     order = [(progress.trial, progress.samples) for progress in account.progress]
     assert order == sorted(order)
+    assert {progress.trial for progress in account.progress} == {1, 2}
+    assert len(set(order)) > 10
     assert {progress.trials for progress in account.progress} == {2}
     assert {progress.planned for progress in account.progress} == {2_000}
     assert all(progress.joint == progress.trial for progress in account.progress)
@@ -129,6 +132,7 @@ def test_progress_grows_in_every_trial(account: Account) -> None:
 
 def test_progress_tells_the_coherence_as_soon_as_there_are_two_segments(account: Account) -> None:
     welch = WelchConfig.for_samples(2_000)
+    assert max(progress.samples for progress in account.progress) >= welch.segment + welch.step
     for progress in account.progress:
         told = progress.coherence_motion, progress.coherence_torque
         if progress.samples >= welch.segment + welch.step:

@@ -14,7 +14,23 @@ import pyte
 import pytest
 
 ROWS = 24
-COMMAND = [sys.executable, "-m", "armimp_bringup.cli", "run", "--duration", "10", "--joints", "1"]
+PROGRAM = """
+import sys, pytest
+from armimp_bringup.cli import main
+from armimp_bringup.terminal import Display
+from support.telling import tell_by_samples
+
+def drawn(display, snapshot, show=Display.show):
+    show(display, snapshot)
+    display._refresh()
+
+with pytest.MonkeyPatch.context() as patch:
+    tell_by_samples(patch)
+    patch.setattr(Display, "show", drawn)
+    sys.exit(main(sys.argv[1:]))
+"""
+"""The command, which draws all of its progress rather than what there is once a second."""
+COMMAND = [sys.executable, "-c", PROGRAM, "run", "--duration", "10", "--joints", "1"]
 
 
 def screens(command: list[str], columns: int) -> list[list[str]]:
@@ -23,7 +39,8 @@ def screens(command: list[str], columns: int) -> list[list[str]]:
     stream = pyte.ByteStream(screen)
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, columns, 0, 0))
-    environment = {**os.environ, "TERM": "xterm-256color"}
+    shared = str(Path(__file__).parent)
+    environment = {**os.environ, "TERM": "xterm-256color", "PYTHONPATH": shared}
     for name in ("COLUMNS", "LINES", "NO_COLOR"):
         environment.pop(name, None)
     seen: list[list[str]] = []

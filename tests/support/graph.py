@@ -37,7 +37,7 @@ PATIENCE = 30.0
 MOMENT = 0.2
 """How long to wait for what must not happen (s)."""
 
-CLOCK_STEPS = (-20.0, -600.0, 3600.0)
+CLOCK_STEPS = (-600.0, 3600.0)
 """By how much somebody sets the clock (s)."""
 
 
@@ -169,6 +169,35 @@ def set_clock(node: Node, step: float) -> None:
     now = clock.now()
     clock._set_ros_time_is_active(True)
     clock.set_ros_time_override(now + Duration(nanoseconds=round(step * topics.NS_PER_S)))
+
+
+class HandedClock:
+    """Stands for the module ``time`` of a node: how busy the machine is decides nothing.
+
+    Attributes
+    ----------
+    now
+        The time (s).
+    pace
+        By how much each look at the clock lets it go on (s).
+    """
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+        self.pace = 0.0
+
+    def monotonic(self) -> float:
+        """Return the time (s)."""
+        self.now += self.pace
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> HandedClock:
+    """The clock of controllers in this process, which stands still until a test lets it go on."""
+    clock = HandedClock()
+    monkeypatch.setattr("armimp_control.node.time", clock)
+    return clock
 
 
 class ScriptedDriver:

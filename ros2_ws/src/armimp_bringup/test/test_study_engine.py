@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 import sys
-import time
+import threading
 from collections.abc import Generator, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -32,6 +32,7 @@ from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.dynamics import WIDTH
 from armimp_sim.plant import IntegrationError
+from support.graph import PATIENCE
 
 BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = (
@@ -132,35 +133,45 @@ def _seed(batch: Batch) -> int:
     return batch.conditions[0].seed
 
 
+def _await_threads() -> None:
+    """Return when no pool of threads is at work any more."""
+    for thread in threading.enumerate():
+        if thread.name.startswith("ThreadPoolExecutor"):
+            thread.join(PATIENCE)
+
+
 def test_error_in_a_batch_is_raised_and_the_others_are_not_begun() -> None:
-    begun = []
+    begun, over = [], threading.Event()
 
     def work(batch: Batch) -> list[ConditionResult]:
         begun.append(_seed(batch))
         if _seed(batch) == 1:
             raise DataError("this one failed")
-        time.sleep(0.01)
+        assert _seed(batch) == 0 or over.wait(PATIENCE)
         return []
 
     with pytest.raises(DataError, match="this one failed"):
         list(Threads(1, work).run(_batches(50)))
-    assert begun[:2] == [0, 1]
-    assert len(begun) < 50
+    over.set()
+    _await_threads()
+    # One more may have begun before the error was heard of.
+    assert begun in ([0, 1], [0, 1, 2])
 
 
 def test_nothing_more_is_begun_once_nobody_wants_the_results() -> None:
-    begun = []
+    begun, over = [], threading.Event()
 
     def work(batch: Batch) -> list[ConditionResult]:
         begun.append(_seed(batch))
-        time.sleep(0.01)
+        assert _seed(batch) == 0 or over.wait(PATIENCE)
         return []
 
     running = Threads(1, work).run(_batches(50))
     next(running)
     cast("Generator[object, None, None]", running).close()
-    time.sleep(0.1)
-    assert len(begun) < 50
+    over.set()
+    _await_threads()
+    assert begun in ([0], [0, 1])
 
 
 def test_wrong_backends_are_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,8 +25,7 @@ from armimp_common.executor import (
     run_node,
     stop_on_signals,
 )
-
-PATIENCE = 10.0
+from support.graph import PATIENCE
 
 
 def deadline(seconds: float = PATIENCE) -> Callable[[], bool]:
@@ -106,23 +105,22 @@ def test_spin_until_returns_as_soon_as_the_future_is_done(node: Node) -> None:
     with Spinner([node]) as spinner:
         start = time.monotonic()
         assert not spinner.spin_until(never, 0.1)
-        assert 0.09 < time.monotonic() - start < PATIENCE
-        assert done.done()
-        start = time.monotonic()
+        assert time.monotonic() - start > 0.09
         assert spinner.spin_until(done, PATIENCE)
+        start = time.monotonic()
         fresh: Future = Future()
         node.create_timer(0.02, lambda: None if fresh.done() else fresh.set_result(1))
         assert spinner.spin_until(fresh, PATIENCE)
-        assert time.monotonic() - start < PATIENCE / 2
+        assert time.monotonic() - start < PATIENCE
 
 
 def test_idle_spinning_costs_next_to_nothing(node: Node) -> None:
     # rclpy's own events executor takes a whole core when spun without a timeout.
     with Spinner([node]) as spinner:
-        before = time.process_time()
+        before = time.thread_time()
         spinner.spin(deadline(1.0))
 
-    assert time.process_time() - before < 0.3
+    assert time.thread_time() - before < 0.3
 
 
 def test_when_rclpy_has_no_events_executor_expect_the_single_threaded_one(

@@ -15,8 +15,7 @@ from rclpy.node import Node
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager, ManagedNode, reported
-
-PATIENCE = 10.0
+from support.graph import PATIENCE
 
 
 class Managed(ManagedNode):
@@ -128,7 +127,10 @@ def test_when_transition_fails_expect_graph_error_and_the_reason_kept(
     assert managed.transition_error == ""
 
 
-def test_when_node_is_absent_expect_graph_error_in_time(node: Node, spinner: Spinner) -> None:
+def test_when_node_is_absent_expect_graph_error_in_time(
+    node: Node, spinner: Spinner, manager: LifecycleManager
+) -> None:
+    manager.wait_for_nodes()
     manager = LifecycleManager(
         node, ["managed", "absent"], spin_until=spinner.spin_until, timeout=0.3
     )
@@ -152,7 +154,7 @@ raise SystemExit(run_node(lambda *, context: LifecycleNode("remote", context=con
     try:
         with Spinner([node]) as spinner:
             manager = LifecycleManager(
-                node, ["remote"], spin_until=spinner.spin_until, timeout=20.0
+                node, ["remote"], spin_until=spinner.spin_until, timeout=PATIENCE
             )
             manager.wait_for_nodes()
             manager.change("remote", "configure")

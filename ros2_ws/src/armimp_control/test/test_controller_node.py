@@ -35,6 +35,7 @@ from support.controller import (
 from support.graph import (
     CLOCK_STEPS,
     PATIENCE,
+    HandedClock,
     Launch,
     ScriptedDriver,
     a_moment,
@@ -49,8 +50,8 @@ START = 5_000_000_000
 PARAMETERS = controller_parameters(
     SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
 )
-LONGER_THAN_PATIENCE = 0.5
 IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.06, "safety.watchdog_ticks": 5}
+LONGER_THAN_PATIENCE = 0.5
 
 
 def expected_answers(ticks: int) -> tuple[list[tuple[float, ...]], list[Sample]]:
@@ -251,15 +252,18 @@ class TestFaults:
         make: MakeController,
         driver: ScriptedDriver,
         spinner: Spinner,
+        clock: HandedClock,
         clock_step: float | None,
     ) -> None:
-        ramp_time = 0.05
-        controller = make({**IMPATIENT, "safety.ramp_time": ramp_time})
+        controller = make({**IMPATIENT, "safety.ramp_time": 0.05})
         start(controller, driver, spinner)
         if clock_step is not None:
             set_clock(controller, clock_step)
 
         last = np.abs(driver.commands[59])
+        a_moment(spinner)
+        assert len(driver.commands) == 60
+        clock.pace = 0.005
         eventually(
             spinner,
             lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
@@ -269,11 +273,12 @@ class TestFaults:
 
         ramp = np.array([last, *np.abs(driver.commands[60:])])
         assert (np.diff(ramp, axis=0) <= 0.0).all()
+        assert len(np.unique(ramp)) > 5
         assert driver.commands[-1] == (0.0, 0.0)
         assert driver.statuses[-1].reason == "no sensor sample arrived any more"
 
     def test_when_samples_stay_away_after_the_last_trial_expect_no_abort(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
+        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
     ) -> None:
         controller = make(IMPATIENT)
         bring_up(controller, driver)
@@ -284,7 +289,8 @@ class TestFaults:
             "the end of the experiment",
         )
 
-        a_moment(spinner, LONGER_THAN_PATIENCE)
+        clock.now += LONGER_THAN_PATIENCE
+        a_moment(spinner)
 
         assert not driver.has_said(Phase.ABORTED)
         assert driver.commands[-1] == (0.0, 0.0)

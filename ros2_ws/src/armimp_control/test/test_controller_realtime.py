@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
 from rclpy.node import Node
@@ -14,9 +12,7 @@ from armimp_common.status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
 from support.controller import NAMES, POSTURE, SUCCESS, SequencerBench, controller_parameters
-from support.graph import Launch, ScriptedDriver, a_moment, eventually
-
-pytestmark = pytest.mark.alone
+from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
 
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
 LOCKSTEP = controller_parameters(300, 200, 300)
@@ -44,7 +40,7 @@ def driver(node: Node) -> ScriptedDriver:
 
 
 @pytest.fixture
-def controller(launch: Launch) -> ImbicControllerNode:
+def controller(launch: Launch, clock: HandedClock) -> ImbicControllerNode:
     made: ImbicControllerNode = launch(ImbicControllerNode, PARAMETERS)
     assert made.trigger_configure() is SUCCESS, made.transition_error
     return made
@@ -61,10 +57,13 @@ def under_torque(controller: ImbicControllerNode, driver: ScriptedDriver, spinne
 
 
 def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
-    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
+    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
 ) -> None:
     under_torque(controller, driver, spinner)
+    a_moment(spinner)
+    assert len(driver.commands) == 20
 
+    clock.pace = 0.001
     eventually(
         spinner,
         lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
@@ -74,16 +73,17 @@ def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
 
     ramp = np.array(driver.commands[19:])
     assert (np.diff(np.abs(ramp), axis=0) <= 0.0).all()
+    assert len(np.unique(np.abs(ramp))) > 5
     assert driver.statuses[-1].reason == SILENCE
     assert driver.commands[-1] == (0.0, 0.0)
 
 
 def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(
-    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner
+    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
 ) -> None:
     under_torque(controller, driver, spinner)
     # Nothing is spun: the process is held up, and finds timer and sample waiting afterwards.
-    time.sleep(0.02)
+    clock.now += 0.02
     controller._on_position(driver.stamp_ns, OFF)
     controller._on_torque(driver.stamp_ns, (0.0, 0.0))
 

@@ -12,18 +12,13 @@ from armimp_common.executor import Spinner
 from armimp_common.schema import Value
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision, status_message
 from armimp_control.node import ImbicControllerNode
-from armimp_control.safety_limiter import SafetyParameters
-from armimp_control.trial_sequencer import Watchdog
 from support.controller import NAMES, POSTURE, SUCCESS, controller_parameters
-from support.graph import Launch, ScriptedDriver, a_moment, eventually
+from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
 
 SETTLE, PERTURB, REST = 50, 600, 50
 JUDGED = 20
 END = JUDGED + NOTICE_TICKS
-PARAMETERS = controller_parameters(
-    SETTLE, PERTURB, REST, safety=SafetyParameters(slowest_tick=10.0)
-)
-IMPATIENT: dict[str, Value] = {"safety.slowest_tick": 0.2, "safety.watchdog_ticks": 5}
+PARAMETERS = controller_parameters(SETTLE, PERTURB, REST)
 ON_A_RIG: dict[str, Value] = {"mode": "realtime"}
 ANNOUNCED = StoppingDecision(trial=1, samples=0, enough=False, due=JUDGED, bound=0.02)
 ENOUGH = StoppingDecision(trial=1, samples=JUDGED, enough=True, due=None, bound=0.02, largest=0.01)
@@ -45,7 +40,9 @@ def judge(node: Node) -> Publisher:
 
 
 @pytest.fixture
-def start(launch: Launch, spinner: Spinner, driver: ScriptedDriver, judge: Publisher) -> Start:
+def start(
+    launch: Launch, spinner: Spinner, driver: ScriptedDriver, judge: Publisher, clock: HandedClock
+) -> Start:
     """Makes a controller which is in its first perturbation and knows of a decision to come."""
 
     def factory(changes: Mapping[str, Value] | None = None) -> ImbicControllerNode:
@@ -58,7 +55,9 @@ def start(launch: Launch, spinner: Spinner, driver: ScriptedDriver, judge: Publi
         feed(driver, SETTLE + 1)
         eventually(spinner, lambda: driver.has_said(Phase.PERTURB), "the perturbation")
         judge.publish(status_message(ANNOUNCED))
-        a_moment(spinner)
+        sequencer = controller._sequencer
+        assert sequencer is not None
+        eventually(spinner, lambda: sequencer._due is not None, "the decision to come is known")
         return controller
 
     return factory
@@ -104,10 +103,7 @@ def test_on_a_rig_nothing_waits_and_a_late_decision_ends_the_trial_later(
     driver: ScriptedDriver,
     spinner: Spinner,
     judge: Publisher,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    # The scripted samples do not come once in a millisecond.
-    monkeypatch.setattr(Watchdog, "expired", lambda *_: False)
     start(ON_A_RIG)
     feed_up_to_the_decision(driver, spinner)
     feed(driver, 1)
@@ -125,11 +121,13 @@ def test_on_a_rig_nothing_waits_and_a_late_decision_ends_the_trial_later(
 
 
 def test_when_an_announced_decision_does_not_come_expect_the_end_with_that_reason(
-    start: Start, driver: ScriptedDriver, spinner: Spinner
+    start: Start, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
 ) -> None:
-    start(IMPATIENT)
+    start()
     feed_up_to_the_decision(driver, spinner)
     feed(driver, 1)
+    a_moment(spinner)
+    clock.now += 60.0
 
     eventually(spinner, lambda: driver.has_said(Phase.ABORTED), "the end")
 

@@ -274,7 +274,10 @@ class TestFaults:
         assert refused.values["stream"] == TRIAL
         assert [(trial.ticks, trial.lost) for trial in desk.summary.trials] == [(TICKS, 0)] * 2
 
-    def test_samples_may_come_after_the_end_was_announced(self, desk: Desk) -> None:
+    def test_samples_may_come_after_the_end_was_announced(
+        self, desk: Desk, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("armimp_estimation.node._STRAGGLERS", PATIENCE)
         desk.bring_up()
         statuses = [message for message in MADE_UP if message[0] == TRIAL]
 
@@ -394,8 +397,11 @@ class TestLife:
         self, desk: Desk, how: str
     ) -> None:
         desk.bring_up()
-        desk.play(MADE_UP[: ONE_TRIAL + 4 * (SETTLE + 40)])
-        a_moment(desk.spinner)
+        part = MADE_UP[: ONE_TRIAL + 4 * (SETTLE + 40)]
+        desk.play(part)
+        samples = sum(topic == topics.PERTURBATION for topic, _, _ in part)
+        synchronizer = desk.estimator._synchronizer
+        desk.eventually(lambda: synchronizer._leading == samples, "all that was sent")
 
         getattr(desk.estimator, how)()
         desk.conclude()

@@ -84,11 +84,20 @@ class World(ScriptedController):
         )
 
 
+class PatientBridge(Ros2ControlBridge):
+    """A bridge for which no time is long until a test says so: a busy machine may hold up all."""
+
+    patient = True
+
+    def _check_silence(self) -> None:
+        if self.patient:
+            self._heard_before = -1
+        super()._check_silence()
+
+
 @pytest.fixture
-def bridge(context: Context) -> Iterator[Ros2ControlBridge]:
-    bridge = Ros2ControlBridge(
-        context=context, parameter_overrides=overrides(BridgeParameters(), {})
-    )
+def bridge(context: Context) -> Iterator[PatientBridge]:
+    bridge = PatientBridge(context=context, parameter_overrides=overrides(BridgeParameters(), {}))
     yield bridge
     bridge.destroy_node()
 
@@ -171,12 +180,12 @@ def test_when_commands_stay_away_expect_torque_to_fall_to_zero_and_the_fault_tol
 
 @pytest.mark.parametrize("clock_step", [None, *CLOCK_STEPS])
 def test_when_joint_states_stop_expect_zero_torque(
-    world: World, bridge: Ros2ControlBridge, clock_step: float | None
+    world: World, bridge: PatientBridge, clock_step: float | None
 ) -> None:
     world.push()
     if clock_step is not None:
         set_clock(bridge, clock_step)
-    world.running = False
+    bridge.patient = world.running = False
     world.until_told(*ZERO)
     world.await_fault("nothing for 10 ms")
 
