@@ -355,8 +355,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         add(MUST, "cuff, voluntary 0.3 N·m", (f"{stiff / 1e3:g} kN·m/rad", moved))
     for extra in (1.0, 5.0, 20.0):
         add(MUST, "short-range stiffness", (f"{extra:g}", {"short_range": extra}))
-    for share in (0.1, 0.3):
+    for share in (0.03, 0.1, 0.3):
         add(MUST, "amplitude-dependent", (f"{share:g}", {"cubic": share}))
+        bent = {"cubic": share, "voluntary": 0.3}
+        add(MUST, "amplitude-dependent, voluntary 0.3 N·m", (f"{share:g}", bent))
         add(MUST, "waxing stiffness", (f"{share:g}", {"waxing": share}))
     for size in (0.1, 0.3, 1.0):
         add(NOISE, "tremor", (f"{size:g} N·m", {"tremor": size}))

@@ -67,6 +67,8 @@ Of transducers, changes of the gain beyond which it is none.
 Smaller ones are in the standard errors, and so is what friction of the robot leaves in the torques
 where their jumps with the commands are not known well.
 """
+REST = 0.5
+"""Angle up to which stiffness is that of an arm at rest, in rms angles."""
 PLAY = 0.12
 """Half of the play, in rms angles."""
 SLOW = 0.1
@@ -80,7 +82,7 @@ _PART = 1.5
 _NEGLIGIBLE = 0.003
 _LEAST = 10.0
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
-    "amplitude": lambda signals: signals[0] ** 3,
+    "amplitude": lambda signals: np.clip(signals[0], -REST, REST),
     "hysteresis": lambda signals: play(signals[1], PLAY),
     "friction": lambda signals: np.tanh(signals[2] / SLOW),
     "time": lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
@@ -90,7 +92,7 @@ _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 }
 """What follows from angle, the same and speed without what is slow, and torque, each in units of
 its rms; (4, N)."""
-_SLOPES = {"amplitude": 3.0, "time": 1.0, "direction": 2.0, "gain": 3.0, "drift": 1.0}
+_SLOPES = {"amplitude": -1.0, "time": 1.0, "direction": 2.0, "gain": 3.0, "drift": 1.0}
 """Of these terms over their argument at one rms, or between both directions: 3 x² of a cube."""
 _DOUBTED = {"direction": 0.5, "gain": 1.0, "drift": 0.5}
 """Shares of its change by which a gain may differ from that of the calibration.
