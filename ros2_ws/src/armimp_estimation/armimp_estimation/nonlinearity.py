@@ -1,25 +1,25 @@
 """Torque of no linear arm or transducer: changing stiffness, hysteresis, in what the fit leaves.
 
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
-perturbed joint, in the band. If stiffness falls or grows with the angle, e follows ``θ³``; if a
-spring of short range yields, a play operator of the angle (the spring's stretch:
-Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign
-of ``θ̇``; if stiffness changes over the trial, ``θ t``. If the transducer is not linear, e follows
-the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it shows more in one direction,
-``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain changes over the trial.
-Terms and e are taken without all that any linear filter makes of angle and perturbation, and the
-coefficient is found with the same term of what the perturbation alone causes as the instrument
-(Söderström & Stoica, *Instrumental Variable Methods for System Identification*): so a linear arm
-gives zero on average, whatever the person does beside, although that moves the arm, too. What M, B
-and K are alike of the regressor, times the coefficient, is what the term does to them; what the
-gain of a transducer changes by is in doubt for all that it measures. What readings lack because
-torques jump with commands is put right before: commands that overcome friction would make it look
-like a bent spring. The trial is cut into parts, and the scatter of what each of them says is the
-error, with no assumption about the spectrum of e; parts that weigh much pull the coefficient
-towards themselves, which is made up for (MacKinnon & White, *Journal of Econometrics* 29, 1985:
-HC3). Few parts tell that scatter badly, so what counts as significant follows Student's
-distribution. The ends of a trial are left out: there the derivatives of a record that is cut off
-ring.
+perturbed joint, in the band. If stiffness falls or grows with the angle, e follows the angle up to
+half of its rms, and no further; if a spring of short range yields, a play operator of the angle
+(the spring's stretch: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction
+is left in it, the sign of ``θ̇``; if stiffness changes over the trial, ``θ t``. If the transducer
+is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it shows more
+in one direction, ``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain changes over the
+trial. Terms and e are taken without all that any linear filter makes of angle and perturbation, and
+the coefficient is found with what of the term turns with the sign of the perturbation, or the same
+term of what that alone causes, as the instrument (Söderström & Stoica, *Instrumental Variable
+Methods for System Identification*): so a linear arm gives zero on average, whatever the person does
+beside, although that moves the arm, too. What M, B and K are alike of the regressor, times the
+coefficient, is what the term does to them; what the gain of a transducer changes by is in doubt for
+all that it measures. What readings lack because torques jump with commands is put right before:
+commands that overcome friction would make it look like a bent spring. The trial is cut into parts,
+and the scatter of what each of them says is the error, with no assumption about the spectrum of e;
+parts that weigh much pull the coefficient towards themselves, which is made up for (MacKinnon &
+White, *Journal of Econometrics* 29, 1985: HC3). Few parts tell that scatter badly, so what counts
+as significant follows Student's distribution. The ends of a trial are left out: there the
+derivatives of a record that is cut off ring.
 """
 
 from __future__ import annotations
@@ -308,9 +308,12 @@ def deviations(
     rest = without_linear(rest[kept])
     found = {}
     for name, bend in _BENT.items():
-        bent = np.stack([band.of(bend(one)) for one in (known, signals)])
         # A person's own torque hides what M shows of a transducer, unless it is weighed.
         of_gain = name in _DOUBTED
+        # Of motion, what turns with the sign of the perturbation alone is as independent, and tells
+        # more: the perturbation tries the spring where the person has moved it to.
+        turns = bend(known) if of_gain else 0.5 * (bend(signals) - bend(signals - 2.0 * known))
+        bent = np.stack([band.of(one) for one in (turns, bend(signals))])
         instrument, term = (
             without_linear(band.signal(one)[kept]) for one in (bent * weights if of_gain else bent)
         )
