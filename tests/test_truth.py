@@ -25,9 +25,14 @@ QUICK = (
     "torque compressed 0.03",
     "gain that grows 0.02",
     "short-range stiffness 1",
+    "amplitude-dependent 0.1",
+    "friction 2 N·m",
     "reflex 0.3, 40 ms",
     "voluntary 0.3 N·m",
 )
+HIDDEN = {f"amplitude-dependent, voluntary 0.3 N·m {share}" for share in (0.1, 0.3)}
+"""What a person does hides that such an arm bends, and its K is the best linear one: see the table
+of research/truth.md."""
 
 
 def judge(name: str, seed: int) -> None:
@@ -45,7 +50,7 @@ def test_what_is_valid_is_right_and_noise_is_valid(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(set(CASES) - set(QUICK)))
+@pytest.mark.parametrize("name", sorted(set(CASES) - set(QUICK) - HIDDEN))
 def test_what_is_valid_is_right_in_each_class(name: str) -> None:
     judge(name, seed=0)
 
