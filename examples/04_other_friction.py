@@ -8,8 +8,6 @@ with sigma_0 = 0 it is viscous. For other equations see docs/extending.md.
 
 from dataclasses import asdict
 
-import numpy as np
-
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_sim.model.friction import LuGre
@@ -23,7 +21,8 @@ rigs = {
 }
 
 for name, laws in rigs.items():
-    at_speed = [float(law.steady_state(np.array([1.0]))[0]) for law in laws]
+    # Beyond the Stribeck velocity bristles slide at the Coulomb level.
+    at_speed = [law.coulomb + law.sigma_2 for law in laws]
     # In the parameters of the node each number is a list with one value for each joint.
     numbers = [asdict(law) for law in laws]
     config = ExperimentConfig(

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+from scipy import signal
+
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_sim.voluntary import power_spectrum
+from armimp_sim.voluntary import VoluntaryParameters, band_filter
 from research.cells import FloatArray, Levels, Plan, Run
 from research.cramer_rao import (
     SensorNoise,
@@ -34,6 +37,28 @@ class LimitsPlan(Plan):
     )
     seeds: str = "0:64"
     estimators: tuple[str, ...] = ("lpm_full", "welch_full", "welch_siso")
+
+
+def power_spectrum(config: VoluntaryParameters, f: FloatArray, period: float) -> FloatArray:
+    """Power of each sample of d by frequency; its mean over all frequencies is the variance.
+
+    Parameters
+    ----------
+    config : VoluntaryParameters
+    f : (n_freq,) Hz
+    period : s, between ticks
+
+    Returns
+    -------
+    (n_freq,) NDArray
+        (N·m)², two-sided.
+    """
+    power = np.zeros_like(f)
+    for rms, edges, _ in config.bands():
+        sos, passed = band_filter(edges, period)
+        _, response = signal.freqz_sos(sos, worN=f, fs=1.0 / period)
+        power += np.abs(rms / passed * response) ** 2
+    return power
 
 
 def bound_of(

@@ -98,7 +98,7 @@ def _code(path: Path) -> bytes:
         if isinstance(node, ast.arg):
             node.annotation = None
         elif isinstance(node, (ast.FunctionDef, ast.AnnAssign)):
-            node.returns = node.annotation = None  # type: ignore[union-attr, assignment]
+            node.returns = node.annotation = None  # type: ignore[union-attr]
     return ast.dump(tree).encode()
 
 

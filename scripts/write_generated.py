@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
+from robot_description import robot_description
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import node_parameters
@@ -16,7 +17,6 @@ from armimp_common.schema import defaults, flatten, leaves, to_params_yaml
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_ros2_control.parameters import BridgeParameters
-from armimp_sim.description import robot_description
 from armimp_sim.presets import JOINT_NAMES
 
 ROOT = Path(__file__).resolve().parents[1]

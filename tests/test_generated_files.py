@@ -1,10 +1,9 @@
 """Parameter files, robot descriptions and tables of parameters follow from the code."""
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import pytest
+from write_generated import generated
 
 from armimp_bringup.config import ExperimentConfig, config_file, load_config
 from armimp_bringup.parameters import node_parameters
@@ -12,17 +11,7 @@ from armimp_bringup.parameters import node_parameters
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def _script() -> ModuleType:
-    path = ROOT / "scripts" / "write_generated.py"
-    spec = importlib.util.spec_from_file_location("write_generated", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-GENERATED: dict[Path, str] = _script().generated()
+GENERATED = generated()
 
 
 @pytest.mark.parametrize("name", sorted(GENERATED), ids=str)

@@ -2,37 +2,22 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
-from types import ModuleType
 
+import make_pictures
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def _script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location(
-        "make_pictures", ROOT / "scripts/make_pictures.py"
-    )
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-SCRIPT = _script()
-
-
-@pytest.mark.parametrize("name", SCRIPT.RECIPES)
+@pytest.mark.parametrize("name", make_pictures.RECIPES)
 def test_pictures_are_as_new_as_what_makes_them(name: str) -> None:
-    recipe = SCRIPT.RECIPES[name]
-    assert all((SCRIPT.IMAGES / picture).exists() for picture in recipe.pictures)
-    assert SCRIPT.stored()[name] == recipe.digest(), f"out of date: make pictures ARGS={name}"
+    recipe = make_pictures.RECIPES[name]
+    assert all((make_pictures.IMAGES / picture).exists() for picture in recipe.pictures)
+    assert make_pictures.stored()[name] == recipe.digest(), (
+        f"out of date: make pictures ARGS={name}"
+    )
 
 
 def test_every_picture_of_the_pages_has_a_recipe() -> None:
@@ -42,14 +27,14 @@ def test_every_picture_of_the_pages_has_a_recipe() -> None:
         for page in pages
         for name in re.findall(r"!\[[^\]]*\]\([^)]*images/([^)]+\.png)\)", page.read_text("utf-8"))
     }
-    assert shown == {one for recipe in SCRIPT.RECIPES.values() for one in recipe.pictures}
+    assert shown == {one for recipe in make_pictures.RECIPES.values() for one in recipe.pictures}
 
 
 def test_a_change_of_code_changes_the_digest_and_one_of_words_does_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(SCRIPT, "ROOT", tmp_path)
-    recipe = SCRIPT.Recipe(pictures=("one.png",), sources=("draw.py",), study=("one",))
+    monkeypatch.setattr(make_pictures, "ROOT", tmp_path)
+    recipe = make_pictures.Recipe(pictures=("one.png",), sources=("draw.py",), study=("one",))
     source = tmp_path / "draw.py"
     digests = []
     words = '"""New."""\nimport this\n\n# Wide.\ndef draw(width: int) -> None: plot(width, 3)\n'

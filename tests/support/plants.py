@@ -86,6 +86,18 @@ def random_plant(n: int, seed: int = 0, **changes: Any) -> PlantConfig:
     return PlantConfig(**{**parts, **changes})
 
 
+def coriolis_torque(robot: PlanarChain, theta: Array, velocity: Array) -> Array:
+    """C(θ, θ̇) θ̇ (n,), N·m."""
+    phi, rate = np.cumsum(theta), np.cumsum(velocity)
+    absolute = (robot.coefficients() * np.sin(phi[:, None] - phi[None, :])) @ rate**2
+    return np.flip(np.cumsum(np.flip(absolute)))
+
+
+def kinetic_energy(robot: PlanarChain, theta: Array, velocity: Array) -> float:
+    """½ θ̇ᵀ M_r(θ) θ̇, J."""
+    return float(0.5 * velocity @ robot.mass_matrix(theta) @ velocity)
+
+
 def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
     """Derivative of θ, θ̇ and z, (3, n), under torques (n,) of drives less voluntary ones, N·m."""
     theta, v, z = state
@@ -100,7 +112,7 @@ def slopes(config: PlantConfig, state: Array, torque: Array) -> Array:
     acceleration = np.linalg.solve(
         robot.mass_matrix(theta) + arm.inertia,
         torque
-        - robot.coriolis_torque(theta, v)
+        - coriolis_torque(robot, theta, v)
         - friction
         - arm.damping @ v
         - arm.stiffness @ (theta - arm.posture),

@@ -59,20 +59,6 @@ def disturbance(f: Array, cutoff: float) -> Array:
     return np.asarray(1.0 / (1.0 + (f / cutoff) ** 4) + _EVERYWHERE)
 
 
-def variances(f: Array, power: Array, prior: JointPrior, cutoff: float) -> Array:
-    """Variances of M, B and K, (3,), relative to the prior, up to a common factor.
-
-    Parameters
-    ----------
-    f : (n,) lines, Hz
-    power : (n,) of each, (N·m)²
-    prior : JointPrior
-    cutoff : of the disturbance, Hz
-    """
-    slopes, told = _slopes(f, prior, cutoff)
-    return np.diag(_covariance(slopes, told * power))
-
-
 def _covariance(slopes: ComplexArray, weights: Array) -> Array:
     return np.linalg.inv(((slopes * weights) @ slopes.conj().T).real)
 

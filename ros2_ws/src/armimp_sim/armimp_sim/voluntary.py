@@ -51,7 +51,7 @@ class VoluntaryParameters(Schema):
 
 
 @functools.lru_cache(maxsize=16)
-def _filter(edges: tuple[float, ...], period: float) -> tuple[NDArray[np.float64], float]:
+def band_filter(edges: tuple[float, ...], period: float) -> tuple[NDArray[np.float64], float]:
     """Second-order sections, and the rms with which white noise of rms 1 leaves them (Parseval)."""
     # Where nobody asks for this torque, nobody waits for the import, which takes 0.6 s.
     from scipy import signal
@@ -60,32 +60,6 @@ def _filter(edges: tuple[float, ...], period: float) -> tuple[NDArray[np.float64
     sos: NDArray[np.float64] = signal.butter(2, at, kind, fs=1.0 / period, output="sos")
     _, response = signal.freqz_sos(sos, worN=1 << 18)
     return sos, float(np.sqrt(np.mean(np.abs(response) ** 2)))
-
-
-def power_spectrum(
-    config: VoluntaryParameters, f: NDArray[np.float64], period: float
-) -> NDArray[np.float64]:
-    """Power of each sample of d by frequency; its mean over all frequencies is the variance.
-
-    Parameters
-    ----------
-    config : VoluntaryParameters
-    f : (n_freq,) Hz
-    period : s, between ticks
-
-    Returns
-    -------
-    (n_freq,) NDArray
-        (N·m)², two-sided.
-    """
-    power = np.zeros_like(f)
-    for rms, edges, _ in config.bands():
-        from scipy import signal
-
-        sos, passed = _filter(edges, period)
-        _, response = signal.freqz_sos(sos, worN=f, fs=1.0 / period)
-        power += np.abs(rms / passed * response) ** 2
-    return power
 
 
 class NoiseStream:
@@ -112,7 +86,7 @@ class NoiseStream:
         self._random = np.random.default_rng(np.random.SeedSequence([seed, stream]))
         self._sos: Any = None
         if edges:
-            self._sos, passed = _filter(edges, period)
+            self._sos, passed = band_filter(edges, period)
             self._state = np.zeros((self._sos.shape[0], self._rms.size, 2))
             self._rms = self._rms / passed
         self._block = np.zeros((0, self._rms.size))

@@ -53,11 +53,3 @@ class HumanArm:
     def joints(self) -> int:
         """Number of joints n."""
         return self.posture.size
-
-    def impedance(self, f: NDArray[np.float64]) -> NDArray[np.complex128]:
-        """Z_h(j2πf), (n, n, n_freq), N·m/rad, at the frequencies ``f`` (n_freq,) in Hz."""
-        s = np.asarray(2j * np.pi * f, dtype=np.complex128)
-        result: NDArray[np.complex128] = (
-            self.inertia[..., None] * s**2 + self.damping[..., None] * s + self.stiffness[..., None]
-        )
-        return result

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 
@@ -34,7 +32,7 @@ class LuGre:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not 0.0 <= value < np.inf:
+            if not 0.0 <= value < math.inf:
                 raise ConfigurationError(f"friction: {name} must not be negative, got {value}")
         if self.static < self.coulomb:
             raise ConfigurationError(
@@ -64,18 +62,3 @@ class LuGre:
             sigma_2=self.sigma_2 * factor,
             stribeck_velocity=self.stribeck_velocity,
         )
-
-    def level(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Sliding level g(v), N·m, at the velocities ``v``, rad/s."""
-        return self.coulomb + (self.static - self.coulomb) * np.exp(
-            -((v / self.stribeck_velocity) ** 2)
-        )
-
-    def steady_state(self, v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Friction torque at constant velocity: g(v)·sign(v) + σ2 v, N·m.
-
-        Without bristle stiffness nothing holds the bristles back: ż = v and F = (σ1 + σ2) v.
-        """
-        if self.sigma_0 > 0.0:
-            return self.level(v) * np.sign(v) + self.sigma_2 * v
-        return (self.sigma_1 + self.sigma_2) * v

@@ -78,18 +78,6 @@ class PlanarChain:
         absolute = self.coefficients() * np.cos(phi[:, None] - phi[None, :])
         return _suffix_sums(_suffix_sums(absolute, 0), 1)
 
-    def coriolis_torque(
-        self, theta: NDArray[np.float64], velocity: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """C(θ, θ̇) θ̇ (n,), N·m."""
-        phi, rate = np.cumsum(theta), np.cumsum(velocity)
-        absolute = (self.coefficients() * np.sin(phi[:, None] - phi[None, :])) @ rate**2
-        return _suffix_sums(absolute, 0)
-
-    def kinetic_energy(self, theta: NDArray[np.float64], velocity: NDArray[np.float64]) -> float:
-        """½ θ̇ᵀ M_r(θ) θ̇, J."""
-        return float(0.5 * velocity @ self.mass_matrix(theta) @ velocity)
-
 
 def _suffix_sums(values: NDArray[np.float64], axis: int) -> NDArray[np.float64]:
     return np.flip(np.cumsum(np.flip(values, axis), axis), axis)

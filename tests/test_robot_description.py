@@ -5,10 +5,10 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from robot_description import robot_description
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
-from armimp_sim.description import robot_description
 
 Vector = NDArray[np.float64]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque, power_spectrum
+from armimp_sim.voluntary import VoluntaryParameters, VoluntaryTorque
+from research.limits import power_spectrum
 
 PERIOD = 1e-3
 CONFIG = VoluntaryParameters(rms=0.3, cutoff=2.0)
