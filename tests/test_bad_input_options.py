@@ -76,11 +76,6 @@ def test_a_wrong_domain_ends_in_one_line_with_the_value_and_leaves_no_directory(
     assert not list(directory.iterdir())
 
 
-@pytest.mark.parametrize("out", ["../file", "../file/x", "/proc/here", LONG])
-def test_a_directory_that_cannot_be_made_is_named_before_anything_is_measured(out: str) -> None:
-    assert out in refused("reproduce", "--out", out).err
-
-
 def test_nothing_is_overwritten(directory: Path) -> None:
     told = refused("reproduce", "--out", "../full")
     assert told.status == 2

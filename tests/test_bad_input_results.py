@@ -108,14 +108,6 @@ def test_what_is_no_result_is_named(name: str, kind: str, damaged: Path) -> None
     complaint(damaged)
 
 
-def test_a_cut_result_is_named(damaged: Path) -> None:
-    file = damaged / "conditions" / f"{NAME}.json"
-    whole = file.read_bytes()
-    for part in range(10):
-        file.write_bytes(whole[: len(whole) * part // 10])
-        assert f"{file}: not the result of a condition" in complaint(damaged)
-
-
 MATRIX = [[1.0, 2.0], [3.0]]
 
 
@@ -153,13 +145,6 @@ def test_a_wrong_value_in_a_result_is_named(
     told = complaint(damaged)
     assert told.startswith(f"{file}: ")
     assert words in told
-
-
-def test_a_result_of_another_estimator_is_named(result: dict[str, Any], damaged: Path) -> None:
-    file = damaged / "conditions" / f"{NAME}.json"
-    other = {"welch_siso": result["estimators"]["welch_full"]}
-    file.write_bytes(with_value(result, ("estimators",), other))
-    assert "has the estimators welch_siso, not welch_full" in complaint(damaged)
 
 
 @pytest.mark.parametrize("number", [None, -1e-300])
@@ -220,15 +205,6 @@ def test_curves_that_unfold_beyond_reason_are_refused(tmp_path: Path) -> None:
             archive_file.writestr(f"Z_{i}.npy", bytes(8 << 20))
     assert file.stat().st_size < 10_000_000
     assert "it holds 545259520 bytes" in reason_against(read_frf, file)
-
-
-def test_curves_that_are_not_finite_are_refused(study: Path, tmp_path: Path) -> None:
-    good = study / "conditions" / f"{NAME}.npz"
-    file = tmp_path / "frf.npz"
-    Z = np.load(good)["Z_welch_full"] * np.nan
-    file.write_bytes(archive(good, Z_welch_full=Z))
-    with pytest.raises(DataError, match="Z_welch_full is not finite"):
-        read_frf(file)
 
 
 def reason_against(read: Callable[[Path], object], file: Path) -> str:

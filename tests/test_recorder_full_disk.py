@@ -23,6 +23,7 @@ from armimp_estimation.recorder import TrialRecorder
 from support.bag_files import iterate_messages
 from support.streams import record
 from support.synthetic_bags import synthetic_recording
+from support.telling import tell_by_samples
 
 NAMES = ("shoulder", "elbow")
 MESSAGES = synthetic_recording(perturbed=(0, 1), ticks=2000, settle=10, rest=10).messages
@@ -184,9 +185,10 @@ def test_wherever_writing_stops_the_file_holds_whole_records_only(
 
 
 def test_when_the_disk_fills_up_in_a_trial_expect_the_run_to_end_and_to_say_so(
-    small_disk: Callable[[int], Path], environment: None
+    small_disk: Callable[[int], Path], environment: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     disk = small_disk(80)
+    tell_by_samples(monkeypatch)
     seen: list[int] = []
 
     def on_progress(progress: Progress) -> None:

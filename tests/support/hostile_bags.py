@@ -19,13 +19,12 @@ import traceback
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import closing, redirect_stderr, suppress
 from io import BytesIO, StringIO
-from itertools import islice, pairwise
+from itertools import count, islice, pairwise
 from pathlib import Path
 from typing import Final, NoReturn, TypeAlias
 
 import lz4.frame
 import numpy as np
-import yaml
 import zstandard
 
 from armimp_bringup.cli import main, program
@@ -194,10 +193,6 @@ def endless(length: int) -> bytes:
     return struct.pack("<BQ", 5, 22 + length) + struct.pack("<HIQQ", 1, 0, 1, 1)
 
 
-def channels(names: Iterable[tuple[int, str]]) -> Iterable[bytes]:
-    return (channel(number, name, 0) for number, name in names)
-
-
 def statuses(number: int, spacing_ns: int, ticks: int, first_ns: int = 0) -> bytes:
     """Statuses of so many trials, each of which begins so long after the one before."""
     one = (message(5, i, status(1 + i, first_ns + i * spacing_ns, ticks)) for i in range(number))
@@ -214,11 +209,6 @@ def armimp_metadata(**values: str) -> bytes:
 
 def rosbag_metadata(text_of_it: str, times: int = 1) -> bytes:
     return metadata_record("rosbag2", {"serialized_metadata": text_of_it}) * times + sound()
-
-
-def many(one: bytes) -> bytes:
-    """As often as stays below 10 MB."""
-    return one * (9_000_000 // len(one))
 
 
 def clipped_beyond_reason() -> bytes:
@@ -263,59 +253,26 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
     "zstd chunks of a gibibyte": lambda: (
         3 * chunk("zstd", _GIB, repeated(bytes(1 << 20), _GIBIBYTE >> 20, endless(_GIBIBYTE)))
     ),
-    "zstd chunk of one message of a gibibyte": lambda: (
-        3 * chunk("zstd", _GIB, zstd(endless(_GIBIBYTE) + bytes(_GIBIBYTE)))
-    ),
     "zstd chunk that is larger than it says": lambda: chunk("zstd", 1000, zstd(bytes(_GIB))),
     "zstd frame that claims four gibibytes": lambda: b"".join(
         chunk("zstd", size, b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 4 * _GIB) + b"\1\0\0")
         for size in (4 * _GIB, _GIB)
     ),
     "lz4 chunk bomb": lambda: chunk("lz4", 1000, lz4.frame.compress(bytes(_GIB // 4))),
-    "many chunks": lambda: many(zstd_chunk(message(1, 1, bytes(100)) * 8000)),
-    "many chunks of lz4": lambda: many(
-        chunk("lz4", 910_000, lz4.frame.compress(message(1, 1, bytes(60)) * 10_000))
-    ),
-    "tiny chunks": lambda: many(chunk("", 31, _EMPTY)),
     "messages without content": lambda: 40 * zstd_chunk(_EMPTY * 1_000_000),
-    "messages that nobody wants": lambda: 60 * zstd_chunk(message(999, 1, b"") * 1_000_000),
-    "chunks of many layouts": lambda: b"".join(
-        zstd_chunk(message(1, 1, bytes(i % 31)) * 5 + _EMPTY * (30_000 + i)) for i in range(300)
-    ),
     "compressed messages": lambda: 1000 * message(1, 1, zstd(bytes(64 << 20))),
-    "compressed messages without a size": lambda: (
-        300 * message(1, 1, repeated(bytes(1 << 20), 256))
-    ),
     # Counts and names
-    "sixty-five thousand channels": lambda: b"".join(
-        (*channels((i, f"/strange/{i}") for i in range(10, 65_500)), packed(experiment()))
-    ),
     "sixty-five thousand rigs": lambda: b"".join(
-        (*channels((10 + i, f"/{i // 4}/{DATA_STREAMS[i % 4]}") for i in range(65_500)), _X)
-    ),
-    "channels that change their names": lambda: (
-        zstd_chunk(b"".join(channels((1, f"/{i}/joint_states") for i in range(1_000_000)))) + _X
-    ),
-    "the same channel millions of times": lambda: (
-        100 * zstd_chunk(channel(1, "/joint_states", 0) * 200_000) + _X
+        (*(channel(10 + i, f"/{i // 4}/{DATA_STREAMS[i % 4]}", 0) for i in range(65_500)), _X)
     ),
     "topic with a name of five million letters": lambda: (
         channel(1, "/" + "a" * 5_000_000 + "/joint_states", 0) + _X
     ),
-    "message type of five million letters": lambda: (
-        schema(9, "a" * 5_000_000) + channel(1, "/joint_states", 9) + _X
-    ),
     "thirty thousand statuses": lambda: sound() + statuses(30_000, 10**9, 10),
-    "statuses of one trial by the hundred thousand": lambda: (
-        sound() + 300 * zstd_chunk(message(5, 1, status(1, 0, 1000)) * 1000)
-    ),
     "trials that overlap": lambda: (
         zstd_chunks(records_of(samples(50_000))) + statuses(900, 1, 100_000, _LATE)
     ),
     "trials of ten million samples": lambda: sound() + statuses(900, 10**6, 10_000_000),
-    "many trials of many samples": lambda: (
-        zstd_chunks(records_of(samples(90_000))) + statuses(900, 10**8, 100)
-    ),
     "clipped intervals beyond reason": lambda: sound() + clipped_beyond_reason(),
     "perturbed joint changes with each sample": lambda: zstd_chunks(
         records_of(samples(50_000, joint=lambda tick: tick % 2))
@@ -323,11 +280,7 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
     "stamps years apart": lambda: zstd_chunks(years_apart()),
     "messages of changing layout": lambda: zstd_chunks(layouts()),
     "three hundred thousand joints in messages": lambda: b"".join(three_hundred_thousand_joints()),
-    "three hundred thousand joints in metadata": lambda: armimp_metadata(
-        joint_names=json.dumps([f"j{i}" for i in range(300_000)])
-    ),
     "metadata of millions of nodes": lambda: rosbag_metadata("- a\n" * 2_000_000),
-    "metadata that is told again and again": lambda: rosbag_metadata("[" + "a," * 5000 + "]", 900),
     "metadata nested without end": lambda: armimp_metadata(
         **dict.fromkeys(("config", "truth", "joint_names"), "[" * 3_000_000)
     ),
@@ -335,9 +288,6 @@ MCAP: Final[dict[str, Callable[[], bytes]]] = {
 """What follows the head of the file, whose channels may be told anew."""
 COMPRESSED: Final[dict[str, Callable[[], bytes]]] = {
     "zeros": lambda: repeated(bytes(1 << 20), 1 << 10),
-    "messages": lambda: repeated(_EMPTY, 100_000_000, head()),
-    "a compressed file": lambda: zstd(repeated(bytes(1 << 20), 6 << 10)),
-    "compressed chunks": lambda: repeated(zstd_chunk(_EMPTY * 1_000_000), 100_000, head()),
     "compressed messages in compressed chunks": lambda: repeated(
         zstd_chunk(message(1, 1, zstd(bytes(8 << 20))) * 1000), 10_000, head()
     ),
@@ -359,12 +309,6 @@ ATTACKS |= {f"compressed file of {name}": _compressed(make) for name, make in CO
 
 
 @attack
-def compressed_database_of_zeros(directory: Path) -> Arguments:
-    content = repeated(bytes(1 << 20), 4 << 10, b"SQLite format 3\0")
-    return mcap(directory, content, name="bag.db3.zstd")
-
-
-@attack
 def every_third_sample_is_not_finite(directory: Path) -> Arguments:
     data = records_of(samples(150_000, value=lambda tick: np.nan if tick % 3 == 0 else 0.1))
     return *mcap(directory, head(), zstd_chunks(data)), "--allow-gaps"
@@ -378,12 +322,11 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGE
 """
 
 
-def database(directory: Path, script: str, *, fill: bool = True) -> Arguments:
+def database(directory: Path, script: str) -> Arguments:
     file = directory / "bag.db3"
     with closing(sqlite3.connect(file)) as connection:
         connection.executescript(script)
-        if fill:
-            fill_topics(connection)
+        fill_topics(connection)
         connection.commit()
     return "estimate", str(file)
 
@@ -394,22 +337,16 @@ def fill_topics(connection: sqlite3.Connection) -> None:
 
 
 _COUNTING: Final = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n)"
-_TOPICS_TABLE, _MESSAGES_TABLE = _SCHEMA.strip().splitlines()
+_TOPICS_TABLE = _SCHEMA.strip().splitlines()[0]
 
 
 _VIEW: Final = f"AS {_COUNTING} SELECT 1 AS topic_id, i AS timestamp, x'00' AS data FROM n"
 _VIRTUAL: Final = "data BLOB GENERATED ALWAYS AS (zeroblob(900000000)) VIRTUAL"
 SQL: Final = {
     "recursive view of messages": f"{_TOPICS_TABLE} CREATE VIEW messages {_VIEW};",
-    "recursive view that finds nothing": f"{_TOPICS_TABLE} CREATE VIEW messages {_VIEW}"
-    " WHERE i < 0;",
-    "recursive view of metadata": f"{_SCHEMA} CREATE VIEW metadata AS {_COUNTING}"
-    " SELECT i AS id, '- a' AS metadata FROM n;",
     "generated column": f"{_TOPICS_TABLE} CREATE TABLE messages(id INTEGER PRIMARY KEY,"
     f" topic_id INTEGER, timestamp INTEGER, {_VIRTUAL});"
     " INSERT INTO messages(topic_id, timestamp) VALUES (1, 1), (1, 2), (1, 3), (2, 4);",
-    "virtual table": f"{_TOPICS_TABLE} CREATE VIRTUAL TABLE messages"
-    " USING fts5(topic_id, timestamp, data);",
     "a million topics": f"{_SCHEMA} {_COUNTING}"
     " INSERT INTO topics SELECT 10 + i, i, '', 'cdr' FROM n LIMIT 400000;",
 }
@@ -421,13 +358,6 @@ def _database(script: str) -> Attack:
 
 
 ATTACKS |= {name: _database(script) for name, script in SQL.items()}
-
-
-@attack
-def recursive_view_of_topics(directory: Path) -> Arguments:
-    view = f"CREATE VIEW topics AS {_COUNTING} SELECT i AS id, '/' || i AS name, '' AS type"
-    script = f"{_MESSAGES_TABLE} {view}, 'cdr' AS serialization_format FROM n;"
-    return database(directory, script, fill=False)
 
 
 def interior_page(child: int, cells: int, size: int = 4096) -> bytes:
@@ -547,29 +477,11 @@ for _place, (_name, _arguments) in PLACES.items():
         ATTACKS[f"{_kind} as {_place}"] = _in_place_of(_name, _make, _arguments)
 
 
-def enlarged(file: Path) -> None:
-    """Let a file be followed by a hole."""
-    os.truncate(file, 1 << 40)
-
-
 @attack
 def storage_with_a_hole(directory: Path) -> Arguments:
     arguments = mcap(directory, head(), sound())
-    enlarged(directory / "bag.mcap")
+    os.truncate(directory / "bag.mcap", 1 << 40)
     return arguments
-
-
-@attack
-def database_with_a_hole(directory: Path) -> Arguments:
-    arguments = database(directory, _SCHEMA)
-    enlarged(directory / "bag.db3")
-    return arguments
-
-
-@attack
-def metadata_on_the_terminal(directory: Path) -> Arguments:
-    (directory / "metadata.yaml").symlink_to("/dev/full")
-    return "estimate", str(directory)
 
 
 @attack
@@ -580,22 +492,9 @@ def lock_of_a_study_that_is_a_link(directory: Path) -> Arguments:
 
 
 @attack
-def lock_of_a_study_that_is_a_pipe(directory: Path) -> Arguments:
-    os.mkfifo(directory / ".lock")
-    (directory / "config.json").write_text("{}")
-    return study(directory)
-
-
-@attack
 def results_of_a_study_that_are_elsewhere(directory: Path) -> Arguments:
     (directory / "conditions").symlink_to(directory.parent / WITNESS)
     (directory / "config.json").write_text("{}")
-    return study(directory)
-
-
-@attack
-def study_configured_by_nine_million_lists(directory: Path) -> Arguments:
-    (directory / "config.json").write_text("[" + "[]," * 3_000_000 + "[]]")
     return study(directory)
 
 
@@ -620,13 +519,6 @@ def link_in_place_of_the_temporary_metadata(directory: Path) -> Arguments:
 
 
 @attack
-def pipe_in_place_of_the_temporary_metadata(directory: Path) -> Arguments:
-    bag = provisional(directory, sound())
-    os.mkfifo(bag / ".metadata.yaml.tmp")
-    return "estimate", str(bag)
-
-
-@attack
 def unfinished_bag_of_large_chunks(directory: Path) -> Arguments:
     content = endless(30 << 20) + bytes(30 << 20)
     return "estimate", str(provisional(directory, zstd_chunk(content) * 200))
@@ -639,46 +531,15 @@ def metadata_of_ten_million_letters(directory: Path) -> Arguments:
 
 
 @attack
-def metadata_that_lists_a_file_again_and_again(directory: Path) -> Arguments:
-    mcap(directory, head(), sound())
-    paths = {"rosbag2_bagfile_information": {"relative_file_paths": ["bag.mcap"] * 20_000}}
-    (directory / "metadata.yaml").write_text(yaml.safe_dump(paths))
-    return "estimate", str(directory)
-
-
-@attack
-def a_file_under_many_names(directory: Path) -> Arguments:
-    mcap(directory, head(), sound())
-    for i in range(3000):
-        (directory / f"bag_{i}.mcap").symlink_to("bag.mcap")
-    return "estimate", str(directory)
-
-
-@attack
 def name_that_is_not_text(directory: Path) -> Arguments:
     name = os.fsdecode(b"b\xff\xfeg.mcap")
     return mcap(directory, head(), sound(), name=name)
 
 
 @attack
-def directory_whose_name_is_not_text(directory: Path) -> Arguments:
-    bag = directory / os.fsdecode(b"\xff\xfe")
-    bag.mkdir()
-    mcap(bag, head(), sound())
-    return "estimate", str(bag)
-
-
-@attack
 def results_into_a_name_that_is_not_text(directory: Path) -> Arguments:
     arguments = mcap(directory, head(), sound())
     return (*arguments, "--out", str(directory / os.fsdecode(b"\xff\xfe")))
-
-
-@attack
-def unfinished_bag_that_is_a_hole(directory: Path) -> Arguments:
-    bag = provisional(directory, sound(), struct.pack("<BQ", 6, 1 << 39))
-    enlarged(bag / "bag_0.mcap")
-    return "estimate", str(bag)
 
 
 @attack
@@ -717,29 +578,6 @@ def thousands_of_links_to_one_bag(directory: Path) -> Arguments:
 
 
 @attack
-def thousands_of_bags_with_one_storage(directory: Path) -> Arguments:
-    mcap(directory, head(), sound(), name="storage")
-    for i in range(5000):
-        (directory / f"bag_{i}").mkdir()
-        (directory / f"bag_{i}" / "bag.mcap").hardlink_to(directory / "storage")
-    return "estimate", str(directory)
-
-
-@attack
-def a_hundred_thousand_files(directory: Path) -> Arguments:
-    for i in range(100_000):
-        (directory / f"{i}.mcap").touch()
-    return "estimate", str(directory)
-
-
-@attack
-def a_hundred_thousand_foreign_files(directory: Path) -> Arguments:
-    for i in range(100_000):
-        (directory / f"{i}.txt").touch()
-    return "estimate", str(directory)
-
-
-@attack
 def names_of_many_lines(directory: Path) -> Arguments:
     bag = directory / "a\narmimp: all is well\r\x1b[2J"
     bag.mkdir()
@@ -748,58 +586,20 @@ def names_of_many_lines(directory: Path) -> Arguments:
 
 
 @attack
-def storage_named_by_many_lines(directory: Path) -> Arguments:
-    name = "a\nb\x1b[2J" + "c" * 100
-    paths = {"rosbag2_bagfile_information": {"relative_file_paths": [name]}}
-    (directory / "metadata.yaml").write_text(yaml.safe_dump(paths))
-    return "estimate", str(directory)
-
-
-def changing(directory: Path, change: Callable[[Path, bytes, int], object]) -> Arguments:
+def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
     """A bag that another process changes, again and again, for as long as it may be read."""
     arguments = mcap(directory, head(), *(sound() for _ in range(20)))
     file = Path(arguments[1])
     content = file.read_bytes()
     if not os.fork():
         end = time.monotonic() + 5.0
-        turn = 0
-        while time.monotonic() < end:
+        for turn in count():
             with suppress(OSError):
-                change(file, content, turn)
-            turn += 1
-        os._exit(0)
+                os.truncate(file, turn * 7919 % len(content))
+                file.write_bytes(content)
+            if time.monotonic() > end:
+                os._exit(0)
     return arguments
-
-
-@attack
-def storage_that_is_cut_while_it_is_read(directory: Path) -> Arguments:
-    def change(file: Path, content: bytes, turn: int) -> None:
-        os.truncate(file, turn * 7919 % len(content))
-        file.write_bytes(content)
-
-    return changing(directory, change)
-
-
-@attack
-def storage_that_is_scrambled_while_it_is_read(directory: Path) -> Arguments:
-    def change(file: Path, content: bytes, turn: int) -> None:
-        with file.open("r+b") as open_file:
-            open_file.seek(turn * 7919 % len(content))
-            open_file.write(os.urandom(100))
-
-    return changing(directory, change)
-
-
-@attack
-def storage_that_becomes_a_pipe_and_back(directory: Path) -> Arguments:
-    def change(file: Path, content: bytes, turn: int) -> None:
-        file.unlink()
-        if turn % 2:
-            file.write_bytes(content)
-        else:
-            os.mkfifo(file)
-
-    return changing(directory, change)
 
 
 # --- configurations ---------------------------------------------------------------------------
@@ -818,12 +618,8 @@ def _joints(number: int) -> str:
 
 CONFIGS: Final[dict[str, Callable[[], str]]] = {
     "nested nine hundred deep": lambda: "arm_sim: {a: " + "[" * 900 + "]" * 900 + "}",
-    "nested a million deep": lambda: "[" * 1_000_000,
     "of nested aliases": lambda: _nested("[x, x, x, x, x, x, x, x, x]", "[{}]"),
-    "of nested merges": lambda: _nested("{x: 1}", "{{<<: [{}]}}"),
-    "of a million joints": lambda: _joints(1_000_000),
     "of ten thousand joints": lambda: _joints(10_000),
-    "with a number of base sixty": lambda: "seed: 1" + ":59" * 2_000_000,
     "with a real number of base sixty": lambda: "duration: 1" + ":59" * 5_000 + ".5",
     "with a value of ten million letters": lambda: "mode: " + "a" * 9_500_000,
 }
@@ -840,11 +636,6 @@ def _configured_by(make: Callable[[], str]) -> Attack:
 
 
 ATTACKS |= {f"config {name}": _configured_by(make) for name, make in CONFIGS.items()}
-
-
-@attack
-def config_whose_name_is_not_text(directory: Path) -> Arguments:
-    return config(directory, "mode: nonsense", os.fsdecode(b"\xff.yaml"))
 
 
 QUICK: Final = [

@@ -14,8 +14,6 @@ from typing import Any
 from unittest.mock import patch
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from lifecycle_msgs.msg import Transition
-from lifecycle_msgs.srv import ChangeState
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -39,7 +37,6 @@ from armimp_common.status import (
     Level,
     Phase,
     StoppingDecision,
-    TimingFigures,
     TrialStatus,
     make_array,
     make_status,
@@ -184,18 +181,6 @@ def received(count: int) -> Callable[[Rng], UInt64]:
     return lambda _: UInt64(data=count)
 
 
-def rubbish(name: str) -> Callable[[Rng], DiagnosticStatus]:
-    """Make a status whose values cannot be read."""
-
-    def make(rng: Rng) -> DiagnosticStatus:
-        keys = ("trial", "trials", "joint", "phase", "samples", "planned", "rate", "K", "K_se")
-        values = ("nan", "-1", "", "9" * 400, "settle", "1e999", "[", "\u0000", "1")
-        chosen = {key: rng.choice(values) for key in keys if rng.random() < 0.8}
-        return make_status(name, Level.OK, "rubbish", chosen)
-
-    return make
-
-
 def sample(topic: str) -> Act:
     """Publish one sample that no rig measured, amid the others."""
 
@@ -207,15 +192,6 @@ def sample(topic: str) -> Act:
         return channel
 
     return act
-
-
-def transitions(node: Stranger, rng: Rng) -> None:
-    """Ask every node for transitions that there are not."""
-    for name in (topics.SIM_NODE, topics.CONTROLLER_NODE, topics.ESTIMATOR_NODE):
-        client = node.create_client(ChangeState, f"{name}/change_state")
-        client.wait_for_service(1.0)
-        for number in (0, 1, 2, 9, 77, 255):
-            client.call_async(ChangeState.Request(transition=Transition(id=number)))
 
 
 TYPES = {
@@ -250,45 +226,13 @@ def garbage(topic: str, kind: type, profile: Any) -> Act:
 ACTS: dict[str, Act] = {
     "zero command": command(0.0, 0),
     "zero command, leaves": command(0.0, 0, leave=True),
-    "zero commands": command(0.0, 0, 20),
     "command": command(0.5, 0),
-    "NaN command": command(float("nan"), 0, leave=True),
     "next number": command(0.0, -1, leave=True),
-    "next numbers": command(0.3, -1, 5, leave=True),
-    "number 1": command(0.0, 1, leave=True),
     "wrong numbers": command(0.3, 4_000_000_000, 20),
-    "NaN, numbered": command(float("nan"), -1),
-    "progress": message(
-        DiagnosticStatus,
-        topics.PROGRESS,
-        qos.PROGRESS,
-        *(rubbish("impedance_estimator: progress") for _ in range(20)),
-    ),
     "decision": message(DiagnosticStatus, topics.STOPPING, qos.LATCHED, decision(1), decision(2)),
-    "decision that cannot be read": message(
-        DiagnosticStatus,
-        topics.STOPPING,
-        qos.LATCHED,
-        *(rubbish("impedance_estimator: stopping") for _ in range(5)),
-    ),
     "shorter trial": message(DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(ticks=1500)),
-    "trial of another joint": message(
-        DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(joint=1, joint_name="elbow")
-    ),
-    "trial is over": message(
-        DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(phase=Phase.REST, tick=1000)
-    ),
     "all is over": message(
         DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(phase=Phase.DONE, trial=2)
-    ),
-    "aborted": message(
-        DiagnosticStatus, topics.TRIAL, qos.LATCHED, status(phase=Phase.ABORTED, valid=False)
-    ),
-    "status that cannot be read": message(
-        DiagnosticStatus,
-        topics.TRIAL,
-        qos.LATCHED,
-        *(rubbish("imbic_controller: trial") for _ in range(5)),
     ),
     "result": message(
         DiagnosticStatus,
@@ -302,18 +246,11 @@ ACTS: dict[str, Act] = {
         qos.DIAGNOSTICS,
         lambda _: make_array(0, [make_status("arm_sim: rig", Level.ERROR, "made up", {})]),
     ),
-    "timing": message(
-        DiagnosticArray,
-        topics.DIAGNOSTICS,
-        qos.DIAGNOSTICS,
-        lambda rng: make_array(0, [rubbish(TimingFigures.STATUS_NAME)(rng) for _ in range(5)]),
-    ),
     **{
         f"received {count}": message(UInt64, topics.RECEIVED, qos.LATCHED, received(count))
         for count in (0, 10, 10**6, topics.RECORDER_GONE)
     },
     **{f"sample of {topic}": sample(topic) for topic in topics.VALUE_FIELD},
-    "transitions": transitions,
     **{
         f"bytes on {topic}": garbage(topic, TYPES[kind.rpartition("/")[2]], qos.PROFILES[topic])
         for topic, kind in topics.MESSAGE_TYPES.items()
@@ -325,8 +262,6 @@ ACTS: dict[str, Act] = {
 }
 PARAMETERS: dict[str, tuple[str, Parameter]] = {
     "torque gain": (topics.SIM_NODE, Parameter("sensors.torque.gain", value=[1.3, 1.3])),
-    "seed": (topics.CONTROLLER_NODE, Parameter("perturbation.seed", value=77)),
-    "overlap": (topics.ESTIMATOR_NODE, Parameter("welch.overlap", value=1024)),
 }
 
 

@@ -13,9 +13,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 
 from armimp_common import qos, topics
-from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase, to_time, values_of
 from armimp_common.topics import PERIOD_NS
@@ -34,7 +32,6 @@ from support.controller import (
 )
 from support.graph import (
     CLOCK_STEPS,
-    PATIENCE,
     HandedClock,
     Launch,
     ScriptedDriver,
@@ -453,47 +450,16 @@ class TestParameters:
         (result,) = controller.set_parameters([change])
         assert result.successful
 
-    @pytest.mark.parametrize(
-        ("changes", "reason"),
-        [
-            ({"law.model_inertia": [9.0, 0.0, 0.0, 9.0]}, "unstable when sampled"),
-            ({"law.model_inertia": [1.0]}, "parameter 'law.model_inertia' has 1 values, needs 4"),
-            ({"perturbation.peak": [1.0]}, "parameter 'perturbation.peak' has 1 values for 2"),
-            ({"target.damping": [1.0, 2.0, 3.0]}, "target_damping needs 2 finite values"),
-            ({"safety.position_limit": [0.5] * 3}, "position_limit has 3 values, needs 1 or 2"),
-            ({"safety.velocity_limit": [-1.0]}, "velocity_limit must be positive"),
-            ({"safety.rate_limit": 100.0}, "rate_limit 100.0 N·m/s a stop can't bring"),
-        ],
-        ids=lambda value: None if isinstance(value, dict) else value[:30],
-    )
     def test_when_values_do_not_fit_together_expect_configure_to_fail_and_the_node_alive(
-        self,
-        make: MakeController,
-        node: Node,
-        spinner: Spinner,
-        capfd: pytest.CaptureFixture[str],
-        changes: dict[str, Value],
-        reason: str,
+        self, make: MakeController
     ) -> None:
-        controller = make(changes)
-        manager = LifecycleManager(
-            node,
-            [topics.CONTROLLER_NODE],
-            spin_until=spinner.spin_until,
-            timeout=PATIENCE,
-        )
-
-        with pytest.raises(GraphError, match="imbic_controller failed to configure"):
-            manager.change(topics.CONTROLLER_NODE, "configure")
-
-        assert reason in controller.transition_error
-        log = capfd.readouterr().err
-        assert log.count("\n") == 1
-        assert reason in log
-        assert manager.state(topics.CONTROLLER_NODE) == "unconfigured"
-        good = {parameter.name: parameter for parameter in overrides(PARAMETERS)}
-        controller.set_parameters([good[name] for name in changes])
-        manager.change(topics.CONTROLLER_NODE, "configure")
+        controller = make({"perturbation.peak": [1.0]})
+        assert controller.trigger_configure() is FAILURE
+        reason = "parameter 'perturbation.peak' has 1 values for 2"
+        assert controller.transition_error.startswith(reason)
+        peak = next(one for one in overrides(PARAMETERS) if one.name == "perturbation.peak")
+        controller.set_parameters([peak])
+        assert controller.trigger_configure() is SUCCESS
         assert controller.transition_error == ""
 
 

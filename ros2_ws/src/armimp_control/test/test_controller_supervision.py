@@ -117,32 +117,19 @@ def test_when_this_process_was_held_up_expect_no_torque_for_a_rig_that_has_died_
     assert around.driver.statuses[-1].reason == f"{SIM_NODE} is dead"
 
 
-def test_when_the_orchestrator_is_dead_and_not_only_silent_expect_zero_torque(
-    around: Surroundings,
+@pytest.mark.parametrize("name", [SUPERVISOR_NODE, ESTIMATOR_NODE])
+def test_when_orchestrator_or_recorder_falls_silent_in_lockstep_expect_patience_until_it_is_dead(
+    around: Surroundings, name: str
 ) -> None:
     around.activate()
-    around.heard(SUPERVISOR_NODE, alive=1, silent=0)
-    around.heard(SUPERVISOR_NODE, alive=0, silent=1)
+    around.heard(name, alive=1, silent=0)
+    around.heard(name, alive=0, silent=1)
     a_moment(around.spinner)
     assert not around.aborted()
 
-    around.heard(SUPERVISOR_NODE, alive=0, silent=0)
+    around.heard(name, alive=0, silent=0)
 
-    around.assert_aborted("armimp is dead")
-
-
-def test_when_the_recorder_falls_silent_in_lockstep_expect_patience_until_it_is_dead(
-    around: Surroundings,
-) -> None:
-    around.activate()
-    around.heard(ESTIMATOR_NODE, alive=1, silent=0)
-    around.heard(ESTIMATOR_NODE, alive=0, silent=1)
-    a_moment(around.spinner)
-    assert not around.aborted()
-
-    around.heard(ESTIMATOR_NODE, alive=0, silent=0)
-
-    around.assert_aborted("impedance_estimator is dead")
+    around.assert_aborted(f"{name} is dead")
 
 
 @pytest.mark.parametrize("mode", ["realtime"])

@@ -20,9 +20,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common import qos, topics
-from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import subscribe_counts, subscribe_raw, wait_until_matched
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase, values_of
@@ -351,44 +349,22 @@ class TestParameters:
         assert result.successful
 
     @pytest.mark.parametrize(
-        ("changes", "reason"),
+        ("name", "value", "reason"),
         [
-            ({"estimators": ["welch_sisi"]}, "parameter 'estimators': there is no 'welch_sisi'"),
-            ({"metadata": '{"seed": 1}'}, "parameter 'metadata' is not a JSON object of strings"),
-            (
-                {"metadata": '{"truth": "{\\"M\\": [[1]], \\"B\\": [[1]], \\"K\\": [[1]]}"}'},
-                "parameter 'metadata': metadata: truth is of 1 joints, the data of 2",
-            ),
+            ("estimators", ["welch_sisi"], "parameter 'estimators': there is no 'welch_sisi'"),
+            ("metadata", '{"seed": 1}', "parameter 'metadata' is not a JSON object of strings"),
+            ("metadata", '{"config": "[]"}', "parameter 'metadata': metadata: config: Input"),
         ],
-        ids=lambda value: None if isinstance(value, dict) else value[:45],
     )
     def test_when_values_make_no_sense_expect_configure_to_fail_and_the_node_alive(
-        self,
-        desk: Desk,
-        capfd: pytest.CaptureFixture[str],
-        changes: dict[str, Value],
-        reason: str,
+        self, desk: Desk, name: str, value: Value, reason: str
     ) -> None:
-        desk.make(changes)
-        estimator = desk.estimator
-        manager = LifecycleManager(
-            desk.node,
-            [topics.ESTIMATOR_NODE],
-            spin_until=desk.spinner.spin_until,
-            timeout=PATIENCE,
-        )
-
-        with pytest.raises(GraphError, match="impedance_estimator failed to configure"):
-            manager.change(topics.ESTIMATOR_NODE, "configure")
-
-        assert reason in estimator.transition_error
-        log = capfd.readouterr().err
-        assert log.count("\n") == 1
-        assert reason in log
-        assert manager.state(topics.ESTIMATOR_NODE) == "unconfigured"
-        good = {parameter.name: parameter for parameter in overrides(EstimatorParameters())}
-        estimator.set_parameters([good[name] for name in changes])
-        manager.change(topics.ESTIMATOR_NODE, "configure")
+        desk.make({name: value})
+        assert desk.estimator.trigger_configure() is FAILURE
+        assert desk.estimator.transition_error.startswith(reason)
+        good = next(one for one in overrides(EstimatorParameters()) if one.name == name)
+        desk.estimator.set_parameters([good])
+        assert desk.estimator.trigger_configure() is SUCCESS
 
 
 class TestLife:

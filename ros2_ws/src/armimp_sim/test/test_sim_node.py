@@ -11,17 +11,14 @@ from rosgraph_msgs.msg import Clock
 
 from armimp_common import qos
 from armimp_common.cdr import CommandEncoder
-from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
-from armimp_common.lifecycle import LifecycleManager
-from armimp_common.schema import Value
 from armimp_common.status import to_ns
-from armimp_common.topics import CLOCK, PERIOD_NS, SIM_NODE
+from armimp_common.topics import CLOCK, PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig
-from support.controller import SUCCESS, Sample, ScriptedController
-from support.graph import PATIENCE, Launch, a_moment, eventually, overrides
+from support.controller import FAILURE, SUCCESS, Sample, ScriptedController
+from support.graph import Launch, a_moment, eventually, overrides
 
 PARAMETERS = SimulatorParameters.preset()
 
@@ -162,40 +159,15 @@ class TestParameters:
         (result,) = simulator.set_parameters([change])
         assert result.successful
 
-    @pytest.mark.parametrize(
-        ("changes", "reason"),
-        [
-            ({"arm.damping": [1.0]}, "parameter 'arm.damping'"),
-            ({"friction.sigma_0": [1e11, 1e11]}, "too long for the stuck joints"),
-            ({"arm.inertia": [9.0, 90.0, 90.0, 9.0]}, "positive definite symmetric part"),
-        ],
-        ids=lambda value: None if isinstance(value, dict) else value,
-    )
     def test_when_values_describe_no_rig_expect_configure_to_fail_and_the_node_alive(
-        self,
-        make: MakeRig,
-        node: Node,
-        spinner: Spinner,
-        capfd: pytest.CaptureFixture[str],
-        changes: dict[str, Value],
-        reason: str,
+        self, make: MakeRig
     ) -> None:
-        simulator = make(changes)
-        manager = LifecycleManager(
-            node, [SIM_NODE], spin_until=spinner.spin_until, timeout=PATIENCE
-        )
-
-        with pytest.raises(GraphError, match="arm_sim failed to configure"):
-            manager.change(SIM_NODE, "configure")
-
-        assert reason in simulator.transition_error
-        log = capfd.readouterr().err
-        assert log.count("\n") == 1
-        assert reason in log
-        assert manager.state(SIM_NODE) == "unconfigured"
-        good = {parameter.name: parameter for parameter in overrides(PARAMETERS)}
-        simulator.set_parameters([good[name] for name in changes])
-        manager.change(SIM_NODE, "configure")
+        simulator = make({"arm.damping": [1.0]})
+        assert simulator.trigger_configure() is FAILURE
+        assert simulator.transition_error.startswith("parameter 'arm.damping'")
+        damping = next(one for one in overrides(PARAMETERS) if one.name == "arm.damping")
+        simulator.set_parameters([damping])
+        assert simulator.trigger_configure() is SUCCESS
 
 
 class TestLife:
