@@ -79,27 +79,6 @@ def with_the_option(bags: list[str], directory: Path, status: int) -> tuple[Summ
 
 
 @pytest.mark.slow
-def test_with_the_option_replayed_and_offline_results_are_the_same_to_the_bit(
-    bags: Bags, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    one, other = with_the_option(bags["gaps"], tmp_path, 0)
-    shown = capfd.readouterr().out
-    assert shown.count("excluded") == shown.count("0.37 %") == 2
-    assert "duplicated" not in shown
-    for mine, theirs in zip(one.trials, other.trials, strict=True):
-        assert mine.streams == theirs.streams
-        assert (mine.lost, mine.excluded, mine.stretches) == (
-            theirs.lost,
-            theirs.excluded,
-            theirs.stretches,
-        )
-    assert (one.trials[1].lost, one.trials[1].excluded, one.trials[1].stretches) == (37, 37, 2)
-    page = (tmp_path / "estimate" / "report.html").read_text(encoding="utf-8")
-    assert "Left out of all estimates" in page
-    assert MISSING in page
-
-
-@pytest.mark.slow
 def test_with_the_option_an_aborted_trial_is_estimated_up_to_there_but_not_valid(
     bags: Bags, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -126,51 +126,6 @@ class TestAnswers:
         eventually(spinner, lambda: len(driver.perturbations) == 2, "two answers")
         assert [stamp_ns for stamp_ns, _ in driver.perturbations] == [START, START + PERIOD_NS]
 
-    def test_when_one_reading_of_a_sample_is_lost_expect_it_counted_and_the_trial_invalid(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        bring_up(make(), driver)
-        feed_still(driver, 20)
-        driver.channels[topics.JOINT_STATES].publish(driver.stamp_ns, POSTURE)
-        driver.tick += 1
-        feed_still(driver, SETTLE + PERTURB)
-
-        eventually(
-            spinner,
-            lambda: driver.has_said(Phase.REST),
-            "the end of the perturbation",
-        )
-
-        rest = driver.statuses[-1]
-        assert (rest.valid, rest.reason) == (False, "1 sample did not arrive")
-        assert len(driver.commands) == driver.tick - 1
-
-    def test_all_trials_are_led_through_to_the_end(
-        self, make: MakeController, driver: ScriptedDriver, spinner: Spinner
-    ) -> None:
-        bring_up(make(), driver)
-
-        feed_still(driver, 2 * (SETTLE + PERTURB + REST) + 1)
-        eventually(
-            spinner,
-            lambda: driver.has_said(Phase.DONE),
-            "the end of the experiment",
-        )
-
-        led = (Phase.SETTLE, Phase.PERTURB, Phase.REST)
-        assert [(status.phase, status.trial) for status in driver.statuses] == [
-            *((phase, 1) for phase in led),
-            *((phase, 2) for phase in led),
-            (Phase.DONE, 2),
-        ]
-        moved = {
-            joint
-            for _, values in driver.perturbations
-            for joint, value in enumerate(values)
-            if value
-        }
-        assert moved == {0, 1}
-
 
 def encoded(names: Sequence[str], values: Sequence[float], field: str = "position") -> bytes:
     message = JointState(name=list(names), **{field: list(values)})

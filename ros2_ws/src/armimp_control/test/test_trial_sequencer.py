@@ -5,14 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from armimp_common.errors import ConfigurationError
 from armimp_common.status import Cause, Phase
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_control.laws.law import Controller
-from armimp_control.parameters import ControllerParameters, LawParameters
+from armimp_control.parameters import ControllerParameters
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import Limit, SafetyParameters
-from armimp_control.trial_sequencer import TrialSequencer
 from support.controller import POSTURE, STILL, SequencerBench, controller_parameters
 
 SETTLE, PERTURB, REST = 50, 200, 60
@@ -281,10 +279,3 @@ def test_samples_after_the_end_are_no_fault_wherever_the_arm_is() -> None:
     assert bench.statuses[-1].phase is Phase.DONE
     assert bench.experiment.fault == ""
     assert not np.any(bench.commands[-3:])
-
-
-def test_when_the_loop_would_be_unstable_expect_a_refusal() -> None:
-    wild = PARAMETERS.model_copy(update={"law": LawParameters(model_inertia=(9.0, 0.0, 0.0, 9.0))})
-
-    with pytest.raises(ConfigurationError, match="unstable when sampled"):
-        TrialSequencer(wild, lambda _: None)

@@ -332,17 +332,6 @@ def test_period_lost_by_all_streams_is_counted() -> None:
     assert missing.values == {"stream": ", ".join(STAMPED), **where}
 
 
-@pytest.mark.parametrize("lost", [0, TICKS - 1])
-def test_loss_at_the_edge_of_an_ended_trial_is_counted(lost: int) -> None:
-    topics = RECORDING.by_topic()
-    for topic in STAMPED:
-        del topics[topic][FIRST + lost]
-    trial = assemble(topics)
-    assert [trial.statistics.streams[topic].lost for topic in STAMPED] == [1, 1, 1]
-    (segment,) = trial.segments
-    assert (segment.samples, segment.start_ns) == (TICKS - 1, START + PERIOD_NS * (lost == 0))
-
-
 def test_malformed_messages_count_as_lost_and_are_named() -> None:
     topics = RECORDING.by_topic()
     topics[JOINT_STATES][FIRST + 2 : FIRST + 4] = [b"\0\1\0\0rubbish", b""]

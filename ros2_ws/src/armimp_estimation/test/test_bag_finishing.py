@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.highlevel import AnyReader
 
 from armimp_common import topics
 from armimp_common.errors import BagError
@@ -52,15 +52,6 @@ def test_finished_bag_is_that_of_a_recorder_that_lived(tmp_path: Path) -> None:
     assert content_of(path) == content_of(finished(tmp_path / "b" / "bag"))
     assert finish_bag(path) == ""
     assert content_of(path) == content_of(finished(tmp_path / "c" / "bag"))
-
-
-def test_other_readers_open_it_only_then(tmp_path: Path) -> None:
-    path = unfinished(tmp_path / "bag")
-    with pytest.raises(AnyReaderError, match="end magic is invalid"), AnyReader([path]):
-        pass
-    finish_bag(path)
-    with AnyReader([path]) as reader:
-        assert [data for _, _, data in reader.messages()] == [m[2] for m in MESSAGES[:-LOST]]
 
 
 def test_killed_just_before_the_metadata_file_was_replaced(tmp_path: Path) -> None:
