@@ -16,7 +16,6 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_common.errors import ConfigurationError
 from research.coverage import CoveragePlan, investigate, run_coverage
 from research.coverage_statistics import QUANTILE, TARGET, Cell, Share
-from research.coverage_tables import in_words
 from research.options import InvestigationOptions
 
 pytestmark = pytest.mark.slow
@@ -77,11 +76,6 @@ def test_skew_of_welch_estimates_is_in_their_standard_errors(cells: Cells) -> No
     assert (cell.bias[1] > 3.0 * cell.spread[1]).all()
 
 
-def test_all_elements_have_a_share() -> None:
-    names = list(made(np.zeros((2, 3, 2, 2))).by_element)
-    assert names == [f"{x}{i}{k}" for x in "MBK" for i in (1, 2) for k in (1, 2)]
-
-
 def test_shares_are_those_of_their_elements() -> None:
     errors = np.zeros((4, 3, 2, 2))
     errors[:3, 1, 0, 1] = -1.01 * QUANTILE
@@ -132,13 +126,6 @@ def test_pooled_intervals_hold_the_share_in_95_of_100_experiments() -> None:
 def test_verdict_tells_chance_from_a_miss(holding: int, verdict: str) -> None:
     runs = max(200, holding)
     assert Share.of(np.arange(runs)[:, None] < holding).verdict == verdict
-
-
-def test_words_name_the_conditions_outside() -> None:
-    (sentence,) = in_words([made(np.full((8, 3, 2, 2), 3.0)), made(np.full((8, 3, 2, 2), 0.1))])
-    assert "made: 0 of 2" in sentence
-    assert "friction 3, resolution 3, perturbation 3, 0.3 N·m rms: 0.0 % (below)" in sentence
-    assert "100.0 % (above, within chance)" in sentence
 
 
 def test_one_seed_is_refused() -> None:

@@ -23,12 +23,10 @@ from research.decomposition_outcomes import Cell
 from research.decomposition_statistics import (
     OCTAVES,
     Mean,
-    critical_z,
     octave_errors,
 )
 from research.decomposition_trials import (
     all_at_once,
-    in_threads,
     input_mixing,
     scales,
 )
@@ -48,15 +46,6 @@ Cells = dict[tuple[str, float, float | None], Cell]
 def cells() -> Cells:
     found = run_decomposition(PLAN, workers=2)
     return {(cell.estimator, cell.voluntary, cell.correlation): cell for cell in found}
-
-
-def test_every_estimator_is_in_every_condition(cells: Cells) -> None:
-    alone = {
-        (name, rms, None)
-        for name in ("direct", "welch_siso", "welch_full", "lpm_full")
-        for rms in (0.0, 0.3)
-    }
-    assert set(cells) == alone | {("mimo", 0.0, 0.0), ("mimo", 0.3, 0.0), ("mimo", 0.3, 0.9)}
 
 
 def test_voluntary_torque_biases_the_direct_estimate_of_z(cells: Cells) -> None:
@@ -114,19 +103,6 @@ def test_stated_standard_errors_are_of_the_size_of_the_spread(cells: Cells) -> N
     assert 0.5 < ratio < 2.0
 
 
-def test_results_do_not_depend_on_the_number_of_workers() -> None:
-    plan = DecompositionPlan(
-        base=BASE.model_copy(update={"duration": 10.0}),
-        seeds="0:2",
-        voluntary=(0.3,),
-        correlations=(),
-    )
-    one, two = (run_decomposition(plan, workers) for workers in (1, 2))
-    assert [cell.estimator for cell in one] == [cell.estimator for cell in two]
-    for a, b in zip(one, two, strict=True):
-        np.testing.assert_array_equal(a.total.bias, b.total.bias)
-
-
 def test_investigation_leaves_tables_and_figures_and_prints_json(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,19 +123,6 @@ def test_investigation_leaves_tables_and_figures_and_prints_json(
         assert (tmp_path / f"{name}.pdf").stat().st_size > 5_000
 
 
-def test_without_json_it_prints_a_line_for_each_estimator(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    plan = DecompositionPlan(
-        base=BASE.model_copy(update={"duration": 10.0}), seeds="0:2", voluntary=(0.0, 0.3),
-        correlations=(0.0,),
-    )  # fmt: skip
-    investigate(InvestigationOptions(out=tmp_path), plan)
-    text = capsys.readouterr().out
-    for name in ("direct", "welch_siso", "welch_full", "lpm_full", "mimo"):
-        assert text.count(f" {name} ") == 2
-
-
 def test_one_seed_is_too_few(tmp_path: Path) -> None:
     plan = DecompositionPlan(base=BASE.model_copy(update={"duration": 10.0}), voluntary=(0.0,),
                              correlations=())  # fmt: skip
@@ -171,11 +134,6 @@ def test_one_seed_is_too_few(tmp_path: Path) -> None:
 def test_impossible_correlation_is_refused(correlation: float) -> None:
     with pytest.raises(ConfigurationError, match="correlation"):
         input_mixing((3.0, 1.8), correlation)
-
-
-def test_no_workers_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="--workers must be at least 1, got 0"):
-        list(in_threads(str, [1], 0))
 
 
 def test_mixing_keeps_the_power_and_gives_the_correlation() -> None:
@@ -215,12 +173,6 @@ def test_chance_alone_is_significant_as_often_as_stated() -> None:
     many = [Mean.of(random.standard_normal((12, 8))).significant for _ in range(2000)]
     # 5 % by Bonferroni; four standard errors are 2 %.
     assert 0.03 < np.mean(many) < 0.07
-
-
-def test_more_tests_ask_for_more_evidence() -> None:
-    assert critical_z(1_000_000, 1) == pytest.approx(1.96, abs=0.001)
-    assert critical_z(32, 12) > critical_z(32, 1)
-    assert critical_z(8, 12) > critical_z(32, 12)
 
 
 def test_octave_errors_are_means_relative_to_the_truth() -> None:

@@ -37,7 +37,6 @@ from support.synthetic_bags import Message, synthetic_recording
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
-NAMES = ("shoulder", "elbow")
 SETTLE, TICKS, REST = 60, 100, 60
 MADE_UP = synthetic_recording(perturbed=(0, 1), ticks=TICKS, settle=SETTLE, rest=REST).messages
 """Two trials, much too short to be estimated."""

@@ -22,9 +22,7 @@ from armimp_ros2_control.parameters import BridgeParameters
 from support.controller import ScriptedController
 from support.graph import CLOCK_STEPS, PATIENCE, a_moment, eventually, overrides, set_clock
 
-JOINTS = ("shoulder", "elbow")
 ZERO, PUSH = (0.0, 0.0), (5.0, -2.0)
-Sample = tuple[int, tuple[float, ...]]
 
 
 class World(ScriptedController):

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.integrate import trapezoid
 
 from armimp_sim import presets
 from armimp_sim.model.sensors import Sampling, quantise
 from armimp_sim.plant import Plant
 from support.plants import load, study_plant
-
-Array = NDArray[np.float64]
 
 
 @settings(deadline=None)
