@@ -8,17 +8,17 @@ from __future__ import annotations
 
 import fnmatch
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import SimulatedExperiment, simulate
+from armimp_bringup.offline import simulate
 from armimp_bringup.study.conditions import parse_seeds
 from armimp_common.errors import ConfigurationError
 from armimp_control.perturbation import PerturbationKind
-from armimp_estimation.record import TrialRecord
 from research.cells import LETTERS, FloatArray, Levels
 from research.coverage_statistics import QUANTILE
 from research.decomposition_trials import in_blocks, in_threads, matrices, scales, with_voluntary
@@ -48,12 +48,11 @@ class Case:
         """As `--only` takes it."""
         return f"{self.kind} {self.voluntary:g} {'/'.join(map(str, self.levels))} {self.law}"
 
-    @property
-    def config(self) -> ExperimentConfig:
+    def config(self, duration: float) -> ExperimentConfig:
         """Everything but seed and voluntary torque, with the plant in steps of 0.05 ms."""
         levels = dict(zip(("friction", "resolution", "perturbation"), self.levels, strict=True))
         law: dict[str, Any] = {} if self.law == "default" else LAWS[self.law]
-        values = {"perturbation_kind": self.kind, "duration": max(TIMES), **levels}
+        values = {"perturbation_kind": self.kind, "duration": duration, **levels}
         return ExperimentConfig.model_validate(
             {**values, "arm_sim": {"substeps": 20}, "imbic_controller": law}
         )
@@ -76,69 +75,74 @@ CASES: Final = (
 )
 
 
-def first(record: TrialRecord, samples: int) -> TrialRecord:
-    """The begin of a record."""
-    command = record.command
-    return replace(
-        record,
-        perturbation=record.perturbation[:, :samples],
-        position=record.position[:, :samples],
-        torque=record.torque[:, :samples],
-        command=None if command is None else command[:, :samples],
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Column:
+    """One column of M, B and K from trials of one length; first axis: runs."""
+
+    errors: FloatArray
+    """(runs, 3, n), as those that follow relative to ``sqrt(|X_ii X_jj|)``."""
+    stated: FloatArray
+    """Standard errors, (runs, 3, n)."""
+    bound: FloatArray
+    """(3, n)."""
+    angles: FloatArray
+    """Rms of the perturbed joint, rad; (runs,)."""
+    valid: NDArray[np.bool_]
+    """(runs,)."""
+
+
+def column_of(
+    case: Case, k: int, seconds: float, seeds: Sequence[int], workers: int | None
+) -> Column:
+    """Column k, 0-based, from trials of so many seconds; the bound is that of the first seeds."""
+    blocks = in_blocks(seeds)
+    config = case.config(seconds)
+
+    def work(
+        block: tuple[int, ...],
+    ) -> list[tuple[FloatArray, FloatArray, FloatArray | None, float, bool]]:
+        experiments = simulate(with_voluntary(config, case.voluntary, block))
+        bounds: list[FloatArray | None] = [None] * len(block)
+        if block == blocks[0]:
+            quiet = simulate(with_voluntary(config, 0.0, block))
+            both = zip(experiments, quiet, strict=True)
+            bounds = [bound_of(one, same, _BAND) for one, same in both]
+        found = []
+        for experiment, bound in zip(experiments, bounds, strict=True):
+            result = experiment.identify([_ESTIMATOR])
+            fit = result.estimators[_ESTIMATOR].fit
+            true = matrices(experiment.truth)
+            errors = (matrices(fit.mbk) - true) / scales(true)
+            stated = np.stack([fit.M_se, fit.B_se, fit.K_se]) / scales(true)
+            least = None if bound is None else (bound / scales(true))[:, :, k]
+            angle = float(np.std(experiment.records[k].position[k]))
+            found.append((errors[:, :, k], stated[:, :, k], least, angle, result.valid))
+        return found
+
+    runs = [one for block in in_threads(work, blocks, workers) for one in block]
+    bounds = [run[2] for run in runs if run[2] is not None]
+    return Column(
+        errors=np.stack([run[0] for run in runs]),
+        stated=np.stack([run[1] for run in runs]),
+        bound=np.sqrt(np.mean(np.square(bounds), axis=0)),
+        angles=np.array([run[3] for run in runs]),
+        valid=np.array([run[4] for run in runs]),
     )
-
-
-def until(experiment: SimulatedExperiment, seconds: float) -> SimulatedExperiment:
-    """An experiment that ended earlier."""
-    records = tuple(first(one, round(seconds * one.rate)) for one in experiment.records)
-    return replace(experiment, records=records)
-
-
-def columns(of_times: Sequence[FloatArray]) -> FloatArray:
-    """Matrices (3, n, n) with each column from those of its time."""
-    return np.stack([one[:, :, k] for k, one in enumerate(of_times)], axis=2)
 
 
 def measure(case: Case, seeds: Sequence[int], workers: int | None) -> dict[str, Any]:
     """Errors of a case over all seeds, in % of ``sqrt(|X_ii X_jj|)``."""
-    blocks = in_blocks(seeds)
-    quiet = simulate(with_voluntary(case.config, 0.0, blocks[0]))
-
-    def work(block: tuple[int, ...]) -> list[tuple[FloatArray, FloatArray, FloatArray, bool]]:
-        experiments = simulate(with_voluntary(case.config, case.voluntary, block))
-        found = []
-        for experiment in experiments:
-            true = matrices(experiment.truth)
-            angles = [np.std(one.position[one.perturbed_joint]) for one in experiment.records]
-            errors, stated, valid = [], [], True
-            for seconds in TIMES:
-                result = until(experiment, seconds).identify([_ESTIMATOR])
-                fit = result.estimators[_ESTIMATOR].fit
-                errors.append((matrices(fit.mbk) - true) / scales(true))
-                stated.append(np.stack([fit.M_se, fit.B_se, fit.K_se]) / scales(true))
-                valid &= result.valid
-            found.append((columns(errors), columns(stated), np.array(angles), valid))
-        return found
-
-    runs = [one for block in in_threads(work, blocks, workers) for one in block]
-    errors, stated, angles = (np.stack(one) for one in list(zip(*runs, strict=True))[:3])
-    bounds = [
-        columns([bound_of(until(one, s), until(same, s), _BAND) for s in TIMES])
-        for one, same in zip(
-            simulate(with_voluntary(case.config, case.voluntary, blocks[0])), quiet, strict=True
-        )
-    ]
-    truth = matrices(quiet[0].truth)
-    bound = np.sqrt(np.mean(np.square(bounds), axis=0)) / scales(truth)
-    rms = np.sqrt(np.mean(errors**2, axis=0))
-    ratio = np.sqrt(np.mean((rms / bound) ** 2, axis=1))
-    held = np.abs(errors) < QUANTILE * stated
-    row: dict[str, Any] = {"case": case.name, "runs": len(runs), "valid": sum(r[3] for r in runs)}
-    for k, (seconds, angle) in enumerate(zip(TIMES, np.mean(angles, axis=0), strict=True)):
-        row[f"angle_{k + 1}"] = 1e3 * float(angle)
-        for letter, of_letter in zip(LETTERS, range(3), strict=True):
-            row[f"{letter}{k + 1}_{seconds:g}s"] = 100.0 * float(np.max(rms[of_letter, :, k]))
-            row[f"{letter}{k + 1}_over_bound"] = float(ratio[of_letter, k])
+    columns = [column_of(case, k, s, seeds, workers) for k, s in enumerate(TIMES)]
+    valid = np.all([one.valid for one in columns], axis=0)
+    row: dict[str, Any] = {"case": case.name, "runs": len(seeds), "valid": int(np.sum(valid))}
+    for k, (seconds, column) in enumerate(zip(TIMES, columns, strict=True), 1):
+        rms = np.sqrt(np.mean(column.errors**2, axis=0))
+        ratio = np.sqrt(np.mean((rms / column.bound) ** 2, axis=1))
+        row[f"angle_{k}"] = 1e3 * float(np.mean(column.angles))
+        for letter, error, over in zip(LETTERS, np.max(rms, axis=1), ratio, strict=True):
+            row[f"{letter}{k}_{seconds:g}s"] = 100.0 * float(error)
+            row[f"{letter}{k}_over_bound"] = float(over)
+    held = np.stack([np.abs(one.errors) < QUANTILE * one.stated for one in columns], axis=3)
     for of_letter, letter in enumerate(LETTERS):
         row[f"{letter}_held"] = 100.0 * float(np.mean(held[:, of_letter]))
         row[f"{letter}_held_least"] = 100.0 * float(np.min(np.mean(held[:, of_letter], axis=0)))

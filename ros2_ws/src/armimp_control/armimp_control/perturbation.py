@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -82,7 +83,8 @@ class PerturbationParameters(Schema):
         default=8.192,
         ge=_SHORTEST_PERIOD,
         le=100.0,
-        description="longest period of the multisine (s); it is halved until four fit into a trial",
+        description="longest period of the multisine (s); it is made shorter until a whole number "
+        "of them, four or more, fills the trial",
     )
 
     @field_validator("peak")
@@ -205,9 +207,8 @@ def multisine_lines(
     period : int
         Samples.
     """
-    period = round(parameters.period * _RATE)
-    while _FEWEST_PERIODS * period > ticks and period >= 2.0 * _SHORTEST_PERIOD * _RATE:
-        period //= 2
+    periods = max(math.ceil(ticks / (parameters.period * _RATE)), _FEWEST_PERIODS)
+    period = max(ticks // periods, round(_SHORTEST_PERIOD * _RATE))
     count = max(int((parameters.cutoff * period / _RATE + 1.0) / 2.0), 1)
     lines = 2 * np.arange(count) + 1
     choice = np.random.default_rng(np.random.SeedSequence([seed, _LINES]))
