@@ -582,21 +582,9 @@ class _Elements:
         ]
 
     def _change_by_hidden(self, term: ComplexArray, row: int) -> FloatArray:
-        """Squared change of M, B and K, (3,), by a term that the noise may hide.
-
-        Before the trial it is there with the probability ``_LIKELY``, and then of the size 0 ± 1,
-        but not negative. Data that tell it as g with the standard error e make that probability
-        larger or smaller by the ratio ``2 Φ(m/√v) √v exp(m²/2v)`` of their likelihoods, with
-        ``v = e²/(1 + e²)`` and ``m = g v/e²``, and its mean square, if it is there, ``m² + v``.
-        """
+        """Squared change of M, B and K, (3,), by a term that the noise may hide."""
         told, error = self.coefficient_of(term, row)
-        if not 0.0 < error < math.inf:
-            return np.zeros(3)
-        left = error**2 / (1.0 + error**2)
-        mean = told * left / error**2
-        odds = math.log(2.0 * _LIKELY / (1.0 - _LIKELY) * math.sqrt(left))
-        odds += float(log_ndtr(mean / math.sqrt(left))) + 0.5 * mean**2 / left
-        square = float(expit(odds)) * (max(mean, 0.0) ** 2 + left)
+        square = hidden_square(told, error, _LIKELY, positive=True)
         return np.asarray(square * _apply(self.coefficients(row), term) ** 2)
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
@@ -781,6 +769,35 @@ def _with_delay(
         Z=trial.Z - np.tensordot(found, terms, axes=1),
         systematics=(*trial.systematics, *errors),
     ), known
+
+
+def hidden_square(told: float, error: float, likely: float, *, positive: bool = False) -> float:
+    """Mean square of an effect that may be there or not, by what the data tell of it.
+
+    Before the data it is there with a probability p, and then of the size 0 ± 1. Data that tell it
+    as g with the standard error e make that probability larger or smaller by the ratio
+    ``√v exp(m²/2v)`` of their likelihoods, with ``v = e²/(1 + e²)`` and ``m = g v/e²``, and its
+    mean square, if it is there, is ``m² + v``. Of an effect that isn't negative the ratio is
+    ``2 Φ(m/√v)`` times that.
+
+    Parameters
+    ----------
+    told, error : float
+        g and e, in units of the size that it has if it is there.
+    likely : float
+        p.
+    positive : bool
+        Whether it isn't negative.
+    """
+    if not 0.0 < error < math.inf:
+        return 0.0
+    left = error**2 / (1.0 + error**2)
+    mean = told * left / error**2
+    odds = math.log(likely / (1.0 - likely) * math.sqrt(left)) + 0.5 * mean**2 / left
+    if positive:
+        odds += math.log(2.0) + float(log_ndtr(mean / math.sqrt(left)))
+        mean = max(mean, 0.0)
+    return float(expit(odds)) * (mean**2 + left)
 
 
 def _delay_of(problem: _Elements) -> tuple[float, float]:

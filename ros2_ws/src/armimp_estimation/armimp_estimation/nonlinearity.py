@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from armimp_estimation.fit import hidden_square
 from armimp_estimation.hold_correction import HoldCorrection, command_steps
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity
@@ -69,6 +70,8 @@ where their jumps with the commands are not known well.
 """
 REST = 0.5
 """Angle up to which stiffness is that of an arm at rest, in rms angles."""
+LIKELY, USUAL = 0.05, 0.1
+"""Assumptions: how likely each of these is before the trial, and of which share if it is there."""
 PLAY = 0.12
 """Half of the play, in rms angles."""
 SLOW = 0.1
@@ -129,8 +132,23 @@ class Deviation:
     @property
     def significant(self) -> bool:
         """Whether chance hardly explains it."""
-        chance = float(stats.norm.sf(SIGNIFICANT))
-        return bool(abs(self.share) > stats.t.isf(chance, self.freedom) * self.error)
+        return self._errors > SIGNIFICANT
+
+    @property
+    def doubt(self) -> float:
+        """Standard error that it is, relative to what was found: less if chance explains it."""
+        if self.significant or not self._errors > 0.0:
+            return float(self.significant)
+        told = abs(self.share) / USUAL
+        return float(np.sqrt(hidden_square(told, told / self._errors, LIKELY))) / told
+
+    @property
+    def _errors(self) -> float:
+        """Standard errors of a normal distribution that are as unlikely."""
+        if not self.error > 0.0:
+            return 0.0
+        chance = float(stats.t.sf(abs(self.share) / self.error, self.freedom))
+        return float(-stats.norm.ppf(max(chance, np.finfo(float).tiny)))
 
 
 class _Band:
@@ -310,9 +328,10 @@ def deviations(
     for name, bend in _BENT.items():
         # A person's own torque hides what M shows of a transducer, unless it is weighed.
         of_gain = name in _DOUBTED
-        # Of motion, what turns with the sign of the perturbation alone is as independent, and tells
-        # more: the perturbation tries the spring where the person has moved it to.
-        turns = bend(known) if of_gain else 0.5 * (bend(signals) - bend(signals - 2.0 * known))
+        # What turns with the sign of the perturbation is as independent of the person as what that
+        # alone causes, and tells more where the person moves or loads the joint.
+        turns = 0.5 * (bend(signals) - bend(signals - 2.0 * known))
+        turns = bend(known) + turns if of_gain else turns
         bent = np.stack([band.of(one) for one in (turns, bend(signals))])
         instrument, term = (
             without_linear(band.signal(one)[kept]) for one in (bent * weights if of_gain else bent)
@@ -381,9 +400,10 @@ def judge_linearity(
     problems = []
     shift, gain = np.zeros(3), 0.0
     for name, one in deviations(record, arm, jump, reading).items():
+        shift = np.hypot(shift, one.doubt * one.shift)
+        gain = float(np.hypot(gain, one.doubt * one.gain))
         if not one.significant or abs(one.share) < _NEGLIGIBLE:
             continue
-        shift, gain = np.hypot(shift, one.shift), float(np.hypot(gain, one.gain))
         severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE
         problems.append(
             Problem(
