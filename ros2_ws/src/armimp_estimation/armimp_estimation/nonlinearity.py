@@ -71,7 +71,8 @@ where their jumps with the commands are not known well.
 REST = 0.5
 """Angle up to which stiffness is that of an arm at rest, in rms angles."""
 LIKELY, USUAL = 0.05, 0.1
-"""Assumptions: how likely each of these is before the trial, and of which share if it is there."""
+"""Assumptions: how likely a transducer isn't linear in one of these ways, and by what change of its
+gain if so."""
 PLAY = 0.12
 """Half of the play, in rms angles."""
 SLOW = 0.1
@@ -136,7 +137,7 @@ class Deviation:
 
     @property
     def doubt(self) -> float:
-        """Standard error that it is, relative to what was found: less if chance explains it."""
+        """Standard error of a gain that it is, relative to what was found: less if by chance."""
         if self.significant or not self._errors > 0.0:
             return float(self.significant)
         told = abs(self.share) / USUAL
@@ -400,10 +401,10 @@ def judge_linearity(
     problems = []
     shift, gain = np.zeros(3), 0.0
     for name, one in deviations(record, arm, jump, reading).items():
-        shift = np.hypot(shift, one.doubt * one.shift)
         gain = float(np.hypot(gain, one.doubt * one.gain))
         if not one.significant or abs(one.share) < _NEGLIGIBLE:
             continue
+        shift = np.hypot(shift, one.shift)
         severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE
         problems.append(
             Problem(

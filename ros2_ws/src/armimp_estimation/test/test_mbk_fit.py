@@ -5,11 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy import stats
 from scipy.signal import butter, freqs
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk, r_squared
+from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk, hidden_square, r_squared
 from armimp_estimation.mbk import MBK
 from support.synthetic_trials import TWO_JOINT_ARM
 
@@ -218,3 +219,21 @@ def test_when_values_are_not_finite_expect_data_error() -> None:
 def test_when_there_are_two_frequencies_expect_data_error() -> None:
     with pytest.raises(DataError, match="2 frequencies are too few"):
         fit_mbk(estimate_of(TWO_JOINT_ARM.impedance(F[:2])))
+
+
+def test_an_effect_that_noise_may_hide_counts_by_what_the_data_tell_of_it() -> None:
+    untold = hidden_square(0.0, 1e6, 0.05)
+    assert untold == pytest.approx(0.05)
+    assert hidden_square(2.0, 0.01, 0.05) == pytest.approx(4.0, rel=1e-3)
+    assert hidden_square(0.01, 0.01, 0.05) < 1e-6
+    assert hidden_square(-2.0, 0.01, 0.05, positive=True) < 1e-6
+
+    # By the integral over all sizes and both cases.
+    told, error, likely = 0.6, 0.3, 0.05
+    sizes = np.linspace(-10.0, 10.0, 200_001)
+    likelihood = stats.norm.pdf(told, sizes, error)
+    there = likely * stats.norm.pdf(sizes) * likelihood
+    absent = (1.0 - likely) * stats.norm.pdf(told, 0.0, error)
+    step = sizes[1] - sizes[0]
+    expected = np.sum(there * sizes**2) * step / (np.sum(there) * step + absent)
+    assert hidden_square(told, error, likely) == pytest.approx(expected, rel=1e-6)
