@@ -4,10 +4,8 @@ import sys
 import threading
 from typing import Any
 
-from rclpy.lifecycle import LifecycleNode
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
@@ -19,26 +17,11 @@ from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
 
 
-class TwoForOne(ArmSimNode):
-    """Takes two steps for each command."""
-
-    def _on_command(self, command: tuple[float, ...]) -> None:
-        super()._on_command(command)
-        super()._on_command(command)
-
-
 class Strong(ArmSimNode):
     """Takes newton metres for something far larger."""
 
     def _on_command(self, command: tuple[float, ...]) -> None:
         super()._on_command(tuple(150.0 * value for value in command))
-
-
-class Gullible(ArmSimNode):
-    """Obeys whoever commands."""
-
-    def accuse(self, reason: str) -> None:
-        """Believe that it is well."""
 
 
 class Stubborn(ArmSimNode):
@@ -55,15 +38,6 @@ class DeafStop(ArmSimNode):
     def _on_stop(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = True
         return response
-
-
-class WrongType(LifecycleNode):
-    """Takes the torque of each joint in a JointState, and sends angles without names."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(topics.SIM_NODE, **options)
-        self._commands = self.create_subscription(JointState, topics.COMMANDS, lambda _: None, 10)
-        self._sensors = self.create_publisher(Float64MultiArray, topics.JOINT_STATES, 10)
 
 
 class Slow(Node):
@@ -109,7 +83,7 @@ class InUse(Slow):
         self._commander = CommandPublisher(self, topics.COMMANDS, 2)
 
 
-DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in (WrongType, Slow, InUse)}
+DEFECTS: dict[str, Any] = {kind.__name__: kind for kind in (Slow, InUse)}
 
 if __name__ == "__main__":
     sys.exit(run_node(DEFECTS[sys.argv[1]], [sys.argv[0], *sys.argv[2:]]))
