@@ -32,7 +32,7 @@ from support.priority import permitted_priority
 from support.runs import FinishedRun
 from support.stalls import StallWitness
 
-pytestmark = [pytest.mark.alone, pytest.mark.usefixtures("environment")]
+pytestmark = pytest.mark.usefixtures("environment")
 stepped = pytest.mark.parametrize("step", CLOCK_STEPS)
 PATIENCE = 100
 """Periods until watchdogs take the torque away, so that no stall of a busy machine wakes them."""
@@ -225,6 +225,7 @@ def test_when_the_clock_is_set_in_lockstep_expect_the_same_bits(
     assert_same(finished, untouched)
 
 
+@pytest.mark.alone
 @pytest.mark.slow
 @aimed
 @stepped

@@ -187,7 +187,11 @@ class TestFaults:
 
         for _ in range(3):
             driver.channels[topic].publish(driver.stamp_ns + 10**15, (math.nan, 1.0))
-        eventually(spinner, lambda: len(driver.commands) > 60, "a command")
+        eventually(
+            spinner,
+            lambda: driver.has_said(Phase.ABORTED) and len(driver.commands) > 60,
+            "an abort",
+        )
         a_moment(spinner)
 
         # One is enough: in lockstep each is a step.

@@ -253,6 +253,10 @@ def matrices(element: str) -> str:
         ("truth", matrices("1e300"), "truth: an element of 1e.300"),
         ("truth", '{"M": [[1]], "B": [[1]], "K": [[1]]}', "truth is of 1 joints, the data of 2"),
         ("torque_delay", '"late"', "torque_delay: Input should be a valid number, got 'late'"),
+        ("torque_delay", "true", "torque_delay: Input should be a valid number, got True"),
+        ("torque_delay", "-2", ".*delay must be within ± 1 s, got -2.0 s"),
+        ("torque_cutoff", "NaN", ".*cutoff must be finite"),
+        ("torque_order", "9", ".*order must be 1 to 4, got 9"),
         ("torque_order", "1.5", "torque_order: Input should be a valid integer, got 1.5"),
         (
             "torque_uncertainty",

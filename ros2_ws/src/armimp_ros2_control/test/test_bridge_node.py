@@ -213,7 +213,8 @@ def test_the_emergency_stop_zeroes_torque_until_the_reset_which_is_refused_under
     assert "not zero torque" in message
     world.answer = ZERO
     # Commands and services are not heard in the order in which they were sent.
-    a_moment(world.spinner)
+    heard = len(world.torques)
+    eventually(world.spinner, lambda: len(world.torques) > heard + 2, "that zero torque is heard")
     assert world.call(topics.SIM_RESET_SERVICE)[0]
     world.answer = PUSH
     world.until_told(*PUSH)

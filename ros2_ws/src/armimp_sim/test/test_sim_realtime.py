@@ -18,8 +18,6 @@ from armimp_sim.realtime_simulator import RealtimeSimulator
 from support.controller import SUCCESS, ScriptedController
 from support.graph import Launch, eventually
 
-pytestmark = pytest.mark.alone
-
 REALTIME: dict[str, Value] = {"mode": "realtime"}
 
 
