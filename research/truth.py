@@ -378,6 +378,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         sticky = {"friction": friction, "stick": 0.005 * friction, "angle_step": step}
         kind = NOISE if friction < 2.0 else MUST
         add(kind, "sticking", (f"{friction:g} N·m, {step:g} rad", sticky))
+    for friction in (0.7, 1.0):
+        # What friction bends of the motion isn't independent of a person who moves beside.
+        pushed = {"friction": friction, "stick": 0.005, "voluntary": 0.3}
+        add(NOISE, "sticking, voluntary", (f"{friction:g} N·m", pushed))
     three = {"joints": 3}
     add(NOISE, "three joints", ("", three), ("800", three | {"rate": 800.0}))
     add(

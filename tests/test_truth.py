@@ -29,6 +29,7 @@ QUICK = (
     "friction 2 N·m",
     "reflex 0.3, 40 ms",
     "voluntary 0.3 N·m",
+    "sticking, voluntary 0.7 N·m",
 )
 HIDDEN = {f"amplitude-dependent, voluntary 0.3 N·m {share}" for share in (0.1, 0.3)}
 """What a person does hides that such an arm bends, and its K is the best linear one: see the table

@@ -83,6 +83,7 @@ _RATE = 200.0
 _MOST_ENDS = 0.2
 _PART = 1.5
 """Seconds of a part: motion and torque of a person hardly are alike any more after it."""
+_BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
 _LEAST = 10.0
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
@@ -314,17 +315,11 @@ def deviations(
     if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
     signals, known = actual / sizes, known / sizes
-    linear = [band.filters(one) for one in (record.position[k], record.perturbation[k])]
-    filtered = np.concatenate(linear)[:, kept]
-    inverse = np.linalg.pinv(filtered @ filtered.T, hermitian=True)
-
-    def without_linear(signal: FloatArray) -> FloatArray:
-        return np.asarray(signal - (inverse @ (filtered @ signal)) @ filtered)
-
+    linear = _Linear(*(band.filters(one)[:, kept] for one in (record.position[k], forces)))
     inner = band.inner(rest)
     weights = band.weights(inner)
-    white = without_linear(band.signal(weights * band.of(inner))[kept])
-    rest = without_linear(rest[kept])
+    white = linear.removed(band.signal(weights * band.of(inner))[kept])
+    rest = linear.removed(rest[kept])
     found = {}
     for name, bend in _BENT.items():
         # A person's own torque hides what M shows of a transducer, unless it is weighed.
@@ -334,9 +329,8 @@ def deviations(
         turns = 0.5 * (bend(signals) - bend(signals - 2.0 * known))
         turns = bend(known) + turns if of_gain else turns
         bent = np.stack([band.of(one) for one in (turns, bend(signals))])
-        instrument, term = (
-            without_linear(band.signal(one)[kept]) for one in (bent * weights if of_gain else bent)
-        )
+        instrument, term = (band.signal(one)[kept] for one in (bent * weights if of_gain else bent))
+        instrument, term = linear.unlike(instrument), linear.removed(term)
         left = white if of_gain else rest
         slope, error, freedom = _slope(instrument, term, left)
         shift, gain = np.zeros(3), 0.0
@@ -358,6 +352,39 @@ def deviations(
             share=share, error=relative, freedom=freedom, shift=shift, gain=gain
         )
     return found
+
+
+class _Linear:
+    """What linear filters make of the motion, taken out by means of the perturbation alone.
+
+    A person moves the joint, so that motion and the person's torque are alike: what is fitted to
+    the motion itself would take a part of that torque with it, and put the rest of the motion,
+    which friction of the robot bends, in its place. The perturbation is their instrument.
+
+    Parameters
+    ----------
+    motion, forces : ndarray, shape (p, N)
+        Angle and perturbation, cut into bands.
+    """
+
+    def __init__(self, motion: FloatArray, forces: FloatArray) -> None:
+        sizes = np.linalg.norm(motion, axis=1, keepdims=True)
+        self._motion = motion / np.where(sizes > 0.0, sizes, 1.0)
+        self._forces = forces
+        self._normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
+        self._caused = self._motion @ forces.T @ self._normal @ forces
+        # Motion that is not the perturbation's beyond chance can't be told from the person's.
+        chance = _BEYOND_CHANCE * _RATE / motion.shape[1]
+        self._inverse = np.linalg.pinv(self._caused @ self._caused.T, rcond=chance, hermitian=True)
+
+    def removed(self, signal: FloatArray) -> FloatArray:
+        """A signal (N,) without its part that is linear in the motion."""
+        return np.asarray(signal - (self._inverse @ (self._caused @ signal)) @ self._motion)
+
+    def unlike(self, signal: FloatArray) -> FloatArray:
+        """What is orthogonal to perturbation and motion of a signal (N,) of the perturbation."""
+        signal = signal - (self._normal @ (self._forces @ signal)) @ self._forces
+        return np.asarray(signal - (self._inverse @ (self._motion @ signal)) @ self._caused)
 
 
 def _slope(
