@@ -856,11 +856,15 @@ def fit_weights(
     """Inverse of the floored variance, smoothed over frequency (geometric mean), at most 1.
 
     Where the power of the lines is known, the variance is smoothed as far as it is chance, per
-    power, and floored afterwards.
+    power, and floored afterwards. What floors are for, as harmonics of friction, falls on all lines
+    alike: of lines that are stronger than their mean it is a smaller part.
     """
     # Even with no floor a variance below rounding means nothing.
     rounding = np.finfo(np.float64).eps * float(np.max(np.abs(impedance)))
-    floor = (weight_floor * np.abs(impedance)) ** 2 + rounding**2
+    floor = weight_floor * np.abs(impedance)
+    if line_power is not None:
+        floor = floor * np.sqrt(np.minimum(1.0, np.mean(line_power) / line_power))
+    floor = floor**2 + rounding**2
     tiny = np.finfo(np.float64).tiny
     if line_power is not None:
         smooth = _smooth(f, np.log(variance * line_power + tiny), smoothing)

@@ -10,7 +10,15 @@ from scipy.signal import butter, freqs
 
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk, hidden_square, r_squared
+from armimp_estimation.fit import (
+    FitConfig,
+    MBKFit,
+    fit_mbk,
+    fit_weights,
+    hidden_square,
+    mbk_coefficients,
+    r_squared,
+)
 from armimp_estimation.mbk import MBK
 from support.synthetic_trials import TWO_JOINT_ARM
 
@@ -105,6 +113,21 @@ def test_floor_of_weights_bounds_what_time_skew_does_to_viscosity() -> None:
     unlimited = fit_mbk(estimate_of(Z, variance), FitConfig(weight_floor=0.0)).mbk.B
     assert (np.abs(viscosity - 1.0) < 0.08).all()
     assert (unlimited / TWO_JOINT_ARM.B > 1.25).all()
+
+
+def test_what_falls_on_strong_and_weak_lines_alike_is_a_smaller_part_of_strong_ones() -> None:
+    power = np.ones(F.size)
+    power[[20, 21, 110, 111]] = 400.0
+    Z = TWO_JOINT_ARM.impedance(F)[0, 0]
+    beside = 1e-3 * np.abs(Z) / np.sqrt(power)
+    expected = []
+    for line_power in (power, np.ones(F.size)):
+        weights = fit_weights(F, Z, np.full(F.size, 1e-12), 1e-3, 0.6, line_power)
+        coefficients = mbk_coefficients(2.0 * np.pi * F, weights)
+        expected.append(np.linalg.norm(coefficients * beside, axis=1))
+    known, unknown = expected
+    assert (known < unknown).all()
+    assert known[0] < 0.6 * unknown[0]
 
 
 def test_correlation_of_neighbours_makes_standard_errors_larger() -> None:
