@@ -12,7 +12,7 @@ import pytest
 
 from armimp_bringup.offline_estimate import estimate_bags
 from research.independent_rig import Mismatch, arm_of, simulate, write_bag
-from research.truth import NOISE, cases, outcome
+from research.truth import NOISE, cases, changed, outcome
 
 CASES = cases()
 QUICK = (
@@ -75,6 +75,14 @@ def test_what_a_person_does_neither_hides_a_bent_transducer_nor_looks_like_frict
     name: str,
 ) -> None:
     judge(name, seed=1)
+
+
+@pytest.mark.parametrize("level", [0.5, 1.0])
+def test_one_torque_that_is_read_for_both_joints_is_refused(level: float) -> None:
+    twice = changed(torque=lambda torque: np.repeat(torque[:1], 2, axis=0))
+    valid, _, _, problems = outcome(Mismatch(duration=10.0, level=level, readings=twice), seed=0)
+    assert not valid
+    assert any("passive" in one for one in problems), problems
 
 
 READINGS: dict[str, dict[str, bool]] = {

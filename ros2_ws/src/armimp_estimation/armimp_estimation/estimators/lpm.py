@@ -540,12 +540,13 @@ def _reversals(
     """
     reversing, bending = np.zeros((2, len(records)))
     inertia = _inertia(impedance, f)
+    # With one trial alone, no more is known than the inertia of its joint. All of it may be
+    # singular, as of channels that show the same, of which the verdict tells.
+    whole = np.linalg.pinv(inertia) if len(records) == len(inertia) else None
     for number, record in enumerate(records):
         k = record.perturbed_joint
         steps = np.diff(record.torque, axis=1)
-        # With one trial alone, no more is known than the inertia of its joint.
-        whole = len(records) == len(inertia)
-        gained = np.linalg.solve(inertia, steps)[k] if whole else steps[k] / inertia[k, number]
+        gained = steps[k] / inertia[k, number] if whole is None else whole[k] @ steps
         change = float(np.std(gained)) / record.rate
         speed = np.abs(_speed(record, f))
         reversing[number] = np.mean(speed < change)
