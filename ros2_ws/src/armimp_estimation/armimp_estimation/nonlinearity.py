@@ -98,7 +98,7 @@ _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 """What follows from angle, the same and speed without what is slow, and torque, each in units of
 its rms; (4, N)."""
 _SLOPES = {"amplitude": -1.0, "time": 1.0, "direction": 2.0, "gain": 3.0, "drift": 1.0}
-"""Of these terms over their argument at one rms, or between both directions: 3 x² of a cube."""
+"""Of these terms over their argument at one rms, less at rest, or between both directions."""
 _DOUBTED = {"direction": 0.5, "gain": 1.0, "drift": 0.5}
 """Shares of its change by which a gain may differ from that of the calibration.
 
@@ -268,10 +268,10 @@ def _fitted(arm: MBK, record: TrialRecord, band: _Band, angle: ComplexArray) -> 
     return np.asarray(np.sum(arm.impedance(band.f)[record.perturbed_joint] * angle, axis=0))
 
 
-def _caused(signals: FloatArray, forces: FloatArray) -> FloatArray:
-    """What any linear filter makes of the perturbation, (2 bands, N), in signals (..., N)."""
+def _onto(forces: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Take from signals (..., N) what any linear filter makes of the perturbation, (2 bands, N)."""
     normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
-    return np.asarray((signals @ forces.T) @ normal @ forces)
+    return lambda signals: np.asarray((signals @ forces.T) @ normal @ forces)
 
 
 def deviations(
@@ -302,11 +302,12 @@ def deviations(
     angle = moving.signal(moving.of(record.position[k]))
     torque = wide.signal(wide.of(record.torque[k]))
     kept = band.kept
-    forces = record.perturbation[k]
+    pushes = record.perturbation[k]
+    forces = band.filters(pushes)
     caused = (
-        _caused(angle, moving.filters(forces)),
-        _caused(motion[:2], band.filters(forces)),
-        _caused(torque, wide.filters(forces)),
+        _onto(moving.filters(pushes))(angle),
+        _onto(forces)(motion[:2]),
+        _onto(wide.filters(pushes))(torque),
     )
     actual = np.stack([angle, *motion[:2], band.inner(torque + record.torque[k].mean())])
     known = np.stack([caused[0], *caused[1], band.inner(caused[2] + record.torque[k].mean())])
@@ -315,7 +316,7 @@ def deviations(
     if not ((sizes > 0.0).all() and own[2] > 0.0):
         return {}
     signals, known = actual / sizes, known / sizes
-    linear = _Linear(*(band.filters(one)[:, kept] for one in (record.position[k], forces)))
+    linear = _Linear(band.filters(record.position[k])[:, kept], forces[:, kept])
     inner = band.inner(rest)
     weights = band.weights(inner)
     white = linear.removed(band.signal(weights * band.of(inner))[kept])
@@ -326,9 +327,10 @@ def deviations(
         of_gain = name in _DOUBTED
         # What turns with the sign of the perturbation is as independent of the person as what that
         # alone causes, and tells more where the person moves or loads the joint.
-        turns = 0.5 * (bend(signals) - bend(signals - 2.0 * known))
+        whole = bend(signals)
+        turns = 0.5 * (whole - bend(signals - 2.0 * known))
         turns = bend(known) + turns if of_gain else turns
-        bent = np.stack([band.of(one) for one in (turns, bend(signals))])
+        bent = np.stack([band.of(one) for one in (turns, whole)])
         instrument, term = (band.signal(one)[kept] for one in (bent * weights if of_gain else bent))
         instrument, term = linear.unlike(instrument), linear.removed(term)
         left = white if of_gain else rest
@@ -370,9 +372,8 @@ class _Linear:
     def __init__(self, motion: FloatArray, forces: FloatArray) -> None:
         sizes = np.linalg.norm(motion, axis=1, keepdims=True)
         self._motion = motion / np.where(sizes > 0.0, sizes, 1.0)
-        self._forces = forces
-        self._normal = np.linalg.pinv(forces @ forces.T, hermitian=True)
-        self._caused = self._motion @ forces.T @ self._normal @ forces
+        self._onto = _onto(forces)
+        self._caused = self._onto(self._motion)
         # Motion that is not the perturbation's beyond chance can't be told from the person's.
         chance = _BEYOND_CHANCE * _RATE / motion.shape[1]
         self._inverse = np.linalg.pinv(self._caused @ self._caused.T, rcond=chance, hermitian=True)
@@ -383,7 +384,7 @@ class _Linear:
 
     def unlike(self, signal: FloatArray) -> FloatArray:
         """What is orthogonal to perturbation and motion of a signal (N,) of the perturbation."""
-        signal = signal - (self._normal @ (self._forces @ signal)) @ self._forces
+        signal = signal - self._onto(signal)
         return np.asarray(signal - (self._inverse @ (self._motion @ signal)) @ self._caused)
 
 
