@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from armimp_bringup.offline_estimate import estimate_bags
-from research.independent_rig import Mismatch, arm_of, simulate, write_bag
-from research.truth import NOISE, cases, changed, outcome
+from research.independent_rig import Mismatch, arm_of, changed, simulate, write_bag
+from research.truth import NOISE, cases, outcome
 
 CASES = cases()
 QUICK = (
