@@ -41,17 +41,10 @@ from armimp_common.topics import (
     VALUE_FIELD,
 )
 from armimp_control.parameters import ControllerParameters
-from armimp_estimation.alignment.assemble import StreamStatistics, Trial
-from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.curves import ImpedanceCurve, write_frf
 from armimp_estimation.estimators.registry import estimator_names
-from armimp_estimation.estimators.welch import WelchSiso
 from armimp_estimation.identify import Identification, identify
-from armimp_estimation.messages import (
-    RESULT_NAME,
-    column_message,
-    result_message,
-)
+from armimp_estimation.messages import RESULT_NAME, result_message
 from armimp_estimation.metadata import READING_KEYS, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
@@ -199,17 +192,6 @@ def _general(key: str) -> str:
     for name in estimator_names():
         key = re.sub(rf"(^|_){name}(\.|$)", r"\1ESTIMATOR\2", key)
     return re.sub(r"_[12][12]\.", "_IK.", key)
-
-
-def test_the_keys_of_a_column_are_those_of_the_code(trials: list[TrialData]) -> None:
-    data = trials[0]
-    window = TrialWindow(
-        trial=1, joint=0, joint_name="", start_ns=0, ticks=1, seed=None, ended=True
-    )
-    trial = Trial(window=window, segments=(data.record,), statistics=StreamStatistics())
-    message = column_message(trial, data.spectra, WelchSiso().column(data.spectra))
-    assert _keys("Column") == {_general(key) for key in values_of(message)}
-    assert message.name.replace("1", "K") in PAGE
 
 
 def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identification) -> None:

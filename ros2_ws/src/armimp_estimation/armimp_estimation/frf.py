@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_estimation.periods import has_power
-from armimp_estimation.trial import TrialData, TrialSpectra
+from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -43,7 +43,7 @@ class FrfMatrix:
         return variance
 
 
-def noise_gain(trial: TrialSpectra) -> FloatArray:
+def noise_gain(trial: TrialData) -> FloatArray:
     """Variance of a response per unit of residual power density, shape (n_freq,).
 
     A response is estimated as ``G_xy / G_xx``. If e is what the perturbation x does not explain,
@@ -60,7 +60,7 @@ def noise_gain(trial: TrialSpectra) -> FloatArray:
         If the trial has too few segments, or the perturbation has no power in the band.
     """
     averages = trial.spectra.effective_averages
-    where = f"trial of joint {trial.perturbed_joint + 1}"
+    where = f"trial of joint {trial.joint + 1}"
     if not averages > 1.0:
         raise DataError(
             f"{where}: {trial.spectra.segments} segment gives no measure of noise, "
@@ -74,7 +74,7 @@ def noise_gain(trial: TrialSpectra) -> FloatArray:
     return 1.0 / ((averages - 1.0) * power)
 
 
-def unexplained_power(trial: TrialSpectra, impedance: ComplexArray) -> FloatArray:
+def unexplained_power(trial: TrialData, impedance: ComplexArray) -> FloatArray:
     """Power density of ``τ_i - Σ_j Z_ij θ_j`` for an impedance of shape (n, n, n_freq), N·m/rad.
 
     Returns
@@ -82,7 +82,7 @@ def unexplained_power(trial: TrialSpectra, impedance: ComplexArray) -> FloatArra
     ndarray, shape (n, n_freq)
         By i, (N·m)²/Hz.
     """
-    n = trial.joints
+    n = trial.record.joints
     coefficients = np.zeros((n, 2 * n + 1, trial.f.size), dtype=np.complex128)
     coefficients[:, 1 : 1 + n] = -impedance
     coefficients[np.arange(n), 1 + n + np.arange(n)] = 1.0
@@ -98,7 +98,7 @@ def _power(matrix: ComplexArray, coefficients: ComplexArray) -> FloatArray:
     return floored
 
 
-def frf_matrix(trials: Sequence[TrialSpectra]) -> FrfMatrix:
+def frf_matrix(trials: Sequence[TrialData]) -> FrfMatrix:
     """Frequency responses from trials which :func:`order_trials` has put in order.
 
     Raises
@@ -108,13 +108,13 @@ def frf_matrix(trials: Sequence[TrialSpectra]) -> FrfMatrix:
     """
     covariance = np.stack([_covariance(trial) for trial in trials])
     responses = [trial.spectra.matrix[0, 1:] / trial.input_power for trial in trials]
-    stacked, n = np.stack(responses, axis=1), trials[0].joints
+    stacked, n = np.stack(responses, axis=1), trials[0].record.joints
     return FrfMatrix(
         f=trials[0].f, R=stacked[:n].copy(), T=stacked[n:].copy(), covariance=covariance
     )
 
 
-def _covariance(trial: TrialSpectra) -> ComplexArray:
+def _covariance(trial: TrialData) -> ComplexArray:
     """Covariance of R and T of a trial, from the part of the signals that is not explained."""
     matrix, gain = trial.spectra.matrix, noise_gain(trial)
     crossed = matrix[0, 1:]
@@ -185,7 +185,7 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
 
 def _perturbed(trial: TrialData) -> NDArray[np.bool_]:
     """Where the perturbation of a trial has power, (n_freq,)."""
-    record, f, power = trial.record, trial.spectra.f, trial.spectra.input_power
+    record, f, power = trial.record, trial.f, trial.input_power
     if record.periods is not None:
         return np.ones(f.size, dtype=np.bool_)
     signal = record.perturbation[trial.joint]

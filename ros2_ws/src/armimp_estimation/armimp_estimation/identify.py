@@ -184,13 +184,12 @@ def identify(
     order = tuple(range(len(names))) if responses is None else responses.order()
     if order != tuple(range(len(names))):
         ordered = tuple(in_order(trial, order) for trial in ordered)
-    spectra = [trial.spectra for trial in ordered]
-    frf = frf_matrix(spectra)
-    averages = min(trial.spectra.effective_averages for trial in spectra)
+    frf = frf_matrix(ordered)
+    averages = min(trial.spectra.effective_averages for trial in ordered)
     level = scores.coherence_significance(averages, options.limits.significance)
     for trial in ordered:
         scores.require_motion(trial.record)
-    locks = scores.lock_ratio(spectra, frf)
+    locks = scores.lock_ratio(ordered, frf)
     bounds = scores.bias_bound(frf)
     reading = options.lpm.reading
     results: dict[str, EstimatorResult] = {}
@@ -203,13 +202,13 @@ def identify(
             estimate=estimate,
             fit=fit,
             vaf=None if truth is None else scores.vaf(estimate, truth),
-            coherence=scores.Coherences.of(spectra, estimate),
+            coherence=scores.Coherences.of(ordered, estimate),
             models=models,
         )
         of_estimates += verdict.judge_estimate(names, estimate, fit, reading)
         of_estimates += verdict.judge_models(estimate.name, models)
     first = next(iter(results.values()))
-    problems = verdict.judge_band(trials[0].spectra.f, spectra[0].f)
+    problems = verdict.judge_band(trials[0].f, ordered[0].f)
     for trial in ordered:
         problems += judge_angles(trial.record) + judge_signals(trial.record)
     problems += verdict.judge_order(names, locks)

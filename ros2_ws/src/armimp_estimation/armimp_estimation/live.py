@@ -13,7 +13,7 @@ from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
-from armimp_estimation.trial import TrialSpectra, channels
+from armimp_estimation.trial import channels
 
 _TOPICS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
@@ -75,8 +75,7 @@ class RunningTrial:
             spectra = self._accumulator.result()
         except DataError:
             return None
-        trial = TrialSpectra(perturbed_joint=self._joint, spectra=spectra)
-        shown = trial.position_channel(self._joint), trial.torque_channel(self._joint)
+        shown = 1 + self._joint, 1 + len(self._streams.joint_names) + self._joint
         motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
         return motion, torque
 

@@ -1,4 +1,4 @@
-"""Results and progress in the form in which they are published."""
+"""The result in the form in which it is published."""
 
 from __future__ import annotations
 
@@ -7,55 +7,11 @@ from diagnostic_msgs.msg import DiagnosticStatus
 
 from armimp_common.status import Level, make_status
 from armimp_common.topics import ESTIMATOR_NODE
-from armimp_estimation.alignment.assemble import Trial
-from armimp_estimation.estimators.estimate import ImpedanceColumn
 from armimp_estimation.result import Result
-from armimp_estimation.trial import TrialSpectra
 
 RESULT_NAME = f"{ESTIMATOR_NODE}: impedance"
 _SHOWN = 16
 """Number of frequencies at which curves are published; files hold all."""
-
-
-def column_message(
-    trial: Trial, spectra: TrialSpectra, column: ImpedanceColumn
-) -> DiagnosticStatus:
-    """Tell column k of T, R and Z_h at selected frequencies, as soon as its trial is over."""
-    chosen = _selection(column.f.size)
-    values: dict[str, str | int | list[float]] = {
-        "trial": trial.trial,
-        "joint": column.joint + 1,
-        "lost": trial.statistics.lost,
-        "f": column.f[chosen].tolist(),
-    }
-    power, matrix = spectra.input_power, spectra.spectra.matrix
-    for i in range(spectra.joints):
-        cross = {
-            "R": matrix[0, spectra.position_channel(i)] / power,
-            "T": matrix[0, spectra.torque_channel(i)] / power,
-            "Z": column.Z[i],
-        }
-        for name, curve in cross.items():
-            label = f"{name}_{i + 1}{column.joint + 1}"
-            values[f"{label}.re"] = curve.real[chosen].tolist()
-            values[f"{label}.im"] = curve.imag[chosen].tolist()
-    return make_status(
-        f"{ESTIMATOR_NODE}: column {column.joint + 1}",
-        Level.OK,
-        f"trial {trial.trial}: column {column.joint + 1} of the impedance",
-        values,
-    )
-
-
-def failed_trial_message(trial: Trial, reason: str) -> DiagnosticStatus:
-    """Say that a trial cannot be estimated, and why."""
-    joint = trial.joint + 1
-    return make_status(
-        f"{ESTIMATOR_NODE}: column {joint}",
-        Level.ERROR,
-        reason,
-        {"trial": trial.trial, "joint": joint, "lost": trial.statistics.lost},
-    )
 
 
 def result_message(result: Result) -> DiagnosticStatus:

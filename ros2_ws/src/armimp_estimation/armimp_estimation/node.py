@@ -40,18 +40,12 @@ from armimp_common.status import Phase, TimingFigures, TrialStatus, status_messa
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
 from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
-from armimp_estimation.estimators.welch import WelchSiso
-from armimp_estimation.messages import (
-    column_message,
-    failed_trial_message,
-    result_message,
-)
+from armimp_estimation.messages import result_message
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.result import Result, conclude
-from armimp_estimation.trial import TrialData, segments_for
 
 _LATE_PERIOD = 0.005
 """How often to poll for messages that are late (s); mostly there are none."""
@@ -65,7 +59,7 @@ _RECORDED_BESIDE = {topics.CLOCK: Clock, topics.DIAGNOSTICS: DiagnosticArray}
 
 
 class ImpedanceEstimatorNode(PollingNode, ManagedNode):
-    """Records all trials, estimates a column after each, and the whole matrix after the last."""
+    """Records all trials, tells of each while it runs, and estimates the matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(topics.ESTIMATOR_NODE, **kwargs)
@@ -315,19 +309,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._note(trial)
         else:
             self._finished.append(trial)
-            self._publish_column(trial)
         if self._ended == len(self._settings.joints):
             self._conclude()
-
-    def _publish_column(self, trial: Trial) -> None:
-        try:
-            parts = trial.intact(allow_gaps=self._settings.allow_gaps)
-            data = TrialData.from_stretches(parts, segments_for([parts]), self._known.reading)
-            column = WelchSiso().column(data.spectra)
-        except DataError as error:
-            self._result.publish(failed_trial_message(trial, str(error)))
-        else:
-            self._result.publish(column_message(trial, data.spectra, column))
 
     def _conclude(self) -> None:
         """Publish and store the result, once; without any trial there is none."""

@@ -16,7 +16,7 @@ from armimp_estimation.frf import FrfMatrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra
-from armimp_estimation.trial import TrialSpectra
+from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
@@ -56,7 +56,7 @@ def coherence(spectra: CrossSpectra, x: int, y: int) -> FloatArray:
 
 
 def derived_coherence(
-    trial: TrialSpectra, joint: int, f: FloatArray, impedance: ComplexArray
+    trial: TrialData, joint: int, f: FloatArray, impedance: ComplexArray
 ) -> FloatArray:
     """Coherence between the angle of joint k and the torque of a joint, seen without the loop.
 
@@ -65,8 +65,8 @@ def derived_coherence(
 
     Parameters
     ----------
-    trial : TrialSpectra
-        Spectra of the trial that perturbed joint k.
+    trial : TrialData
+        That perturbed joint k.
     joint : int
         Joint i of the torque, 0-based.
     f : ndarray, shape (m,)
@@ -79,7 +79,7 @@ def derived_coherence(
     ndarray, shape (n_freq,)
         At the frequencies of the spectra.
     """
-    angle = trial.position_channel(trial.perturbed_joint)
+    angle = trial.position_channel(trial.joint)
     torque = trial.torque_channel(joint)
     values = impedance if np.array_equal(f, trial.f) else np.interp(trial.f, f, impedance)
     explained = np.abs(values) ** 2 * trial.spectra.power(angle)
@@ -134,7 +134,7 @@ def require_motion(record: TrialRecord) -> None:
         )
 
 
-def lock_ratio(trials: Sequence[TrialSpectra], frf: FrfMatrix) -> FloatArray:
+def lock_ratio(trials: Sequence[TrialData], frf: FrfMatrix) -> FloatArray:
     """Motion of each joint that the perturbation causes, relative to that of the perturbed one.
 
     ``sqrt(Σ_f |R_ik|² G_xx / Σ_f |R_kk|² G_xx)`` over the band, less what noise alone would give.
@@ -143,7 +143,7 @@ def lock_ratio(trials: Sequence[TrialSpectra], frf: FrfMatrix) -> FloatArray:
 
     Parameters
     ----------
-    trials : sequence of TrialSpectra
+    trials : sequence of TrialData
         In order of k.
     frf : FrfMatrix
         Their responses.
@@ -254,13 +254,13 @@ class Coherences:
     """See :func:`derived_coherence`; by i, k; shape (n, n, n_freq)."""
 
     @classmethod
-    def of(cls, trials: Sequence[TrialSpectra], estimate: ImpedanceEstimate) -> "Coherences":
+    def of(cls, trials: Sequence[TrialData], estimate: ImpedanceEstimate) -> "Coherences":
         """Compute the coherences behind an estimate from trials in order of the perturbed joint."""
         n = len(trials)
         return cls(
             f=trials[0].f,
             motion=np.stack(
-                [coherence(t.spectra, 0, t.position_channel(t.perturbed_joint)) for t in trials]
+                [coherence(t.spectra, 0, t.position_channel(t.joint)) for t in trials]
             ),
             torque=np.stack(
                 [

@@ -1,4 +1,4 @@
-"""Spectra of one trial, and the trial as estimators take it: record plus spectra."""
+"""A trial as estimators take it: its record and the spectra of its signals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,57 +17,10 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrialSpectra:
-    """Cross-spectra of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` of a trial."""
-
-    perturbed_joint: int
-    """Joint k, 0-based."""
-    spectra: CrossSpectra
-    """Spectra of the 2n + 1 channels, in SI units (N·m and rad)."""
-
-    @property
-    def joints(self) -> int:
-        """Number of joints n."""
-        return (len(self.spectra.matrix) - 1) // 2
-
-    @property
-    def f(self) -> FloatArray:
-        """Frequencies, Hz, shape (n_freq,)."""
-        return self.spectra.f
-
-    @property
-    def input_power(self) -> FloatArray:
-        """Power density of the perturbation, (N·m)²/Hz, shape (n_freq,)."""
-        return self.spectra.power(0)
-
-    def position_channel(self, joint: int) -> int:
-        """Channel of the angle of a joint (0-based)."""
-        return 1 + joint
-
-    def torque_channel(self, joint: int) -> int:
-        """Channel of the torque of a joint (0-based)."""
-        return 1 + self.joints + joint
-
-    def at(self, f: FloatArray) -> "TrialSpectra":
-        """Return those at some of the frequencies, Hz."""
-        return replace(self, spectra=self.spectra.at(f))
-
-    def corrected(self, reading: TorqueReading) -> "TrialSpectra":
-        """Spectra as if torques had been read without delay and filter; coherences stay."""
-        if reading.prompt:
-            return self
-        factor = np.ones((2 * self.joints + 1, self.f.size), dtype=np.complex128)
-        factor[1 + self.joints :] = 1.0 / reading.response(self.f)
-        # G_xy = E[conj(X) Y].
-        matrix = np.conj(factor)[:, None] * self.spectra.matrix * factor[None]
-        return replace(self, spectra=replace(self.spectra, matrix=matrix))
-
-
 def channels(
     joint: int, perturbation: FloatArray, position: FloatArray, torque: FloatArray
 ) -> FloatArray:
-    """Stack samples of the trial of a joint (0-based), each (n, m), as `TrialSpectra` has them."""
+    """Stack samples of the trial of a joint (0-based), each (n, m), as spectra have them."""
     return np.concatenate((perturbation[joint : joint + 1], position, torque))
 
 
@@ -89,23 +42,12 @@ def segments_for(trials: Sequence[Sequence[TrialRecord]]) -> WelchConfig:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrialData:
-    """A finished trial: its record and its spectra, which belong together."""
+    """A finished trial."""
 
     record: TrialRecord
     """Samples without a gap; of a trial with gaps the longest stretch."""
-    spectra: TrialSpectra
-    """Spectra of all stretches."""
-
-    def __post_init__(self) -> None:
-        if (self.record.perturbed_joint, self.record.joints) != (
-            self.spectra.perturbed_joint,
-            self.spectra.joints,
-        ):
-            raise DataError(
-                f"trial {self.record.trial}: the record is of joint "
-                f"{self.record.perturbed_joint + 1} of {self.record.joints}, its spectra of joint "
-                f"{self.spectra.perturbed_joint + 1} of {self.spectra.joints}"
-            )
+    spectra: CrossSpectra
+    """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` in all stretches, N·m and rad."""
 
     @classmethod
     def from_record(
@@ -154,8 +96,7 @@ class TrialData:
             found = accumulator.result()
             if record.periods is not None:
                 found = found.at(record.periods.frequencies(record.rate))
-            spectra = TrialSpectra(perturbed_joint=k, spectra=found)
-            return cls(record=record, spectra=spectra.corrected(reading or TorqueReading()))
+            return cls(record=record, spectra=_read_at_once(found, reading or TorqueReading()))
         except DataError as error:
             gaps = "" if len(stretches) == 1 else f" in {len(stretches)} intact parts"
             raise DataError(f"trial {record.trial}: {error}{gaps}", error.code) from error
@@ -164,3 +105,33 @@ class TrialData:
     def joint(self) -> int:
         """The perturbed joint, 0-based."""
         return self.record.perturbed_joint
+
+    @property
+    def f(self) -> FloatArray:
+        """Frequencies of the spectra, Hz, shape (n_freq,)."""
+        return self.spectra.f
+
+    @property
+    def input_power(self) -> FloatArray:
+        """Power density of the perturbation, (N·m)²/Hz, shape (n_freq,)."""
+        return self.spectra.power(0)
+
+    def position_channel(self, joint: int) -> int:
+        """Channel of the angle of a joint (0-based)."""
+        return 1 + joint
+
+    def torque_channel(self, joint: int) -> int:
+        """Channel of the torque of a joint (0-based)."""
+        return 1 + self.record.joints + joint
+
+
+def _read_at_once(spectra: CrossSpectra, reading: TorqueReading) -> CrossSpectra:
+    """Spectra as if torques had been read without delay and filter; coherences stay."""
+    if reading.prompt:
+        return spectra
+    count = len(spectra.matrix)
+    factor = np.ones((count, spectra.f.size), dtype=np.complex128)
+    factor[1 + count // 2 :] = 1.0 / reading.response(spectra.f)
+    # G_xy = E[conj(X) Y].
+    matrix = np.conj(factor)[:, None] * spectra.matrix * factor[None]
+    return replace(spectra, matrix=matrix)

@@ -216,29 +216,18 @@ def test_neither_order_of_trials_nor_place_in_memory_changes_a_bit(estimator: Es
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 
-@pytest.mark.parametrize("estimator", [SISO, DIRECT], ids=lambda one: one.name)
-def test_a_column_alone_is_that_of_the_matrix(estimator: WelchSiso | Direct) -> None:
-    data = synthetic_trials()
-    estimate = estimator.estimate(data)
-    for k in range(2):
-        column = estimator.column(data[k].spectra)
-        assert column.joint == k
-        np.testing.assert_array_equal(column.Z, estimate.Z[:, k])
-        noise = estimate.without_systematics().variance[:, k]
-        np.testing.assert_allclose(column.variance, noise, rtol=1e-9)
-
-
 def still(trial: TrialData) -> TrialRecord:
     return dataclasses.replace(trial.record, position=np.zeros_like(trial.record.position))
 
 
 def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error() -> None:
-    record = still(synthetic_trials()[1])
-    spectra = TrialData.from_record(record, WELCH).spectra
+    moving, resting = synthetic_trials()
+    record = still(resting)
+    data = [moving, TrialData.from_record(record, WELCH)]
     with pytest.raises(DataError, match="joint 2 does not follow its perturbation"):
-        SISO.column(spectra)
+        SISO.estimate(data)
     with pytest.raises(DataError, match=r"joint 2 does not move at 0\.1221 Hz"):
-        DIRECT.column(spectra)
+        DIRECT.estimate(data)
     with pytest.raises(DataError, match="joint 2 does not move"):
         LPM.column(record)
 

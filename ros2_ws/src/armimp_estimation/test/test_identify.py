@@ -203,9 +203,8 @@ def test_a_single_bad_score_is_told_of_the_right_element() -> None:
 def test_each_trial_has_the_scores_of_its_own_record() -> None:
     data = trials(dataclasses.replace(LOOP, lock_stiffness=3000.0))
     result = identify(data[::-1], ["welch_siso"], None, CONFIG)
-    spectra = [trial.spectra for trial in data]
-    bounds = scores.bias_bound(frf_matrix(spectra))
-    locks = scores.lock_ratio(spectra, frf_matrix(spectra))
+    bounds = scores.bias_bound(frf_matrix(data))
+    locks = scores.lock_ratio(data, frf_matrix(data))
     for k, trial in enumerate(result.trials):
         np.testing.assert_array_equal(trial.lock_ratio, locks[:, k])
         np.testing.assert_array_equal(trial.bias_bound, bounds[:, k])

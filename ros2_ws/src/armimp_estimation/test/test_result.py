@@ -345,12 +345,12 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     complete = RECORDING.records[0]
     parts = [part(complete, 0, 3000), part(complete, 3100, 3600), part(complete, 4000, 9000)]
     data = TrialData.from_stretches(parts, config)
-    alone = [TrialData.from_stretches([one], config).spectra.spectra for one in parts[::2]]
+    alone = [TrialData.from_stretches([one], config).spectra for one in parts[::2]]
     counts = [8, 16]
     assert [one.segments for one in alone] == counts
     mean = sum(one.matrix * one.segments for one in alone) / sum(counts)
-    np.testing.assert_allclose(data.spectra.spectra.matrix, mean, rtol=1e-12)
-    assert data.spectra.spectra.segments == sum(counts)
+    np.testing.assert_allclose(data.spectra.matrix, mean, rtol=1e-12)
+    assert data.spectra.segments == sum(counts)
     assert data.record is parts[2]
     # Of equal parts exactly; segments on either side of a gap have nothing in common.
     config = WelchConfig()

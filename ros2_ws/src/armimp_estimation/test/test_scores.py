@@ -12,7 +12,7 @@ from armimp_estimation.frf import FrfMatrix, frf_matrix
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
-from armimp_estimation.trial import TrialData, TrialSpectra
+from armimp_estimation.trial import TrialData
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 
 ComplexArray = NDArray[np.complex128]
@@ -125,12 +125,12 @@ def test_coherence_is_the_share_of_common_power() -> None:
 
 def test_derived_coherence_follows_its_definition() -> None:
     # One joint: tau_delta, theta, tau.
-    trial = TrialSpectra(
-        perturbed_joint=0,
-        spectra=spectra_of(
-            np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 4.0 + 2j], [0.0, 4.0 - 2j, 25.0]])
-        ),
+    one = {name: getattr(moving_record(), name)[:1] for name in ("perturbation", "torque")}
+    record = dataclasses.replace(
+        moving_record(), perturbed_joint=0, joint_names=("a",), position=one["torque"], **one
     )
+    matrix = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 4.0 + 2j], [0.0, 4.0 - 2j, 25.0]])
+    trial = TrialData(record=record, spectra=spectra_of(matrix))
     noise = (1.0 - 20.0 / 50.0) * 25.0
     expected = 9.0 * 2.0 / (9.0 * 2.0 + noise)
     impedance = np.array([3.0, 3.0j])
@@ -172,8 +172,8 @@ def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a
             locked = 1 - record.perturbed_joint
             record.position[locked] = 0.01 * record.position[1 - locked]
             record.position[locked] += dither * np.sin(2.0 * np.pi * 40.0 * t)
-        spectra = [TrialData.from_record(one, WELCH).spectra for one in records]
-        ratios.append(scores.lock_ratio(spectra, frf_matrix(spectra)))
+        data = [TrialData.from_record(one, WELCH) for one in records]
+        ratios.append(scores.lock_ratio(data, frf_matrix(data)))
     np.testing.assert_allclose(ratios[0], [[1.0, 0.01], [0.01, 1.0]], rtol=1e-6)
     np.testing.assert_allclose(ratios[1], ratios[0], rtol=0.05)
 
@@ -210,8 +210,7 @@ def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
 def test_mean_coherences_are_arranged_by_torque_and_perturbed_joint() -> None:
     loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=1.0, position_noise=0.01)
     trials = [
-        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, k, loop, 1), WELCH).spectra
-        for k in range(2)
+        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, k, loop, 1), WELCH) for k in range(2)
     ]
     found = scores.Coherences.of(trials, estimate_of(TWO_JOINT_ARM.impedance(F)))
     torque, motion = scores.band_mean(found.torque), scores.band_mean(found.motion)

@@ -148,9 +148,9 @@ def test_without_commands_the_skew_alone_leaves_little(reading: TorqueReading) -
 def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> None:
     reading = TorqueReading(delay=0.003, cutoff=50.0)
     prompt, slow = (rig_record(0, one) for one in (TorqueReading(), reading))
-    plain = TrialData.from_record(prompt).spectra.spectra.matrix
-    raw = TrialData.from_record(slow).spectra.spectra.matrix
-    corrected = TrialData.from_record(slow, None, reading).spectra.spectra.matrix
+    plain = TrialData.from_record(prompt).spectra.matrix
+    raw = TrialData.from_record(slow).spectra.matrix
+    corrected = TrialData.from_record(slow, None, reading).spectra.matrix
 
     # But for the skew of half a sample, which is not corrected here.
     np.testing.assert_allclose(np.abs(corrected[0, 3:]), np.abs(plain[0, 3:]), rtol=0.03)

@@ -79,10 +79,10 @@ def perturbed(joint: int = 1) -> TrialRecord:
 @pytest.mark.parametrize("joint", [0, 1])
 def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: int) -> None:
     source = perturbed(joint)
-    trial = TrialData.from_record(source, CONFIG).spectra
+    trial = TrialData.from_record(source, CONFIG)
     angle = trial.position_channel(1)
     torque = trial.torque_channel(0)
-    assert (trial.joints, angle, torque) == (2, 2, 3)
+    assert (angle, torque) == (2, 3)
     scaled = TrialRecord(
         trial=1,
         perturbed_joint=joint,
@@ -95,7 +95,7 @@ def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: 
         seed=None,
     )
     # Powers of two scale without rounding.
-    other = TrialData.from_record(scaled, CONFIG).spectra
+    other = TrialData.from_record(scaled, CONFIG)
     np.testing.assert_array_equal(other.input_power, 4.0 * trial.input_power)
     factors = np.array([2.0, 1.0, 4.0, 8.0, 1.0])
     expected = factors[:, None, None] * factors[None, :, None] * trial.spectra.matrix
@@ -105,9 +105,3 @@ def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: 
 def test_when_the_record_is_too_short_expect_its_trial_in_the_error() -> None:
     with pytest.raises(DataError, match="trial 2: record of 1000 samples is shorter than one"):
         TrialData.from_record(perturbed())
-
-
-def test_when_record_and_spectra_are_of_different_joints_expect_data_error() -> None:
-    other = TrialData.from_record(perturbed(0), CONFIG).spectra
-    with pytest.raises(DataError, match="joint 2 of 2, its spectra of joint 1 of 2"):
-        TrialData(record=perturbed(1), spectra=other)

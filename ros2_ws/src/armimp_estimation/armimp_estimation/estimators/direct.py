@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import ImpedanceColumn, ImpedanceEstimate
-from armimp_estimation.estimators.welch import estimate_by_columns, impedance_column
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
+from armimp_estimation.estimators.welch import Column, estimate_by_columns
 from armimp_estimation.frf import noise_gain, order_trials
-from armimp_estimation.trial import TrialData, TrialSpectra
+from armimp_estimation.trial import TrialData
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
@@ -29,45 +28,36 @@ class Direct:
 
     name: str = "direct"
 
-    def column(self, trial: TrialSpectra) -> ImpedanceColumn:
-        """Column k from the trial of joint k.
-
-        The variance is ``G_ee / ((n_d - 1) G_θθ)`` with ``e = τ_i - Z_ik θ_k``. It describes the
-        scatter, not the bias: both may be far apart.
-
-        Raises
-        ------
-        DataError
-            If there are fewer than two segments, or joint k does not move.
-        """
-        k = trial.perturbed_joint
-        channel = trial.position_channel(k)
+    def _column(self, trial: TrialData) -> Column:
+        channel = trial.position_channel(trial.joint)
         motion = trial.spectra.power(channel)
         if not (motion > 0.0).all():
             still = trial.f[~(motion > 0.0)][0]
-            raise DataError(f"joint {k + 1} does not move at {still:.4g} Hz")
-        torques = slice(trial.torque_channel(0), trial.torque_channel(trial.joints))
-        impedance: ComplexArray = trial.spectra.matrix[channel, torques] / motion
-        gain = noise_gain(trial) * trial.input_power / motion
-        return impedance_column(trial, impedance, gain)
+            raise DataError(f"joint {trial.joint + 1} does not move at {still:.4g} Hz")
+        impedance: ComplexArray = trial.spectra.matrix[channel, trial.torque_channel(0) :] / motion
+        return impedance, noise_gain(trial) * trial.input_power / motion
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.
 
+        The variance of a column is ``G_ee / ((n_d - 1) G_θθ)`` with ``e = τ_i - Z_ik θ_k``. It
+        describes the scatter, not the bias: both may be far apart.
+
         Raises
         ------
         DataError
-            If a joint has no trial, or as :meth:`column`.
+            If a joint has no trial, there are too few segments, or a joint does not move.
         """
-        estimate = estimate_by_columns(self.name, trials, self.column)
+        ordered = order_trials(trials)
+        estimate = estimate_by_columns(self.name, ordered, self._column)
         n = estimate.joints
-        left = [self._unexplained(trial.spectra) for trial in order_trials(trials)]
+        left = [self._unexplained(trial) for trial in ordered]
         inverse = np.eye(n, dtype=np.complex128)[:, :, None] * np.ones(estimate.f.size)
         return replace(estimate, disturbance=np.stack(left), inverse=inverse)
 
-    def _unexplained(self, trial: TrialSpectra) -> ComplexArray:
+    def _unexplained(self, trial: TrialData) -> ComplexArray:
         """Covariance of a column, shape (n, n, n_freq): that of torques without the motion."""
-        angle = trial.position_channel(trial.perturbed_joint)
+        angle = trial.position_channel(trial.joint)
         first = trial.torque_channel(0)
         matrix, motion = trial.spectra.matrix, trial.spectra.power(angle)
         crossed = matrix[angle, first:]

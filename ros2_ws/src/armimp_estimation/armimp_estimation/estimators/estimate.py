@@ -50,21 +50,6 @@ def confidence_radius(variance: FloatArray, averages: float, level: float = 0.95
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImpedanceColumn:
-    """Column k of the impedance matrix: what one trial alone tells."""
-
-    joint: int
-    """Joint k, 0-based."""
-    f: FloatArray
-    """Frequencies, Hz; shape (n_freq,)."""
-    Z: ComplexArray
-    """Impedance from the angle of joint k to the torques of all joints, N·m/rad; shape
-    (n, n_freq)."""
-    variance: FloatArray
-    """Variance of each complex value, (N·m/rad)²; shape (n, n_freq)."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ImpedanceEstimate:
     """The impedance matrix over frequency."""
 

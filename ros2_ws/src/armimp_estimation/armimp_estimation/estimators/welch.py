@@ -8,12 +8,13 @@ disturbance also moves the joints through the loop, but that only has an effect 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
-from armimp_estimation.estimators.estimate import ImpedanceColumn, ImpedanceEstimate
+from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import (
     FrfMatrix,
     frf_matrix,
@@ -22,10 +23,13 @@ from armimp_estimation.frf import (
     unexplained_power,
 )
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.trial import TrialData, TrialSpectra
+from armimp_estimation.trial import TrialData
 
 FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
+Column: TypeAlias = tuple[ComplexArray, FloatArray]
+"""Column k of an impedance, (n, n_freq), and its variance, (n_freq,), over the power density of the
+torques that the motion of joint k doesn't explain."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,18 +43,9 @@ class WelchSiso:
 
     name: str = "welch_siso"
 
-    def column(self, trial: TrialSpectra) -> ImpedanceColumn:
-        """Column k from the trial of joint k alone, as soon as it has two segments.
-
-        The variance is ``G_ee / ((n_d - 1) G_xx |R_kk|²)`` where ``e = τ_i - Z_ik θ_k``; see
-        :func:`armimp_estimation.frf.noise_gain` for the ``n_d - 1``.
-
-        Raises
-        ------
-        DataError
-            If there are fewer than two segments, no perturbation or no motion of joint k.
-        """
-        k = trial.perturbed_joint
+    def _column(self, trial: TrialData) -> Column:
+        """See :func:`armimp_estimation.frf.noise_gain` for the ``n_d - 1`` of the variance."""
+        k = trial.joint
         frf = frf_matrix([trial])
         R, T = frf.R[k, 0], frf.T[:, 0]
         motion = np.abs(R)
@@ -60,18 +55,19 @@ class WelchSiso:
                 f"joint {k + 1} does not follow its perturbation at {still:.4g} Hz",
                 "joint_does_not_move",
             )
-        gain = noise_gain(trial) / motion**2
-        return impedance_column(trial, T / R, gain)
+        return T / R, noise_gain(trial) / motion**2
 
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.
 
+        The variance of a column is ``G_ee / ((n_d - 1) G_xx |R_kk|²)`` with ``e = τ_i - Z_ik θ_k``.
+
         Raises
         ------
         DataError
-            If a joint has no trial, or as :meth:`column`.
+            If a joint has no trial, there are too few segments, no perturbation or no motion.
         """
-        estimate = estimate_by_columns(self.name, trials, self.column)
+        estimate = estimate_by_columns(self.name, order_trials(trials), self._column)
         n = estimate.joints
         locked = estimate.R * (1.0 - np.eye(n))[:, :, None]
         # Each column takes its own angle alone.
@@ -102,35 +98,20 @@ class WelchFull:
         DataError
             If a joint has no trial, there are too few segments, or R cannot be inverted.
         """
-        spectra = [trial.spectra for trial in order_trials(trials)]
-        frf = frf_matrix(spectra)
-        n = len(spectra)
+        ordered = order_trials(trials)
+        frf = frf_matrix(ordered)
+        n = len(ordered)
         inverse = invert(frf.R, frf.f)
         impedance = multiply(frf.T, inverse)
         variance = np.zeros(impedance.shape)
-        for k, trial in enumerate(spectra):
+        for k, trial in enumerate(ordered):
             gain = noise_gain(trial)
             disturbance = gain * unexplained_power(trial, impedance)
             variance += disturbance[:, None] * np.abs(inverse[k]) ** 2
-        estimate = matrix_estimate(self.name, spectra, frf, impedance, variance)
+        estimate = matrix_estimate(self.name, ordered, frf, impedance, variance)
         taken = np.broadcast_to(-np.swapaxes(impedance, 0, 1), (n, *impedance.shape))
         estimate = with_disturbance(estimate, taken, inverse)
         return with_biases(estimate, known_biases(estimate, frf.R, inverse, trials[0].record))
-
-
-def impedance_column(
-    trial: TrialSpectra, impedance: ComplexArray, gain: FloatArray
-) -> ImpedanceColumn:
-    """Column k of an impedance, (n, n_freq), with the variance that torques beyond it leave.
-
-    The gain, shape (n_freq,), is that of the variance over the power density which the motion of
-    joint k doesn't explain.
-    """
-    k = trial.perturbed_joint
-    alone = np.zeros((trial.joints, *impedance.shape), dtype=np.complex128)
-    alone[:, k] = impedance
-    variance = gain * unexplained_power(trial, alone)
-    return ImpedanceColumn(joint=k, f=trial.f, Z=impedance, variance=variance)
 
 
 def known_biases(
@@ -197,26 +178,21 @@ def with_disturbance(
 
 
 def estimate_by_columns(
-    name: str,
-    trials: Sequence[TrialData],
-    column: Callable[[TrialSpectra], ImpedanceColumn],
+    name: str, trials: Sequence[TrialData], column: Callable[[TrialData], Column]
 ) -> ImpedanceEstimate:
     """Whole matrix of an estimator that takes each column from the trial of its joint alone.
 
-    Raises
-    ------
-    DataError
-        If a joint has no trial, or as ``column``.
+    Trials are in order of their joints.
     """
-    spectra = [trial.spectra for trial in order_trials(trials)]
-    columns = [column(trial) for trial in spectra]
-    return matrix_estimate(
-        name,
-        spectra,
-        frf_matrix(spectra),
-        np.stack([one.Z for one in columns], axis=1),
-        np.stack([one.variance for one in columns], axis=1),
-    )
+    columns, variances = [], []
+    for k, trial in enumerate(trials):
+        impedance, gain = column(trial)
+        alone = np.zeros((len(trials), *impedance.shape), dtype=np.complex128)
+        alone[:, k] = impedance
+        columns.append(impedance)
+        variances.append(gain * unexplained_power(trial, alone))
+    impedance, variance = np.stack(columns, axis=1), np.stack(variances, axis=1)
+    return matrix_estimate(name, trials, frf_matrix(trials), impedance, variance)
 
 
 def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
@@ -258,7 +234,7 @@ def multiply(left: ComplexArray, right: ComplexArray) -> ComplexArray:
 
 def matrix_estimate(
     name: str,
-    trials: Sequence[TrialSpectra],
+    trials: Sequence[TrialData],
     frf: FrfMatrix,
     impedance: ComplexArray,
     variance: FloatArray,
