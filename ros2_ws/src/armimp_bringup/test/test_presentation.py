@@ -7,6 +7,7 @@ import math
 import shutil
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -117,7 +118,13 @@ def test_trials_last_from_the_first_sample_to_the_last_one_that_is_perturbed() -
 
 
 def test_problems_are_told_by_what_they_do_and_one_cause_takes_one_line(directory: Path) -> None:
-    late = {"count": 300, "ticks": 20_000, "late_ms": 0.25, "percent": 1.5, "limit": 1.0}
+    late: dict[str, Any] = {
+        "count": 300,
+        "ticks": 20_000,
+        "late_ms": 0.25,
+        "percent": 1.5,
+        "limit": 1.0,
+    }
     problems = [
         problem(ProblemCode.SAMPLES_LATE, **late),
         problem(ProblemCode.STALLED, seconds=30.0),

@@ -90,10 +90,9 @@ class Timing(JsonModel):
         ):
             share = count / self.ticks if self.ticks else 0.0
             if not share <= limit:
-                values = {"percent": 100.0 * share, "limit": 100.0 * limit}
-                found.append(
-                    problem(code, count=count, ticks=self.ticks, late_ms=LATE_NS / 1e6, **values)
-                )
+                values: dict[str, Any] = {"count": count, "ticks": self.ticks}
+                values |= {"late_ms": LATE_NS / 1e6, "percent": 100.0 * share}
+                found.append(problem(code, limit=100.0 * limit, **values))
         if not self.latency_p99 <= self.max_latency:
             ms, limit = 1e3 * self.latency_p99, 1e3 * self.max_latency
             found.append(problem(ProblemCode.LATENCY, ms=ms, limit=limit))

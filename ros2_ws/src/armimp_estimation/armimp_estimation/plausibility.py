@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_estimation.fit import MBKFit
-from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.record import TrialRecord
 
 FloatArray = NDArray[np.float64]
@@ -60,9 +60,9 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
             # Written so that NaN is a problem, too.
             if not (value + margin >= low and value - margin <= high):
                 problems.append(
-                    _problem(
+                    problem(
                         ProblemCode.IMPLAUSIBLE_VALUE,
-                        estimator,
+                        estimator=estimator,
                         matrix=letter,
                         name=name,
                         value=float(value),
@@ -80,9 +80,9 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
     if "M" in negative or {"B", "K"} <= negative:
         value, error = least[letter]
         problems.append(
-            _problem(
+            problem(
                 ProblemCode.IMPLAUSIBLE_INERTIA,
-                estimator,
+                estimator=estimator,
                 matrix=letter,
                 value=value,
                 error=error,
@@ -93,9 +93,9 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
     M, M_se = matrices["M"]
     for i, j in np.argwhere(np.triu(uneven(M, M_se, ASYMMETRY))):
         problems.append(
-            _problem(
+            problem(
                 ProblemCode.UNEVEN_INERTIA,
-                estimator,
+                estimator=estimator,
                 name=f"{names[i]} and {names[j]}",
                 value=float(M[i, j]),
                 other=float(M[j, i]),
@@ -147,14 +147,13 @@ def judge_angles(record: TrialRecord) -> list[Problem]:
         else:
             continue
         problems.append(
-            Problem(
-                code=ProblemCode.IMPLAUSIBLE_ANGLE,
+            problem(
+                ProblemCode.IMPLAUSIBLE_ANGLE,
                 trial=record.trial,
-                values={"name": name, "what": what, "value": value, "cause": cause},
+                name=name,
+                what=what,
+                value=value,
+                cause=cause,
             )
         )
     return problems
-
-
-def _problem(code: ProblemCode, estimator: str, **values: float | str) -> Problem:
-    return Problem(code=code, estimator=estimator, values=values)

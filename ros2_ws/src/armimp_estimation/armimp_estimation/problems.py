@@ -185,9 +185,18 @@ class Problem(JsonModel):
         return problem(ProblemCode(error.code) if error.code else default, reason=str(error))
 
 
-def problem(code: ProblemCode, **values: float | str) -> Problem:
-    """Return a problem of a run, with the values of its sentence."""
-    return Problem(code=code, values=values)
+def problem(
+    code: ProblemCode,
+    *,
+    concern: Concern = Concern.IMPEDANCE,
+    severity: Severity = Severity.ERROR,
+    trial: int | None = None,
+    estimator: str = "",
+    **values: float | str,
+) -> Problem:
+    """Return a problem with the values of its sentence; all else is as of :class:`Problem`."""
+    of = {"concern": concern, "severity": severity, "trial": trial, "estimator": estimator}
+    return Problem.model_validate({"code": code, "values": values, **of})
 
 
 def spoiled(problems: Iterable[Problem], concern: Concern, estimator: str = "") -> bool:

@@ -16,7 +16,7 @@ from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, TrialScores, identify
 from armimp_estimation.metadata import Metadata
-from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.sampling import TOLERANCE
 from armimp_estimation.scores import coherence_significance
 from armimp_estimation.summary import (
@@ -184,9 +184,8 @@ def problems_of(
             judged = [one for one in judged if one.code is not ProblemCode.RATE_UNCUSTOMARY]
             rate = trial.segments[0].rate if trial.segments else declared
             if abs(rate / declared - 1.0) > TOLERANCE:
-                values = {"rate": rate, "planned": declared}
                 code = ProblemCode.RATE_UNPLANNED
-                judged.append(Problem(code=code, trial=trial.trial, values=values))
+                judged.append(problem(code, trial=trial.trial, rate=rate, planned=declared))
         found += judged
     return found
 

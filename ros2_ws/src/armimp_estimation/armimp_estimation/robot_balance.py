@@ -22,6 +22,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +47,7 @@ from armimp_estimation.fit import (
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.periods import common_periods
 from armimp_estimation.plausibility import least_eigenvalue, uneven
-from armimp_estimation.problems import Problem, ProblemCode, Severity
+from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import unseen_share
 from armimp_estimation.torque_timing import TorqueReading
@@ -358,8 +359,8 @@ def gains_in_doubt(shares: FloatArray, errors: FloatArray, calibration: Calibrat
 
 
 def _unconfirmed(name: str, doubt: float) -> Problem:
-    values: dict[str, float | int | str] = {"name": name, "doubt": 100.0 * doubt}
-    return Problem(code=ProblemCode.GAIN_UNCONFIRMED, severity=Severity.NOTE, values=values)
+    code = ProblemCode.GAIN_UNCONFIRMED
+    return problem(code, severity=Severity.NOTE, name=name, doubt=100.0 * doubt)
 
 
 def negative_gains(robot: RobotBalance, arm: MBKFit) -> FloatArray:
@@ -404,13 +405,7 @@ def judge_balance(
     shares, errors = imbalance(balance, arm)
     if balance.permuted:
         order = ", ".join(names[row] for row in np.argsort(balance.order))
-        problems.append(
-            Problem(
-                code=ProblemCode.COMMANDS_PERMUTED,
-                severity=Severity.NOTE,
-                values={"order": order},
-            )
-        )
+        problems.append(problem(ProblemCode.COMMANDS_PERMUTED, severity=Severity.NOTE, order=order))
     wrong = []
     nothing = np.abs(shares + 1.0) <= _NOT_ALL + 2.0 * errors
     if (nothing & (np.abs(shares) > GAIN_TOLERANCE + _ERRORS * errors)).any():
@@ -419,25 +414,18 @@ def judge_balance(
         # In terms of the stiffness, so that a gain near 0 or below counts as well.
         if not abs(share) <= GAIN_TOLERANCE + _ERRORS * error:
             wrong.append(name)
-            unbalanced = _gain_of(name, share, error)
-            problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=unbalanced))
+            problems.append(problem(ProblemCode.TORQUE_UNBALANCED, **_gain_of(name, share, error)))
     for name, least in zip(names, negative_gains(balance, arm), strict=True):
         if least > 1.0 and name not in wrong:
             wrong.append(name)
-            values: dict[str, float | int | str] = {
-                "name": name,
-                "share": float(least),
-                "error": 0.0,
-            }
-            problems.append(Problem(code=ProblemCode.TORQUE_UNBALANCED, values=values))
+            code = ProblemCode.TORQUE_UNBALANCED
+            problems.append(problem(code, name=name, share=float(least), error=0.0))
     if balance.impossible:
         M = balance.M
         inertia = "[" + "; ".join(" ".join(f"{x:.3g}" for x in row) for row in M) + "] kg·m²"
+        suspects = ", ".join(wrong or names)
         problems.append(
-            Problem(
-                code=ProblemCode.ROBOT_INERTIA_IMPOSSIBLE,
-                values={"inertia": inertia, "name": ", ".join(wrong or names)},
-            )
+            problem(ProblemCode.ROBOT_INERTIA_IMPOSSIBLE, inertia=inertia, name=suspects)
         )
     if wrong:
         return problems, np.zeros(len(names))
@@ -445,15 +433,13 @@ def judge_balance(
     for name, share, error, doubt in zip(names, shares, errors, doubts, strict=True):
         if doubt > 0.0 and abs(share) > _REFUTED * error:
             about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}
-            problems.append(
-                Problem(code=ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, values=about)
-            )
+            problems.append(problem(ProblemCode.GAIN_DOUBTED, severity=Severity.NOTE, **about))
         elif calibration.assumed and doubt > calibration.gain:
             problems.append(_unconfirmed(name, float(doubt)))
     return problems, doubts
 
 
-def _gain_of(name: str, share: float, error: float) -> dict[str, float | int | str]:
+def _gain_of(name: str, share: float, error: float) -> dict[str, Any]:
     gain = 1.0 / (1.0 + share)
     return {"name": name, "share": float(gain), "error": float(error * gain**2)}
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.problems import Problem, ProblemCode, problem
 
 Stamps = NDArray[np.int64]
 
@@ -90,50 +91,25 @@ def judge_stamps(
     list of Problem
     """
     rate = NS_PER_S / period
-    problems = []
+    found: list[tuple[ProblemCode, dict[str, Any]]] = []
     if planned is not None:
         if abs(rate / planned - 1.0) > TOLERANCE:
-            problems.append(_problem(ProblemCode.RATE_UNPLANNED, trial, rate=rate, planned=planned))
+            found.append((ProblemCode.RATE_UNPLANNED, {"rate": rate, "planned": planned}))
     elif not is_customary(rate):
-        problems.append(_problem(ProblemCode.RATE_UNCUSTOMARY, trial, rate=rate))
+        found.append((ProblemCode.RATE_UNCUSTOMARY, {"rate": rate}))
     for topic, stamps in streams.items():
         own = _period(stamps)
-        if own is None:
-            continue
-        if abs(own / period - 1.0) > _DRIFT:
-            problems.append(
-                _problem(
-                    ProblemCode.STREAM_RATES_DIFFER,
-                    trial,
-                    stream=topic,
-                    rate=NS_PER_S / own,
-                    other=rate,
-                )
-            )
-    first = next(iter(streams.values()))
-    grid = Grid.of(first)
-    if grid is None:
-        return problems
-    if abs(grid.drift) > _DRIFT:
-        problems.append(
-            _problem(
-                ProblemCode.RATE_DRIFTS,
-                trial,
-                first=rate * (1.0 - 0.5 * grid.drift),
-                second=rate * (1.0 + 0.5 * grid.drift),
-            )
-        )
-    elif not (grid.scatter <= _SCATTER and grid.largest <= _LARGEST):
-        problems.append(
-            _problem(
-                ProblemCode.STAMPS_IRREGULAR,
-                trial,
-                scatter=grid.scatter,
-                largest=grid.largest,
-                rate=rate,
-            )
-        )
-    return problems
+        if own is not None and abs(own / period - 1.0) > _DRIFT:
+            rates = {"stream": topic, "rate": NS_PER_S / own, "other": rate}
+            found.append((ProblemCode.STREAM_RATES_DIFFER, rates))
+    grid = Grid.of(next(iter(streams.values())))
+    if grid is not None and abs(grid.drift) > _DRIFT:
+        first, second = rate * (1.0 - 0.5 * grid.drift), rate * (1.0 + 0.5 * grid.drift)
+        found.append((ProblemCode.RATE_DRIFTS, {"first": first, "second": second}))
+    elif grid is not None and not (grid.scatter <= _SCATTER and grid.largest <= _LARGEST):
+        off = {"scatter": grid.scatter, "largest": grid.largest, "rate": rate}
+        found.append((ProblemCode.STAMPS_IRREGULAR, off))
+    return [problem(code, trial=trial, **values) for code, values in found]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -177,7 +153,3 @@ def _period(stamps: Stamps) -> float | None:
     # A step that is only a little longer or shorter is jitter, not a sample that is missing.
     whole = np.where(relative < _MISSING, 1.0, np.rint(relative))
     return float(np.sum(steps) / np.sum(whole))
-
-
-def _problem(code: ProblemCode, trial: int, **values: float | str) -> Problem:
-    return Problem(code=code, trial=trial, values=values)

@@ -7,17 +7,17 @@ and its intervals know. But what follows from the motion itself biases it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
-from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.record import TrialRecord
 
 FloatArray = NDArray[np.float64]
-Values = dict[str, float | int | str]
+Values = dict[str, Any]
 
 _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}
 _CLIPPED = 8
@@ -90,9 +90,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
                     about = {"factor": factor, "percent": 100.0 * share}
                     found.append((ProblemCode.TORQUE_IS_COMMAND, about))
             problems += [
-                Problem(
-                    code=code, trial=record.trial, values={"stream": stream, "name": name, **values}
-                )
+                problem(code, trial=record.trial, stream=stream, name=name, **values)
                 for code, values in found
             ]
     return problems

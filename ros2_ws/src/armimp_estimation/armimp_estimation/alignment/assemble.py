@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -217,9 +218,9 @@ class Trial:
         ]
         share = self.statistics.excluded_share
         if self.segments and not share <= most_excluded:
-            values = {"percent": 100.0 * share, "limit": 100.0 * most_excluded}
+            percent, limit = 100.0 * share, 100.0 * most_excluded
             code = ProblemCode.MUCH_EXCLUDED
-            found.append(Problem(code=code, trial=self.trial, values=values))
+            found.append(problem(code, trial=self.trial, percent=percent, limit=limit))
         return found
 
     def intact(self, *, allow_gaps: bool = False) -> tuple[TrialRecord, ...]:
@@ -442,7 +443,7 @@ class _Aligned:
             late=int((steps > _LATE * self._period).sum()),
         )
 
-    def when(self, ticks: NDArray[np.bool_]) -> dict[str, float | int]:
+    def when(self, ticks: NDArray[np.bool_]) -> dict[str, Any]:
         """Count periods, and tell when the first begins and the last ends, s."""
         places = np.flatnonzero(ticks)
         return {
@@ -491,11 +492,16 @@ def _between_streams(aligned: Mapping[str, _Aligned], period: float) -> list[Pro
         mean, scatter = float(np.mean(apart)), float(np.std(apart))
         far = abs(mean) > _APART or scatter > _SCATTER
         if far or max(abs(mean), scatter) > _TOGETHER:
-            values: dict[str, float | str] = {"stream": topic, "other": JOINT_STATES}
-            values |= {"apart_ms": mean * period / 1e6, "scatter_ms": scatter * period / 1e6}
-            code = ProblemCode.STAMPS_DISAGREE if far else ProblemCode.STAMPS_APART
-            severity = Severity.ERROR if far else Severity.NOTE
-            found.append(Problem(code=code, severity=severity, values=values))
+            found.append(
+                problem(
+                    ProblemCode.STAMPS_DISAGREE if far else ProblemCode.STAMPS_APART,
+                    severity=Severity.ERROR if far else Severity.NOTE,
+                    stream=topic,
+                    other=JOINT_STATES,
+                    apart_ms=mean * period / 1e6,
+                    scatter_ms=scatter * period / 1e6,
+                )
+            )
     return found
 
 

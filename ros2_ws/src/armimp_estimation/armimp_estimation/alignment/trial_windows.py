@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD_NS
-from armimp_estimation.problems import Problem, ProblemCode
+from armimp_estimation.problems import Problem, ProblemCode, problem
 
 PAUSE_NS: Final = 250_000_000
 """Zero perturbation for this long (ns) separates two trials where no status tells them apart."""
@@ -167,7 +167,7 @@ def fault_of(status: TrialStatus) -> Problem | None:
         code = ProblemCode.SAMPLES_LOST if lost else ProblemCode.TRIAL_SPOILED
     else:
         return None
-    return Problem(code=code, trial=status.trial, values={"reason": reason})
+    return problem(code, trial=status.trial, reason=reason)
 
 
 def infer_windows(
