@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.arm_models import ModelFit, supported
 from armimp_estimation.fit import Calibration
@@ -20,9 +21,6 @@ from armimp_estimation.problems import Problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.sampling import HIGHEST, LOWEST
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,10 +21,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+from armimp_common.arrays import ComplexArray, FloatArray
+
+Array = FloatArray
 
 _ROUNDS = 500
 _EVERYWHERE = 2e-3

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
 from armimp_control.laws.base import (
@@ -27,7 +27,6 @@ from armimp_control.laws.base import (
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import LawConfig
 
-FloatArray = NDArray[np.float64]
 LIMIT = 2.0
 WARNING_SHARE = 0.8
 """Share of the limit from which on a warning is due."""

@@ -15,8 +15,8 @@ from types import MappingProxyType
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import (
@@ -29,8 +29,6 @@ from armimp_estimation.fit import (
     lack_ratio,
 )
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Values = Mapping[str, FloatArray]
 
 AUTO: Final = "auto"
@@ -324,9 +322,7 @@ class _Problem:
             for one, part, shape in zip(self.parameters, parts, self.shapes, strict=True)
         }
 
-    def impedance(
-        self, vector: FloatArray, bins: NDArray[np.bool_] | slice = slice(None)
-    ) -> ComplexArray:
+    def impedance(self, vector: FloatArray, bins: BoolArray | slice = slice(None)) -> ComplexArray:
         values, s = self.values(vector), self.s[bins]
         late = np.exp(-s * values.get(_LATENESS.name, np.zeros(())))
         return np.asarray(self.model.impedance(values, s) * late)
@@ -338,7 +334,7 @@ class _Problem:
             parts.append(np.ravel(getattr(self.plain.mbk, one.name) if one in INTRINSIC else begin))
         return np.concatenate(parts)
 
-    def free(self, variant: Mapping[str, str]) -> NDArray[np.bool_]:
+    def free(self, variant: Mapping[str, str]) -> BoolArray:
         """Which parameters a variant has."""
         parts = []
         for one, shape in zip(self.parameters, self.shapes, strict=True):
@@ -352,8 +348,8 @@ class _Problem:
     def solve(
         self,
         start: FloatArray,
-        free: NDArray[np.bool_],
-        bins: NDArray[np.bool_],
+        free: BoolArray,
+        bins: BoolArray,
         tolerance: float = 1e-6,
     ) -> tuple[FloatArray, float]:
         """Least squares over the free parameters and some bins: parameters and sum of squares."""
@@ -419,7 +415,7 @@ class _Problem:
             Z=fitted,
         )
 
-    def held_out(self, solution: FloatArray, free: NDArray[np.bool_]) -> float:
+    def held_out(self, solution: FloatArray, free: BoolArray) -> float:
         """Mean lack of fit of every other stretch of bins, with the others fitted."""
         even = np.floor(self.estimate.f / _BLOCK).astype(int) % 2 == 0
         left = []
@@ -431,14 +427,14 @@ class _Problem:
             left.append(np.mean(ratio[:, :, ~bins]))
         return float(np.mean(left))
 
-    def criterion(self, solution: FloatArray, free: NDArray[np.bool_]) -> float:
+    def criterion(self, solution: FloatArray, free: BoolArray) -> float:
         """``χ² + p log N`` with N independent real numbers, less is better."""
         ratio = lack_ratio(self.estimate, self.impedance(solution))
         rho = np.mean(self.estimate.bin_correlation, axis=1)
         independent = 2.0 * ratio.size / (1.0 + 2.0 * float(np.sum(np.abs(rho[1:]))))
         return independent * float(np.mean(ratio)) + np.sum(free) * math.log(independent)
 
-    def covariance(self, solution: FloatArray, free: NDArray[np.bool_]) -> FloatArray:
+    def covariance(self, solution: FloatArray, free: BoolArray) -> FloatArray:
         """Covariance of the parameters, (p, p): the sandwich, whatever the weights.
 
         To first order ``δp = Re Σ conj(b) δZ`` over elements and bins, with ``b = N⁻¹ W ∂Z/∂p``.

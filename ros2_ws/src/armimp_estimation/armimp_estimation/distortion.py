@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 
-FloatArray = NDArray[np.float64]
 Kind: TypeAlias = Literal["odd", "even"]
 
 _CHANCE = 3.0
@@ -109,10 +108,10 @@ class Distortion:
         is_line = np.isin(orders, periods.lines)
         at = count * orders - 1
 
-        def harmonics(which: NDArray[np.bool_], amplitude: FloatArray) -> Harmonics:
+        def harmonics(which: BoolArray, amplitude: FloatArray) -> Harmonics:
             return Harmonics(f=f[at[which]], amplitude=amplitude[at[which]], noise=level[which])
 
-        kinds: dict[Kind, NDArray[np.bool_]] = {
+        kinds: dict[Kind, BoolArray] = {
             "odd": ~is_line & (orders % 2 == 1),
             "even": ~is_line & (orders % 2 == 0),
         }

@@ -17,12 +17,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_estimation.estimators.local_polynomial import LocalPolynomialConfig
 from armimp_estimation.record import TrialRecord
-
-FloatArray = NDArray[np.float64]
 
 HIGHEST = 2.0
 """Frequency up to which the bins may reach, Hz: beyond it the arm's resonance is in the way.

@@ -8,14 +8,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import has_power
 from armimp_estimation.trial import TrialData
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _INCOMPLETE = "trials_incomplete"
 # Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
@@ -183,7 +180,7 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
     return tuple(sorted(trials, key=lambda trial: trial.joint))
 
 
-def _perturbed(trial: TrialData) -> NDArray[np.bool_]:
+def _perturbed(trial: TrialData) -> BoolArray:
     """Where the perturbation of a trial has power, (n_freq,)."""
     record, f, power = trial.record, trial.f, trial.input_power
     if record.periods is not None:

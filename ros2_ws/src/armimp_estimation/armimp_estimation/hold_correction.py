@@ -20,14 +20,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 # Periods after a jump by which the torque is followed, from when it has passed the filter on.
 _PERIODS = 3

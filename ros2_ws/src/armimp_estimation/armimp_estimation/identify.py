@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 from functools import reduce
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation import scores, verdict
 from armimp_estimation.arm_models import ModelFit, fit_models
@@ -35,8 +35,6 @@ from armimp_estimation.robot_balance import (
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, unseen_share
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,12 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

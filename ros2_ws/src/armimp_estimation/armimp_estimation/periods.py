@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from armimp_common.arrays import BoolArray, FloatArray
 
 _SAME = 1e-9
 """Power of the difference of two periods, relative to that of the signal, that rounding explains.
@@ -112,6 +112,6 @@ def common_periods(found: Iterable[Periods | None]) -> list[Periods] | None:
     return all_of_them if same and all_of_them else None
 
 
-def has_power(amplitudes: FloatArray) -> NDArray[np.bool_]:
+def has_power(amplitudes: FloatArray) -> BoolArray:
     """Where a signal has power, from the amplitudes of its spectrum, (n_freq,)."""
     return np.asarray(amplitudes > _POWERLESS * np.max(amplitudes))

@@ -13,13 +13,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.fit import MBKFit
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.record import TrialRecord
-
-FloatArray = NDArray[np.float64]
 
 UNITS: Final = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 RANGES: Final = {"M": (1e-4, 10.0), "B": (0.0, 150.0), "K": (0.0, 1500.0)}
@@ -104,7 +102,7 @@ def judge_matrices(estimator: str, names: Sequence[str], fit: MBKFit) -> list[Pr
     return problems
 
 
-def uneven(M: FloatArray, errors: FloatArray, share: float) -> NDArray[np.bool_]:
+def uneven(M: FloatArray, errors: FloatArray, share: float) -> BoolArray:
     """Elements of an inertia that differ from those across by more than a share of √(M_ii M_jj)."""
     size = np.sqrt(np.abs(np.outer(np.diag(M), np.diag(M))))
     return np.asarray(np.abs(M - M.T) > share * size + _ERRORS * np.hypot(errors, errors.T))

@@ -5,13 +5,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.periods import FEWEST_LINES, Periods
 from armimp_estimation.spectra import WelchConfig
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import IntArray
 from armimp_common.cdr import stamp_of
 from armimp_common.errors import ArmimpError, DataError, MalformedMessageError
 from armimp_common.status import Phase, Progress, StoppingDecision, TrialStatus
@@ -454,7 +454,7 @@ class TrialRecorder:
         return trials[0]
 
 
-def _last_step_back(stamps: NDArray[np.int64], start_ns: int) -> int:
+def _last_step_back(stamps: IntArray, start_ns: int) -> int:
     """Index of the first message after time stepped back to a trial; 0 if it did not.
 
     A few stray messages between the others are no step: they stay where they are, to be found.

@@ -25,8 +25,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.local_polynomial import (
@@ -52,9 +52,6 @@ from armimp_estimation.record import TrialRecord
 from armimp_estimation.signal_quality import unseen_share
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 BAND = (0.25, 12.0)
 """Where inertia and stiffness are seen, Hz: below, friction is most of it."""

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import IntArray
 from armimp_common.errors import DataError
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.problems import Problem, ProblemCode, problem
-
-Stamps = NDArray[np.int64]
 
 LOWEST, HIGHEST = 200.0, 4000.0
 """Sampling rates that are taken, Hz."""
@@ -25,7 +23,7 @@ _LARGEST = 0.45
 _MISSING = 1.85
 
 
-def sampling_period(streams: Mapping[str, Stamps]) -> float:
+def sampling_period(streams: Mapping[str, IntArray]) -> float:
     """Mean time between samples, ns; that of the contract if it is within the tolerance.
 
     Each step is rounded to whole periods by the median step, so that samples which are missing,
@@ -34,7 +32,7 @@ def sampling_period(streams: Mapping[str, Stamps]) -> float:
     Parameters
     ----------
     streams : mapping of str to ndarray of int64, shape (N,)
-        Stamps (ns) of each stream, in any order, by topic.
+        IntArray (ns) of each stream, in any order, by topic.
 
     Raises
     ------
@@ -71,14 +69,14 @@ def is_customary(rate: float) -> bool:
 
 
 def judge_stamps(
-    streams: Mapping[str, Stamps], period: float, *, trial: int, planned: float | None
+    streams: Mapping[str, IntArray], period: float, *, trial: int, planned: float | None
 ) -> list[Problem]:
     """Find what is wrong with the stamps of a trial.
 
     Parameters
     ----------
     streams : mapping of str to ndarray of int64
-        Stamps (ns) of each stream within the trial, ascending, by topic.
+        IntArray (ns) of each stream within the trial, ascending, by topic.
     period : float
         Sampling period that is used, ns.
     trial : int
@@ -123,7 +121,7 @@ class Grid:
     """Rms and largest distance of a stamp from the grid, periods."""
 
     @classmethod
-    def of(cls, stamps: Stamps) -> Grid | None:
+    def of(cls, stamps: IntArray) -> Grid | None:
         """Compare stamps with the straight line through them; None for fewer than 20."""
         period = _period(stamps)
         if stamps.size < 20 or period is None:
@@ -145,7 +143,7 @@ class Grid:
         )
 
 
-def _period(stamps: Stamps) -> float | None:
+def _period(stamps: IntArray) -> float | None:
     steps = np.diff(np.unique(stamps))
     if steps.size == 0:
         return None

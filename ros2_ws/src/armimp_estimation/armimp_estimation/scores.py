@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import with_neighbours
@@ -17,9 +17,6 @@ from armimp_estimation.mbk import MBK
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra
 from armimp_estimation.trial import TrialData
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 NORMAL_95 = 1.959963984540054
 """Standard errors on either side of an estimate that make a 95 % confidence interval."""

@@ -12,11 +12,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.record import TrialRecord
 
-FloatArray = NDArray[np.float64]
 Values = dict[str, Any]
 
 _UNITS: Final = {JOINT_STATES: "rad", TORQUE_SENSORS: "N·m"}

@@ -22,14 +22,11 @@ from enum import Enum
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import model_validator
 from typing_extensions import Self
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.json_model import JsonModel
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 _APART = 1e-5
 """Relative distance that poles have at least; partial fractions know no double ones."""

@@ -4,17 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.drift import drift_of
 from armimp_estimation.periods import common_periods
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.spectra import CrossSpectra, SpectralAccumulator, WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def channels(

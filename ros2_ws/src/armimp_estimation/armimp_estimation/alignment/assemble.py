@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, computed_field
 
+from armimp_common.arrays import BoolArray, FloatArray, IntArray
 from armimp_common.errors import DataError
 from armimp_common.status import TrialStatus
 from armimp_common.topics import (
@@ -397,9 +398,9 @@ class _Aligned:
         # Of each message that is kept: stamp (ns), place in the stream, number of its period.
         self.stamps, self.order = stamps[first:], order[first:]
         self._contradicted = contradicted[first:]
-        self.numbers: NDArray[np.int64] = np.empty(0, np.int64)
+        self.numbers: IntArray = np.empty(0, np.int64)
 
-    def number(self, stamps: NDArray[np.int64], numbers: NDArray[np.int64]) -> None:
+    def number(self, stamps: IntArray, numbers: IntArray) -> None:
         """Take the period numbers from those of all stamps, and keep one message for each."""
         self.numbers = numbers[np.searchsorted(stamps, self.stamps)]
         early = int(np.searchsorted(self.numbers, 0))
@@ -418,7 +419,7 @@ class _Aligned:
         self.present[self.numbers] = True
         self.contradicted[self.numbers] = self._contradicted
 
-    def _keep(self, chosen: slice | NDArray[np.bool_]) -> None:
+    def _keep(self, chosen: slice | BoolArray) -> None:
         self.stamps, self.order = self.stamps[chosen], self.order[chosen]
         self._contradicted, self.numbers = self._contradicted[chosen], self.numbers[chosen]
 
@@ -443,7 +444,7 @@ class _Aligned:
             late=int((steps > _LATE * self._period).sum()),
         )
 
-    def when(self, ticks: NDArray[np.bool_]) -> dict[str, Any]:
+    def when(self, ticks: BoolArray) -> dict[str, Any]:
         """Count periods, and tell when the first begins and the last ends, s."""
         places = np.flatnonzero(ticks)
         return {
@@ -453,7 +454,7 @@ class _Aligned:
         }
 
 
-def _union(stamps: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+def _union(stamps: Sequence[IntArray]) -> IntArray:
     if all(np.array_equal(stamps[0], other) for other in stamps[1:]):
         return stamps[0]
     return np.unique(np.concatenate(stamps))
@@ -566,7 +567,7 @@ def _count_commands(streams: Streams, leading: _Aligned) -> tuple[StreamCount, i
     return StreamCount(expected=span, received=received, lost=span - received), foreign
 
 
-def _begins_anew(numbers: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _begins_anew(numbers: IntArray) -> BoolArray:
     """Whether each command after the first is that of a controller that counts from 1 again."""
     return np.asarray((numbers[1:] == 1) & (np.append(numbers[2:], 0) == 2))
 
@@ -598,7 +599,7 @@ def _joint_index(window: TrialWindow, joint_names: Sequence[str]) -> int | None:
     return window.joint if window.joint < len(joint_names) else None
 
 
-def _runs(usable: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(usable: BoolArray) -> list[tuple[int, int]]:
     """Start and end of each run of at least two true values."""
     edges = np.flatnonzero(np.diff(usable.astype(np.int8), prepend=0, append=0)).tolist()
     return [
@@ -613,7 +614,7 @@ def _record(
     joint: int,
     joint_names: tuple[str, ...],
     aligned: Mapping[str, _Aligned],
-    commands: NDArray[np.float64] | None,
+    commands: FloatArray | None,
     run: tuple[int, int],
 ) -> TrialRecord:
     start, stop = run
@@ -633,7 +634,7 @@ def _record(
     )
 
 
-def _commands(streams: Streams) -> NDArray[np.float64] | None:
+def _commands(streams: Streams) -> FloatArray | None:
     """Commands by the ordinal number of their perturbation, as far as they can be matched."""
     commands = streams.commands
     # A recording may be cut between the two messages of a tick.
@@ -644,9 +645,7 @@ def _commands(streams: Streams) -> NDArray[np.float64] | None:
     return commands.values[:, : int(jumps.argmax()) + 1] if jumps.any() else commands.values
 
 
-def _chosen(
-    commands: NDArray[np.float64] | None, ordinals: NDArray[np.intp]
-) -> NDArray[np.float64] | None:
+def _chosen(commands: FloatArray | None, ordinals: NDArray[np.intp]) -> FloatArray | None:
     if commands is None or ordinals.max() >= commands.shape[1]:
         return None
     command = commands[:, ordinals]

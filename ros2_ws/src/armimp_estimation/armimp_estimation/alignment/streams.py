@@ -9,6 +9,7 @@ from operator import itemgetter, lt
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_common.arrays import BoolArray, FloatArray, IntArray
 from armimp_common.cdr import CommandDecoder, JointStateDecoder, command_number
 from armimp_common.errors import DataError, MalformedMessageError
 from armimp_common.topics import (
@@ -49,7 +50,7 @@ class Stream:
         What is wrong with the first of those.
     """
 
-    def __init__(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+    def __init__(self, stamps: IntArray, values: FloatArray) -> None:
         self._stamps, self._values = stamps, values
         self.count = stamps.size
         self.malformed = 0
@@ -61,16 +62,16 @@ class Stream:
         return cls(np.empty(0, np.int64), np.empty((joints, 0)))
 
     @property
-    def stamps(self) -> NDArray[np.int64]:
+    def stamps(self) -> IntArray:
         """Stamps, shape (N,)."""
         return self._stamps[: self.count]
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> FloatArray:
         """Numbers of the joints, shape (n, N)."""
         return self._values[:, : self.count]
 
-    def append(self, stamps: NDArray[np.int64], values: NDArray[np.float64]) -> None:
+    def append(self, stamps: IntArray, values: FloatArray) -> None:
         """Add messages, which have come after all others."""
         end = self.count + stamps.size
         if end > self._stamps.size:
@@ -81,7 +82,7 @@ class Stream:
         self._stamps[self.count : end], self._values[:, self.count : end] = stamps, values
         self.count = end
 
-    def ordered(self) -> tuple[NDArray[np.int64], NDArray[np.intp], NDArray[np.bool_]]:
+    def ordered(self) -> tuple[IntArray, NDArray[np.intp], BoolArray]:
         """The messages in the order of their stamps, without repetitions.
 
         Returns

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
+from armimp_common.arrays import FloatArray, IntArray
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, StoppingDecision, TrialStatus
 from armimp_common.topics import PERIOD_NS
@@ -171,8 +171,8 @@ def fault_of(status: TrialStatus) -> Problem | None:
 
 
 def infer_windows(
-    stamps: NDArray[np.int64],
-    perturbation: NDArray[np.float64],
+    stamps: IntArray,
+    perturbation: FloatArray,
     period: float = PERIOD_NS,
 ) -> tuple[TrialWindow, ...]:
     """Find the trials of a recording without statuses from its perturbation alone.
@@ -224,7 +224,7 @@ def infer_windows(
     )
 
 
-def tick_numbers(stamps: NDArray[np.int64], period: float = PERIOD_NS) -> NDArray[np.int64]:
+def tick_numbers(stamps: IntArray, period: float = PERIOD_NS) -> IntArray:
     """Number the control periods of ascending stamps, the first one 0.
 
     Stamps are rounded to a grid whose phase is the circular mean of those around. So neither does

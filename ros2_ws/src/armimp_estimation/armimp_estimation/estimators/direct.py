@@ -11,15 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.estimators.welch import Column, estimate_by_columns
 from armimp_estimation.frf import noise_gain, order_trials
 from armimp_estimation.trial import TrialData
-
-ComplexArray = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,14 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.trial import TrialData
-
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 
 
 def confidence_radius(variance: FloatArray, averages: float, level: float = 0.95) -> FloatArray:

@@ -16,11 +16,10 @@ from functools import reduce
 import numpy as np
 from numpy.typing import NDArray
 
+from armimp_common.arrays import BoolArray, ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.periods import Periods, has_power
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Mix = Callable[[FloatArray], ComplexArray]
 
 # Smallest ratio of the parts of the regressors that are independent of each other.
@@ -89,7 +88,7 @@ class LocalResponse:
         gain: FloatArray = np.sum(np.abs(self.weights) ** 2, axis=1)
         return gain
 
-    def at(self, kept: NDArray[np.bool_]) -> LocalResponse:
+    def at(self, kept: BoolArray) -> LocalResponse:
         """Return the same at some of the frequencies."""
         return replace(
             self,

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.frf import (
@@ -25,8 +25,6 @@ from armimp_estimation.frf import (
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.trial import TrialData
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Column: TypeAlias = tuple[ComplexArray, FloatArray]
 """Column k of an impedance, (n, n_freq), and its variance, (n_freq,), over the power density of the
 torques that the motion of joint k doesn't explain."""

@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.estimators.estimate import confidence_radius
 from armimp_estimation.mbk import MBK
 
-FloatArray = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
 Band = tuple[FloatArray, FloatArray]
 """Lower and upper end."""
 _REFERENCE = "lpm_full"

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from armimp_common.arrays import FloatArray
 from armimp_estimation.report.formats import plain
 
-FloatArray = NDArray[np.float64]
 Trace: TypeAlias = dict[str, Any]
 Layout: TypeAlias = dict[str, Any]
 Options: TypeAlias = Mapping[str, Any]

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from armimp_common.arrays import FloatArray
 from armimp_common.topics import PERIOD_NS
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.curves import ImpedanceCurve
@@ -36,7 +36,6 @@ from armimp_estimation.report.plots import (
 )
 from armimp_estimation.spectra import WelchConfig
 
-FloatArray = NDArray[np.float64]
 TRUTH = "truth"
 """Tag of true curves."""
 TRUE = Stroke(name="truth", colour="--ink", dash="dot", tags=[TRUTH])
