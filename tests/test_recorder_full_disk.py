@@ -157,8 +157,8 @@ def test_wherever_writing_stops_the_file_holds_whole_records_only(
     writer = BagWriter(tmp_path / "bag", metadata={})
     for topic, time, raw in MESSAGES[:10]:
         writer.write(topic, raw, time)
-    limited = LimitedFile(writer._file._file, room)
-    writer._file._file = limited  # type: ignore[assignment]
+    limited = LimitedFile(writer._file, room)
+    writer._file = limited  # type: ignore[assignment]
     written = 10
 
     def write_the_rest() -> None:

@@ -40,7 +40,7 @@ from armimp_common.topics import (
     TORQUE_SENSORS,
     TRIAL,
 )
-from armimp_estimation.bags.mcap_writer import MAGIC
+from armimp_estimation.bags.mcap_reader import MAGIC
 from armimp_estimation.bags.metadata_yaml import bag_information, dump
 from armimp_estimation.bags.statuses import encode_trial_status
 from support.synthetic_bags import recorded_arm

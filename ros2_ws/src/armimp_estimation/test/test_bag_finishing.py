@@ -31,7 +31,7 @@ def unfinished(path: Path, messages: Sequence[Message] = MESSAGES) -> Path:
     writer.flush()
     for topic, log_time_ns, raw in messages[len(messages) - LOST :]:
         writer.write(topic, raw, log_time_ns)
-    writer._file.abandon()
+    writer._file.close()
     return path
 
 
@@ -65,7 +65,7 @@ def test_killed_just_before_the_metadata_file_was_replaced(tmp_path: Path) -> No
 
 def test_bag_without_a_message_becomes_a_valid_one(tmp_path: Path) -> None:
     writer = BagWriter(tmp_path / "bag", metadata=METADATA)
-    writer._file.abandon()
+    writer._file.close()
     assert finish_bag(tmp_path / "bag").endswith("finished now, with 0 messages")
     with AnyReader([tmp_path / "bag"]) as reader:
         assert reader.message_count == 0

@@ -12,8 +12,7 @@ import zstandard
 from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular, require_text
 from armimp_estimation.bags import metadata_yaml
-from armimp_estimation.bags.mcap_reader import read_mcap
-from armimp_estimation.bags.mcap_writer import MAGIC
+from armimp_estimation.bags.mcap_reader import MAGIC, read_mcap
 from armimp_estimation.bags.raw import Budget, RawMessages, TopicFilter, one_line
 from armimp_estimation.bags.sqlite_reader import read_sqlite
 

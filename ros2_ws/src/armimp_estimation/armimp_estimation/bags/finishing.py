@@ -7,11 +7,10 @@ from pathlib import Path
 from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular
 from armimp_estimation.bags.files import BAGS, read_storage
-from armimp_estimation.bags.mcap_writer import HEAD
 from armimp_estimation.bags.metadata_yaml import FILE_NAME, absolute, is_provisional, read_metadata
 from armimp_estimation.bags.raw import RawMessages
 from armimp_estimation.bags.topics import contract_topic
-from armimp_estimation.bags.writer import BagWriter, storage_name
+from armimp_estimation.bags.writer import HEAD, BagWriter, storage_name
 
 
 def finish_bag(path: Path, *, trust: bool = False) -> str:

@@ -17,7 +17,6 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Metadata, Schema
 
 from armimp_common.errors import BagError
-from armimp_estimation.bags.mcap_writer import BEYOND_LENGTH, MAGIC, MESSAGE, MESSAGE_HEAD
 from armimp_estimation.bags.metadata_yaml import parse_custom_data
 from armimp_estimation.bags.raw import (
     MESSAGE_COST,
@@ -27,6 +26,12 @@ from armimp_estimation.bags.raw import (
     one_line,
 )
 
+MAGIC: Final = b"\x89MCAP0\r\n"
+MESSAGE_HEAD: Final = struct.Struct("<BQHIQQ")
+"""Head of a message record: opcode, length, channel, sequence, log time, publish time."""
+BEYOND_LENGTH: Final = 22
+"""Bytes of it that the length counts."""
+MESSAGE: Final = int(Opcode.MESSAGE)
 _RECORD_HEAD: Final = struct.Struct("<BQ")
 """Opcode and length, with which every record begins."""
 _USED: Final = frozenset(
