@@ -14,7 +14,7 @@ from armimp_bringup.offline import simulate
 from armimp_bringup.parameters import node_parameters
 from armimp_estimation.bags import read_bag
 from armimp_estimation.identify import Identification
-from armimp_estimation.problems import Concern, ProblemCode, spoiled
+from armimp_estimation.problems import ProblemCode, Verdict
 from armimp_estimation.summary import read_summary
 from support.runs import FinishedRun
 
@@ -47,7 +47,7 @@ def test_locking_by_pd_alone_fails_for_its_lock_quality_though_coherence_looks_f
 ) -> None:
     result = identified(resolution)
 
-    assert spoiled(result.problems, Concern.IMPEDANCE, "welch_siso")
+    assert not Verdict.of(result.problems, "welch_siso").impedance
     ratio, bound = locks(result)
     assert np.all(ratio > 0.03)  # limit 0.02
     assert np.all(bound > 0.2)  # limit 0.1
@@ -76,8 +76,8 @@ def test_when_an_estimator_copes_with_poor_locking_expect_only_the_other_to_be_r
     assert vaf is not None
     assert np.min(vaf) > 99.0
     assert result.deciding == ("lpm_full",)
-    assert not spoiled(result.problems, Concern.IMPEDANCE, "lpm_full")
-    assert spoiled(result.problems, Concern.IMPEDANCE, "welch_siso")
+    assert Verdict.of(result.problems, "lpm_full").impedance
+    assert not Verdict.of(result.problems, "welch_siso").impedance
 
 
 @pytest.mark.parametrize("joints", [1, 3, 7])
@@ -105,7 +105,7 @@ def test_through_the_graph_the_paper_s_estimator_is_refused_and_says_why(
     status, finished = graph
     summary = finished.summary
     assert status == (0 if summary.valid else 1)
-    assert not summary.verdict_on("welch_siso").impedance
+    assert not Verdict.of(summary.problems, "welch_siso").impedance
     moved = {
         one.values["name"]
         for one in summary.problems

@@ -315,7 +315,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str = "au
         Z=one.estimate.Z,
         Z_variance=one.estimate.variance,
         valid=found.valid,
-        impedance_valid=found.impedance_valid,
+        impedance_valid=found.verdict.impedance,
         problems=tuple(problem.sentence for problem in found.problems),
         models={fit.model.name: fit for fit in one.models},
         model=None if best is None else best.model.name,

@@ -38,31 +38,24 @@ SIGNIFICANT = 6.0
 class Drift:
     """Slopes of the signals of a trial, beside what the perturbation does."""
 
-    position: FloatArray
-    position_error: FloatArray
-    """Of the angles and their standard errors, rad/s; shape (n,)."""
-    torque: FloatArray
-    torque_error: FloatArray
-    """Of the torques, N·m/s; shape (n,)."""
+    slopes: FloatArray
+    errors: FloatArray
+    """Of the angles, rad/s, then of the torques, N·m/s, and their standard errors; shape (2n,)."""
+
+    @property
+    def beyond_chance(self) -> FloatArray:
+        """Slopes that no chance explains, others 0, shape (2n,)."""
+        return np.where(np.abs(self.slopes) > SIGNIFICANT * self.errors, self.slopes, 0.0)
 
     @property
     def significant(self) -> bool:
         """Whether there is any beyond chance."""
-        return any(slope.any() for slope in self._found())
-
-    def _found(self) -> list[FloatArray]:
-        return [
-            np.where(np.abs(slope) > SIGNIFICANT * error, slope, 0.0)
-            for slope, error in (
-                (self.position, self.position_error),
-                (self.torque, self.torque_error),
-            )
-        ]
+        return bool(self.beyond_chance.any())
 
     def removed_from(self, record: TrialRecord) -> TrialRecord:
         """A record of the trial without those slopes that are beyond chance."""
         t = (np.arange(record.samples) - 0.5 * (record.samples - 1)) / record.rate
-        position, torque = (slope[:, None] * t for slope in self._found())
+        position, torque = np.split(self.beyond_chance[:, None] * t, 2)
         return replace(record, position=record.position - position, torque=record.torque - torque)
 
 
@@ -82,7 +75,7 @@ def drift_of(record: TrialRecord) -> Drift | None:
     """
     places = np.arange(1, _LOCAL.window + 1)
     record = record.whole_periods
-    samples, n = record.samples, record.joints
+    samples = record.samples
     if (samples - 1) // 2 < _LOCAL.window or places[-1] * record.rate / samples > HIGHEST:
         return None
     inputs = np.fft.rfft(record.perturbation[record.perturbed_joint])[places]
@@ -109,9 +102,4 @@ def drift_of(record: TrialRecord) -> Drift | None:
     # The ramp is the last column, so its coefficient follows from the last row alone.
     slopes = (parts[-1] / triangle[-1, -1]).real / size
     errors = np.sqrt(0.5 * noise) / (abs(triangle[-1, -1]) * size)
-    return Drift(
-        position=slopes[:n],
-        position_error=errors[:n],
-        torque=slopes[n:],
-        torque_error=errors[n:],
-    )
+    return Drift(slopes=slopes, errors=errors)

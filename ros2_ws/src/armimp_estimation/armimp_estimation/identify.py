@@ -24,7 +24,7 @@ from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
-from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, spoiled
+from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.robot_balance import (
     RobotBalance,
@@ -109,10 +109,6 @@ class Identification:
     """In order of the perturbed joint."""
     estimators: dict[str, EstimatorResult]
     """By name, in the order asked for."""
-    effective_averages: float
-    """Number of independent averages of the spectra (of the shortest trial)."""
-    coherence_significance: float
-    """Coherence below which signals count as unrelated."""
     problems: tuple[Problem, ...]
     """What is wrong with the result, and what was found and put right."""
     truth: MBK | None
@@ -127,17 +123,14 @@ class Identification:
         return tuple(unbiased or self.estimators)
 
     @property
-    def impedance_valid(self) -> bool:
-        """Whether Z(f) and its bands can be trusted."""
-        return self._holds(Concern.IMPEDANCE)
+    def verdict(self) -> Verdict:
+        """Whether Z(f), and whether M, B and K, can be trusted."""
+        return Verdict.of(self.problems, *self.deciding)
 
     @property
     def valid(self) -> bool:
-        """Whether M, B, K and their intervals can be trusted, too."""
-        return self._holds(Concern.PARAMETERS)
-
-    def _holds(self, concern: Concern) -> bool:
-        return not any(spoiled(self.problems, concern, name) for name in self.deciding)
+        """Whether both verdicts are good."""
+        return self.verdict.parameters
 
 
 def identify(
@@ -255,8 +248,6 @@ def identify(
             for k in range(len(names))
         ),
         estimators=results,
-        effective_averages=averages,
-        coherence_significance=level,
         problems=tuple(problems),
         truth=truth,
         balance=balance,

@@ -7,7 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from armimp_common.errors import DataError
-from armimp_common.topics import JOINT_STATES, PERIOD_NS, PERTURBATION, TORQUE_SENSORS
+from armimp_common.status import TrialStatus
+from armimp_common.topics import (
+    JOINT_STATES,
+    NS_PER_S,
+    PERIOD_NS,
+    PERTURBATION,
+    TORQUE_SENSORS,
+)
 from armimp_estimation.alignment.streams import Stream, Streams
 from armimp_estimation.estimators.lpm import FittedColumn, LpmFull
 from armimp_estimation.record import TrialRecord
@@ -15,6 +22,7 @@ from armimp_estimation.scores import coherence
 from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
 from armimp_estimation.trial import channels
 
+_RATE = NS_PER_S / PERIOD_NS
 _TOPICS = (PERTURBATION, JOINT_STATES, TORQUE_SENSORS)
 
 
@@ -25,16 +33,8 @@ class RunningTrial:
     ----------
     streams : Streams
         With those of the trial, which grow.
-    joint : int
-        Perturbed joint, 0-based.
-    rate : float
-        Samples per second, Hz.
-    planned : int
-        Samples that the trial will have.
-    trial : int
-        Its number, 1-based.
-    start_ns : int
-        Stamp of its first sample (ns).
+    status : TrialStatus
+        Of the trial, from the beginning of its perturbation on.
     lpm : LpmFull, optional
         The estimator of the column.
     others : sequence of TrialRecord
@@ -44,20 +44,16 @@ class RunningTrial:
     def __init__(
         self,
         streams: Streams,
-        joint: int,
+        status: TrialStatus,
         *,
-        rate: float,
-        planned: int,
-        trial: int = 1,
-        start_ns: int = 0,
         lpm: LpmFull | None = None,
         others: Sequence[TrialRecord] = (),
     ) -> None:
-        self._streams, self._others = streams, others
-        self._joint, self._rate, self._trial, self._start_ns = joint, rate, trial, start_ns
+        self._streams, self._status, self._others = streams, status, others
+        self._start_ns = status.start_ns or 0
         self._lpm = lpm if lpm is not None else LpmFull()
         self._accumulator = SpectralAccumulator(
-            2 * len(streams.joint_names) + 1, rate, WelchConfig.for_samples(planned)
+            2 * len(streams.joint_names) + 1, _RATE, WelchConfig.for_samples(status.ticks)
         )
         self._used = 0
         self._in_step = True
@@ -75,7 +71,8 @@ class RunningTrial:
             spectra = self._accumulator.result()
         except DataError:
             return None
-        shown = 1 + self._joint, 1 + len(self._streams.joint_names) + self._joint
+        joint, n = self._status.joint, len(self._streams.joint_names)
+        shown = 1 + joint, 1 + n + joint
         motion, torque = (float(np.mean(coherence(spectra, 0, one))) for one in shown)
         return motion, torque
 
@@ -98,9 +95,9 @@ class RunningTrial:
             known = commands.count >= first + count and not commands.defect
             return self._lpm.column(
                 TrialRecord(
-                    trial=self._trial,
-                    perturbed_joint=self._joint,
-                    rate=self._rate,
+                    trial=self._status.trial,
+                    perturbed_joint=self._status.joint,
+                    rate=_RATE,
                     joint_names=self._streams.joint_names,
                     perturbation=perturbation,
                     position=position,
@@ -130,7 +127,9 @@ class RunningTrial:
             return
         new = slice(self._used, available)
         self._accumulator.push(
-            channels(self._joint, *(stream.values[:, first:][:, new] for first, stream in parts))
+            channels(
+                self._status.joint, *(stream.values[:, first:][:, new] for first, stream in parts)
+            )
         )
         # Whether a sample is missing, doubled or out of order on any stream.
         leading, *others = (stream.stamps[first:] for first, stream in parts)

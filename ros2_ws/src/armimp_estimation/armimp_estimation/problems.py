@@ -173,12 +173,6 @@ class Problem(JsonModel):
     def __str__(self) -> str:
         return self.sentence
 
-    def spoils(self, concern: Concern, estimator: str = "") -> bool:
-        """Whether it makes a verdict say not valid, for one estimator or for all."""
-        if self.severity is not Severity.ERROR or self.estimator not in ("", estimator):
-            return False
-        return concern is Concern.PARAMETERS or self.concern is concern
-
     @classmethod
     def of(cls, error: ArmimpError, default: ProblemCode = ProblemCode.NOT_ESTIMATED) -> Problem:
         """The problem that an error tells of, by the code that it carries."""
@@ -199,6 +193,21 @@ def problem(
     return Problem.model_validate({"code": code, "values": values, **of})
 
 
-def spoiled(problems: Iterable[Problem], concern: Concern, estimator: str = "") -> bool:
-    """Whether one of the problems makes a verdict say not valid."""
-    return any(one.spoils(concern, estimator) for one in problems)
+class Verdict(JsonModel):
+    """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
+
+    impedance: bool
+    parameters: bool
+
+    @classmethod
+    def of(cls, problems: Iterable[Problem], *estimators: str) -> Verdict:
+        """Judge whether the numbers of estimators can be trusted; without any they cannot.
+
+        Problems of other estimators do not count.
+        """
+        errors = [one for one in problems if one.severity is Severity.ERROR]
+        found = [one.concern for one in errors if one.estimator in ("", *estimators)]
+        trusted = bool(estimators)
+        return cls(
+            impedance=trusted and Concern.IMPEDANCE not in found, parameters=trusted and not found
+        )

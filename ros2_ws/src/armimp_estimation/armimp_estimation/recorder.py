@@ -327,16 +327,7 @@ class TrialRecorder:
     def _begin(self, status: TrialStatus, start_ns: int) -> None:
         """Begin with the samples of a trial, and keep what came before."""
         self._start_ns, self._began = start_ns, time.monotonic()
-        self._running = RunningTrial(
-            self._streams,
-            status.joint,
-            rate=_RATE,
-            planned=status.ticks,
-            trial=status.trial,
-            start_ns=start_ns,
-            lpm=self._lpm,
-            others=self._past,
-        )
+        self._running = RunningTrial(self._streams, status, lpm=self._lpm, others=self._past)
         stamps = np.array([_stamp(message) for message in self._between[PERTURBATION]])
         first = _last_step_back(stamps, start_ns)
         waiting = {topic: list(raws)[first:] for topic, raws in self._between.items()}

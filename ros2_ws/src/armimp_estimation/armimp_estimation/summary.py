@@ -21,7 +21,7 @@ from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
 from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
 from armimp_estimation.metadata import Timing, Truth
-from armimp_estimation.problems import Concern, Problem, Severity, spoiled
+from armimp_estimation.problems import Problem, Severity, Verdict
 from armimp_estimation.scores import NORMAL_95
 from armimp_estimation.torque_timing import TorqueReading
 
@@ -29,13 +29,6 @@ SUMMARY_FILE = "summary.json"
 
 Intervals = list[Matrix]
 """Lower and upper end of an interval for each element of a matrix."""
-
-
-class Verdict(JsonModel):
-    """The two verdicts: whether Z(f), and whether M, B and K, are right within their intervals."""
-
-    impedance: bool
-    parameters: bool
 
 
 class ModelParameterSummary(JsonModel):
@@ -222,7 +215,7 @@ class Summary(JsonModel):
     def verdict(self) -> Verdict:
         """The two verdicts; problems of estimators that decide nothing do not count."""
         deciding = [name for name, one in self.estimators.items() if one.decides]
-        return self.verdict_on(*deciding)
+        return Verdict.of(self.problems, *deciding)
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -236,14 +229,6 @@ class Summary(JsonModel):
         deciding = ["", *(name for name, one in self.estimators.items() if one.decides)]
         errors = (one for one in self.problems if one.severity is Severity.ERROR)
         return [one for one in errors if one.estimator in deciding]
-
-    def verdict_on(self, *estimators: str) -> Verdict:
-        """Judge whether the numbers of estimators can be trusted; without any they cannot."""
-        impedance, parameters = (
-            bool(estimators) and not any(spoiled(self.problems, concern, e) for e in estimators)
-            for concern in (Concern.IMPEDANCE, Concern.PARAMETERS)
-        )
-        return Verdict(impedance=impedance, parameters=parameters)
 
     def with_problems(self, problems: Sequence[Problem]) -> Self:
         """Return the same with these problems before its own, unless it has them already."""

@@ -22,8 +22,7 @@ from enum import Enum
 from functools import cached_property
 
 import numpy as np
-from pydantic import model_validator
-from typing_extensions import Self
+from pydantic import Field
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_estimation.json_model import JsonModel
@@ -75,33 +74,15 @@ class TorqueReading(JsonModel):
 
     timing: TorqueTiming = TorqueTiming.UNKNOWN
     """When they are read."""
-    delay: float = 0.0
+    delay: float = Field(default=0.0, ge=-LATEST, le=LATEST)
     """How late they are beyond that, s; negative if they are early."""
-    cutoff: float = 0.0
+    cutoff: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     """Cut-off frequency of the Butterworth low-pass before the sampling, Hz; 0: there is none."""
-    order: int = 1
+    order: int = Field(default=1, ge=1, le=HIGHEST_ORDER)
     """Its order."""
-    actuator_lag: float = 0.0
+    actuator_lag: float = Field(default=0.0, ge=0.0, allow_inf_nan=False)
     """Time constant with which the torque of the drives follows the commands, s; 0: at once. It
     delays torques and angles alike, and matters for what sampling folds back only."""
-
-    @model_validator(mode="after")
-    def _check_ranges(self) -> Self:
-        if not abs(self.delay) <= LATEST:
-            raise ValueError(
-                f"torque reading: delay must be within ± {LATEST:g} s, got {self.delay!r} s"
-            )
-        for name, unit in (("cutoff", "Hz"), ("actuator_lag", "s")):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(
-                    f"torque reading: {name} must be finite and not negative, got {value!r} {unit}"
-                )
-        if not 1 <= self.order <= HIGHEST_ORDER:
-            raise ValueError(
-                f"torque reading: order must be 1 to {HIGHEST_ORDER}, got {self.order!r}"
-            )
-        return self
 
     @property
     def prompt(self) -> bool:

@@ -43,8 +43,8 @@ def test_the_slope_of_a_ramp_is_found_to_within_its_standard_error() -> None:
         one = drifting(record(seed % 2, seed, voluntary=0.3))
         found = drift_of(one)
         assert found is not None
-        ratios.append((found.torque - SLOPE) / found.torque_error)
-        ratios.append(found.position / found.position_error)
+        true = np.concatenate((np.zeros(2), SLOPE))
+        ratios.append((found.slopes - true) / found.errors)
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.35)
 
 
@@ -63,7 +63,7 @@ def test_drift_goes_and_offset_stays_and_nothing_else_changes() -> None:
     assert found is not None
     left = data.record.torque - one.torque
     t = (np.arange(one.samples) - 0.5 * (one.samples - 1)) / one.rate
-    rest = (SLOPE - found.torque)[:, None] * t
+    rest = (SLOPE - found.slopes[2:])[:, None] * t
     assert np.max(np.abs(rest)) < 0.1 * np.max(np.abs(SLOPE)) * t[-1]
     middle = 0.7 + SLOPE * 0.5 * (one.samples - 1) / one.rate
     assert left == pytest.approx(middle[:, None] + rest, abs=1e-12)

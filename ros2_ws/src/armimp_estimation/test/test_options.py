@@ -16,7 +16,6 @@ from armimp_estimation.fit import FitConfig
 from armimp_estimation.mbk import MBK
 from armimp_estimation.scores import coherence_significance
 from armimp_estimation.spectra import WelchConfig
-from armimp_estimation.stopping import PrecisionGoal
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.verdict import Limits
 
@@ -58,8 +57,6 @@ def radius(level: float) -> np.ndarray:
             for one in dataclasses.fields(Limits)
             for value in (0.0, 1.0, NAN)
         ),
-        *((PrecisionGoal, "bound", {"bound": bound}) for bound in (-0.1, 1.0, NAN)),
-        (PrecisionGoal, "least", {"least": 0.0}),
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
         *((radius, "confidence level", {"level": level}) for level in (0.0, 1.0, -0.5, NAN)),
@@ -74,7 +71,7 @@ def radius(level: float) -> np.ndarray:
             {"name": "welsh", "config": IdentifyConfig()},
         ),
         *(
-            (TorqueReading, "torque reading", wrong)
+            (TorqueReading, f"TorqueReading\n{next(iter(wrong))}", wrong)
             for wrong in (
                 {"delay": -1.5},
                 {"cutoff": INFINITE},

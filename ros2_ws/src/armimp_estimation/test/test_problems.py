@@ -7,8 +7,8 @@ from armimp_estimation.problems import (
     Problem,
     ProblemCode,
     Severity,
+    Verdict,
     kinds,
-    spoiled,
 )
 
 
@@ -27,14 +27,16 @@ def test_each_code_has_one_sentence_that_its_values_fill_and_advice() -> None:
 
 def test_a_problem_of_the_parameters_leaves_the_impedance_valid() -> None:
     fit = Problem(code=ProblemCode.LACK_OF_FIT, concern=Concern.PARAMETERS, estimator="lpm_full")
-    assert spoiled([fit], Concern.PARAMETERS, "lpm_full")
-    assert not spoiled([fit], Concern.IMPEDANCE, "lpm_full")
-    assert not spoiled([fit], Concern.PARAMETERS, "welch_siso")
+    assert Verdict.of([fit], "lpm_full") == Verdict(impedance=True, parameters=False)
+    assert Verdict.of([fit], "welch_siso") == Verdict(impedance=True, parameters=True)
 
 
 def test_a_problem_of_the_impedance_spoils_the_parameters_and_a_note_nothing() -> None:
     stuck = Problem(code=ProblemCode.STUCK)
     note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
-    assert spoiled([stuck], Concern.IMPEDANCE)
-    assert spoiled([stuck], Concern.PARAMETERS, "any")
-    assert not spoiled([note], Concern.PARAMETERS)
+    assert Verdict.of([stuck], "any") == Verdict(impedance=False, parameters=False)
+    assert Verdict.of([note], "any") == Verdict(impedance=True, parameters=True)
+
+
+def test_without_an_estimator_nothing_can_be_trusted() -> None:
+    assert Verdict.of([]) == Verdict(impedance=False, parameters=False)

@@ -447,7 +447,9 @@ class Run:
 
     def __init__(self, joint: int, planned: int = SAMPLES) -> None:
         self.streams = Streams(ARM_NAMES)
-        self.trial = RunningTrial(self.streams, joint, rate=1000.0, planned=planned)
+        perturb = decode_trial_status(MADE_UP.by_topic()[TRIAL][1])
+        status = replace(perturb, joint=joint, ticks=planned, tick=0, start_ns=0)
+        self.trial = RunningTrial(self.streams, status)
 
     def come(self, messages: dict[str, list[bytes]], upto: int = SAMPLES) -> RunningTrial:
         for topic, raws in messages.items():

@@ -24,7 +24,7 @@ from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify
 from armimp_estimation.messages import result_message
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing, latest_metadata
-from armimp_estimation.problems import Problem, ProblemCode, Severity, problem
+from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.report import report_page
@@ -200,8 +200,8 @@ def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_resul
     summary = COMPLETE.summary.with_problems([note, biased])
     assert summary.valid
     assert summary.faults == []
-    assert summary.verdict_on("lpm_full").impedance
-    assert not summary.verdict_on("welch_siso").impedance
+    assert Verdict.of(summary.problems, "lpm_full").impedance
+    assert not Verdict.of(summary.problems, "welch_siso").impedance
     again = summary.with_problems([note, NOISE])
     assert again.problems == [NOISE, note, biased]
     assert not again.verdict.impedance
@@ -254,9 +254,9 @@ def matrices(element: str) -> str:
         ("truth", '{"M": [[1]], "B": [[1]], "K": [[1]]}', "truth is of 1 joints, the data of 2"),
         ("torque_delay", '"late"', "torque_delay: Input should be a valid number, got 'late'"),
         ("torque_delay", "true", "torque_delay: Input should be a valid number, got True"),
-        ("torque_delay", "-2", ".*delay must be within ± 1 s, got -2.0 s"),
-        ("torque_cutoff", "NaN", ".*cutoff must be finite"),
-        ("torque_order", "9", ".*order must be 1 to 4, got 9"),
+        ("torque_delay", "-2", "delay: Input should be greater than or equal to -1, got -2"),
+        ("torque_cutoff", "NaN", "cutoff: Input should be .*, got nan"),
+        ("torque_order", "9", "order: Input should be less than or equal to 4, got 9"),
         ("torque_order", "1.5", "torque_order: Input should be a valid integer, got 1.5"),
         (
             "torque_uncertainty",
