@@ -13,7 +13,7 @@ from armimp_common.errors import BagError
 from armimp_estimation.atomic_write import open_regular, require_text
 from armimp_estimation.bags import metadata_yaml
 from armimp_estimation.bags.mcap_reader import MAGIC, read_mcap
-from armimp_estimation.bags.raw import Budget, RawMessages, TopicFilter, one_line
+from armimp_estimation.bags.raw import RawMessages, TopicFilter, one_line
 from armimp_estimation.bags.sqlite_reader import read_sqlite
 
 BAGS: Final = "bags"
@@ -53,7 +53,7 @@ def read_storage(path: Path, wanted: TopicFilter, *, trust: bool = False) -> Raw
             files = [path]
         else:
             raise BagError(f"{path}: does not exist")
-        messages = RawMessages(Budget(str(path), _size_of(files), trust=trust), wanted)
+        messages = RawMessages(str(path), _size_of(files), wanted, trust=trust)
         for file in files:
             _read_file(file, messages)
         _decompress_messages(messages)
@@ -168,7 +168,7 @@ def _read_file(path: Path, into: RawMessages) -> None:
         file.seek(0)
         with tempfile.TemporaryDirectory() as directory:
             copy = Path(directory) / "bag"
-            into.budget.copy_unzstd(file, copy)
+            into.copy_unzstd(file, copy)
             with copy.open("rb") as content:
                 _read_uncompressed(copy, content, str(path), into)
 
@@ -199,10 +199,7 @@ def _decompress_messages(messages: RawMessages) -> None:
     """
     if not messages.payloads or not messages.payloads[0].startswith(_ZSTD_MAGIC):
         return
-    decompressor = zstandard.ZstdDecompressor()
     messages.payloads = [
-        messages.budget.unzstd(payload, by=decompressor)
-        if payload.startswith(_ZSTD_MAGIC)
-        else payload
+        messages.unzstd(payload) if payload.startswith(_ZSTD_MAGIC) else payload
         for payload in messages.payloads
     ]

@@ -61,8 +61,7 @@ def read_mcap(file: BinaryIO, size: int, *, name: str, into: RawMessages) -> Non
     Raises
     ------
     BagError
-        If a record is damaged, a wanted topic is not CDR, or the file holds more than `into` has
-        a budget for.
+        If a record is damaged, a wanted topic is not CDR, or the file holds more than it may.
     """
     reading = _McapReading(name, into)
     position = len(file.read(len(MAGIC)))
@@ -96,12 +95,10 @@ class _McapReading:
     def __init__(self, name: str, into: RawMessages) -> None:
         self._name = name
         self._into = into
-        self._spend = into.budget.spend
+        self._spend = into.spend
         self._types: dict[int, str] = {}
         # Index of the topic of each channel whose messages are wanted.
         self._channels: dict[int, int] = {}
-        # Making one takes longer than the decompression of a chunk.
-        self._decompressor = zstandard.ZstdDecompressor()
 
     def record(self, opcode: int, content: bytes) -> None:
         if opcode == MESSAGE:
@@ -141,9 +138,9 @@ class _McapReading:
         """Records of a chunk."""
         records, size, compression = chunk.data, chunk.uncompressed_size, chunk.compression
         if compression == "zstd":
-            records = self._into.budget.unzstd(records, size, self._decompressor)
+            records = self._into.unzstd(records, size)
         elif compression == "lz4":
-            records = self._into.budget.unlz4(records, size)
+            records = self._into.unlz4(records, size)
         elif compression:
             raise ValueError(f"unknown compression {compression!r}")
         if len(records) != size:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, Final, TypeAlias
 
@@ -27,32 +26,52 @@ _LARGEST_TRUSTED: Final = 1 << 30
 _PIECE: Final = 1 << 20
 
 
-class Budget:
-    """How much reading one bag may still cost, in bytes of memory or as much work.
+TopicFilter: TypeAlias = Callable[[str], object]
+_LONGEST: Final = 300
 
-    It grows with the bag, so that recordings of any length can be read, but not files that hold
-    thousands of times their size.
+
+def one_line(text: object) -> str:
+    """Return a text, or that of an error, as a short line, whatever a damaged file holds."""
+    line = " ".join(str(text).split()) or type(text).__name__
+    return line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ..."
+
+
+class RawMessages:
+    """Messages of one or more storage files in recorded order, and what more of them may cost.
+
+    The cost, in bytes of memory or as much work, may grow with the bag, so that recordings of any
+    length can be read, but not files that hold thousands of times their size.
 
     Parameters
     ----------
     name : str
-        The bag, for messages.
+        The bag, for messages of errors.
     size : int
         Bytes of all of its files.
+    wanted : callable
+        Tells for a topic name whether its messages are wanted.
     trust : bool
         Whether the limits are lifted, for files whose origin is known.
-
-    Attributes
-    ----------
-    largest : int
-        Bytes of the largest chunk or message that is decompressed.
     """
 
-    def __init__(self, name: str, size: int, *, trust: bool = False) -> None:
-        self._name = name
+    def __init__(self, name: str, size: int, wanted: TopicFilter, *, trust: bool = False) -> None:
+        self._name, self.wanted, self.trust = name, wanted, trust
         self._left = math.inf if trust else _FREE + _RATIO * size
-        self.largest = _LARGEST_TRUSTED if trust else _LARGEST
-        self.trust = trust
+        self._largest = _LARGEST_TRUSTED if trust else _LARGEST
+        # Making one takes longer than the decompression of a chunk.
+        self._zstd = zstandard.ZstdDecompressor()
+        self._indices: dict[tuple[str, str], int] = {}
+        self.topics: list[tuple[str, str]] = []
+        """Name and message type of each recorded topic, wanted or not; the type is empty where the
+        file does not say."""
+        self.topic_indices: list[int] = []
+        self.log_times: list[int] = []
+        self.payloads: list[bytes] = []
+        """For each message its index in `topics`, its log time (ns) and its bytes."""
+        self.metadata: dict[str, str] = {}
+        """Metadata of the recording."""
+        self.cut = ""
+        """Where and how the recording ends early; empty if it is complete."""
 
     def spend(self, cost: int) -> None:
         """Charge a cost.
@@ -70,10 +89,8 @@ class Budget:
         """Return the error that says why a bag goes beyond the limits."""
         return BagError(f"{self._name}: {reason}; --trust lifts the limits")
 
-    def unzstd(
-        self, data: bytes, most: int | None = None, by: zstandard.ZstdDecompressor | None = None
-    ) -> bytes:
-        """Decompress one frame of zstd, of at most so many bytes, by a given decompressor.
+    def unzstd(self, data: bytes, most: int | None = None) -> bytes:
+        """Decompress one frame of zstd, of at most so many bytes.
 
         Raises
         ------
@@ -82,10 +99,10 @@ class Budget:
         zstandard.ZstdError
             If it is damaged, or holds more than `most`.
         """
-        most = int(min(self.largest, self._left)) if most is None else most
+        most = int(min(self._largest, self._left)) if most is None else most
         # The library would make room for whatever the frame claims to hold.
         self._require(max(most, zstandard.frame_content_size(data)))
-        content = (by or zstandard.ZstdDecompressor()).decompress(data, max_output_size=most)
+        content = self._zstd.decompress(data, max_output_size=most)
         self.spend(len(content))
         return content
 
@@ -126,40 +143,8 @@ class Budget:
 
     def _require(self, size: int) -> None:
         """Refuse a piece that is too large before there is room made for it."""
-        if size > min(self.largest, self._left):
+        if size > min(self._largest, self._left):
             raise self.refusal(f"a piece of it claims to hold {size} bytes")
-
-
-TopicFilter: TypeAlias = Callable[[str], object]
-_LONGEST: Final = 300
-
-
-def one_line(text: object) -> str:
-    """Return a text, or that of an error, as a short line, whatever a damaged file holds."""
-    line = " ".join(str(text).split()) or type(text).__name__
-    return line if len(line) <= _LONGEST else f"{line[:_LONGEST]} ..."
-
-
-@dataclass(eq=False)
-class RawMessages:
-    """Messages gathered from one or more storage files, in recorded order."""
-
-    budget: Budget
-    """What reading may still cost."""
-    wanted: TopicFilter
-    """Tells for a topic name whether its messages are wanted."""
-    topics: list[tuple[str, str]] = field(default_factory=list)
-    """Name and message type of each recorded topic, wanted or not; the type is empty where the file
-    does not say."""
-    topic_indices: list[int] = field(default_factory=list)
-    log_times: list[int] = field(default_factory=list)
-    payloads: list[bytes] = field(default_factory=list)
-    """For each message its index in `topics`, its log time (ns) and its bytes."""
-    metadata: dict[str, str] = field(default_factory=dict)
-    """Metadata of the recording."""
-    cut: str = ""
-    """Where and how the recording ends early; empty if it is complete."""
-    _indices: dict[tuple[str, str], int] = field(default_factory=dict)
 
     def topic_index(self, name: str, message_type: str) -> int:
         """Index of a topic in `topics`, which it joins if it is new."""
@@ -171,18 +156,18 @@ class RawMessages:
     def extend(
         self, topic_indices: Iterable[int], log_times: Iterable[int], payloads: Iterable[bytes]
     ) -> None:
-        """Add messages, for whose content the budget has been charged.
+        """Add messages, whose content has been charged.
 
         Raises
         ------
         BagError
-            If they are beyond the budget.
+            If they are more than may be.
         """
         before = len(self.payloads)
         self.topic_indices += topic_indices
         self.log_times += log_times
         self.payloads += payloads
-        self.budget.spend(MESSAGE_COST * (len(self.payloads) - before))
+        self.spend(MESSAGE_COST * (len(self.payloads) - before))
 
     def sort(self) -> None:
         """Bring the messages into the order of their log times, keeping that of equal ones.

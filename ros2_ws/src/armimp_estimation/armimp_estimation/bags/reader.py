@@ -84,7 +84,7 @@ def read_bag(path: Path, *, namespace: str | None = None, trust: bool = False) -
         for topic in (*topics.DATA_STREAMS, topics.TRIAL)
     }
     if len(messages[topics.TRIAL]) > _MOST_STATUSES and not trust:
-        raise raw.budget.refusal(f"has {len(messages[topics.TRIAL])} messages of {topics.TRIAL}")
+        raise raw.refusal(f"has {len(messages[topics.TRIAL])} messages of {topics.TRIAL}")
     statuses, defect = decode_trial_statuses(messages[topics.TRIAL])
     try:
         joint_names = _joint_names(raw.metadata, messages[topics.PERTURBATION])

@@ -48,7 +48,7 @@ def read_sqlite(path: Path, *, name: str, into: RawMessages) -> None:
     Raises
     ------
     BagError
-        If the file is not a readable rosbag2 database, or beyond the budget.
+        If the file is not a readable rosbag2 database, or holds more than it may.
     OSError
         If it cannot be copied.
     """
@@ -87,7 +87,7 @@ def _part_of_a_page(path: Path) -> int:
 
 def _read(path: Path, mode: str, size: int, name: str, into: RawMessages) -> None:
     uri = f"file:{quote(str(path.absolute()))}?{mode}"
-    free = sys.maxsize if into.budget.trust else _FREE_STEPS + _STEPS_PER_BYTE * size
+    free = sys.maxsize if into.trust else _FREE_STEPS + _STEPS_PER_BYTE * size
     steps = iter(range(0, free, _STEPS))
     try:
         with closing(sqlite3.connect(uri, uri=True)) as database:
@@ -107,7 +107,7 @@ def _read(path: Path, mode: str, size: int, name: str, into: RawMessages) -> Non
                 into.cut = f"is cut or damaged: {one_line(error)}"
     except _DAMAGE as error:
         if next(steps, None) is None:
-            raise into.budget.refusal("takes longer than a bag of its size should") from None
+            raise into.refusal("takes longer than a bag of its size should") from None
         raise BagError(f"{name}: not a readable SQLite3 bag: {one_line(error)}") from None
 
 
@@ -124,7 +124,7 @@ def _topics(database: sqlite3.Connection, name: str, into: RawMessages) -> dict[
     topics: dict[int, int] = {}
     query = "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
     for identity, topic, message_type, encoding in database.execute(query):
-        into.budget.spend(RECORD_COST)
+        into.spend(RECORD_COST)
         index = into.topic_index(str(topic), str(message_type))
         if into.wanted(str(topic)):
             if encoding != "cdr":
@@ -135,7 +135,7 @@ def _topics(database: sqlite3.Connection, name: str, into: RawMessages) -> dict[
 
 def _metadata(database: sqlite3.Connection, into: RawMessages) -> None:
     for (text,) in database.execute("SELECT metadata FROM metadata ORDER BY id"):
-        into.budget.spend(RECORD_COST + NODE_COST * len(str(text)))
+        into.spend(RECORD_COST + NODE_COST * len(str(text)))
         into.metadata.update(parse_custom_data(str(text)))
 
 
@@ -146,5 +146,5 @@ def _messages(database: sqlite3.Connection, topics: dict[int, int], into: RawMes
     for identity, log_time, data in database.execute(query, list(topics)):
         if not isinstance(log_time, int) or not isinstance(data, bytes):
             raise sqlite3.DatabaseError("a row holds no message")
-        into.budget.spend(len(data))
+        into.spend(len(data))
         into.extend((topics[identity],), (log_time,), (data,))
