@@ -15,7 +15,6 @@ from armimp_common import qos
 from armimp_common.domain import DomainClaim
 from armimp_common.status import Level, Phase, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
-from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.spectra import WelchConfig
 from support.graph import PATIENCE, hosted
 from support.runs import FinishedRun
@@ -65,7 +64,7 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
         # Whoever draws needs not read the bags.
         assert [len(trial.segments) for trial in result.trials] == [1, 1]
         deadline = time.monotonic() + PATIENCE
-        while RESULT_NAME not in [message.name for message in bystander.heard]:
+        while "impedance" not in map(what, bystander.heard):
             assert time.monotonic() < deadline
             time.sleep(0.05)
     return Account(
@@ -85,7 +84,7 @@ def test_statuses_of_all_trials_are_heard_and_the_result_once(account: Account) 
 
 def test_published_result_is_the_stored_one(account: Account) -> None:
     summary = account.run.summary
-    conclusion = next(message for message in account.heard if message.name == RESULT_NAME)
+    conclusion = next(one for one in account.heard if what(one) == "impedance")
 
     assert conclusion.level == bytes([Level.OK])
     values = values_of(conclusion)

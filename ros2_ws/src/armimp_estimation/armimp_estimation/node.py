@@ -36,11 +36,18 @@ from armimp_common.pubsub import (
     take_all,
     wait_for_partners,
 )
-from armimp_common.status import Phase, TimingFigures, TrialStatus, status_message, values_of
+from armimp_common.status import (
+    Level,
+    Phase,
+    TimingFigures,
+    TrialStatus,
+    make_status,
+    status_message,
+    values_of,
+)
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
 from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
-from armimp_estimation.messages import result_message
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
@@ -376,6 +383,27 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             return
         if (progress := self._recording.progress()) is not None:
             self._progress.publish(status_message(progress))
+
+
+def result_message(result: Result) -> DiagnosticStatus:
+    """Tell M, B and K with standard errors, and the scores; curves are in files."""
+    summary = result.summary
+    codes = dict.fromkeys(one.code.value for one in summary.faults)
+    values: dict[str, str | bool | list[float]] = {
+        "valid": summary.valid,
+        "problems": " ".join(codes),
+    }
+    for name, found in summary.estimators.items():
+        for key in ("M", "B", "K", "M_se", "B_se", "K_se", "vaf", "r2", "coherence_derived"):
+            matrix = getattr(found, key)
+            if matrix is not None:
+                values[f"{name}.{key}"] = [value for row in matrix for value in row]
+    return make_status(
+        f"{topics.ESTIMATOR_NODE}: impedance",
+        Level.OK if summary.valid else Level.ERROR,
+        "valid" if summary.valid else f"not valid: {summary.faults[0]}",
+        values,
+    )
 
 
 def main() -> int:

@@ -33,10 +33,9 @@ from armimp_estimation.bags.statuses import (
     encode_trial_status,
 )
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
-from armimp_estimation.live import RunningTrial
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.recorder import TrialRecorder
+from armimp_estimation.recorder import RunningTrial, TrialRecorder
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.stopping import PrecisionGoal, largest_error
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
