@@ -18,6 +18,7 @@ from armimp_bringup.terminal import Display, say
 from armimp_common.errors import DataError
 from armimp_common.process import age
 from armimp_common.status import Phase
+from armimp_estimation.mbk import UNITS
 from armimp_estimation.metadata import Timing
 from armimp_estimation.problems import ProblemCode, Severity
 from armimp_estimation.result import Result, load_result
@@ -32,7 +33,6 @@ from armimp_estimation.summary import (
 
 _TOO_BUSY = (ProblemCode.SAMPLES_LATE, ProblemCode.COMMANDS_LATE, ProblemCode.LATENCY)
 _COUNTS = ("duplicated", "contradictory", "reordered", "late")
-_UNITS = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 _WORDS = ("", "element", "unit", "bag")
 
 
@@ -210,7 +210,7 @@ def _parameter_table(name: str, result: EstimatorSummary, summary: Summary) -> T
     columns = ["", "estimate", "± s.e.", *known, "unit"]
     table = _table(columns, f"{name}: Z = M s² + B s + K")
     last = summary.joints - 1
-    for letter, unit in _UNITS.items():
+    for letter, unit in UNITS.items():
         estimates, errors = getattr(result, letter), getattr(result, f"{letter}_se")
         for i, k in np.ndindex(summary.joints, summary.joints):
             value = estimates[i][k]

@@ -1,11 +1,14 @@
 """The second-order impedance model of the arm."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from armimp_common.arrays import ComplexArray, FloatArray
 from armimp_common.errors import ConfigurationError
+
+UNITS: Final = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

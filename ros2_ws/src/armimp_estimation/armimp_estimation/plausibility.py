@@ -16,10 +16,10 @@ import numpy as np
 
 from armimp_common.arrays import BoolArray, FloatArray
 from armimp_estimation.fit import MBKFit
+from armimp_estimation.mbk import UNITS
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.record import TrialRecord
 
-UNITS: Final = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 RANGES: Final = {"M": (1e-4, 10.0), "B": (0.0, 150.0), "K": (0.0, 1500.0)}
 """What a joint may have, from a wrist to a stiff ankle and ten times beyond; SI units."""
 LARGEST_POSTURE = 2.0 * np.pi

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from armimp_common.arrays import ComplexArray, FloatArray
-from armimp_common.errors import ConfigurationError, DataError
+from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import with_neighbours
 from armimp_estimation.frf import FrfMatrix
@@ -99,14 +99,7 @@ def coherence_significance(averages: float, alpha: float = 0.05) -> float:
     -------
     float
         Level of γ²; 1 if a single average makes any coherence meaningless.
-
-    Raises
-    ------
-    ConfigurationError
-        If alpha is not a probability.
     """
-    if not 0.0 < alpha < 1.0:
-        raise ConfigurationError(f"significance must lie between 0 and 1, got {alpha!r}")
     return float(1.0 - alpha ** (1.0 / (averages - 1.0))) if averages > 1.0 else 1.0
 
 

@@ -238,33 +238,35 @@ class Summary(JsonModel):
     @model_validator(mode="after")
     def _check_shapes(self) -> Self:
         n = self.joints
-        self._check_shape("joint_names", self.joint_names, n)
+        special = {"covariance": (3 * n**2, 3 * n**2), "coherence_motion": (n,)}
+        special |= dict.fromkeys(("M_ci", "B_ci", "K_ci"), (n, n, 2))
+        expected: list[tuple[str, Any, tuple[int, ...]]]
+        expected = [("joint_names", self.joint_names, (n,))]
         for name, estimator in self.estimators.items():
-            self._check_matrices(f"estimators.{name}", estimator)
-            where = f"estimators.{name}.coherence_motion"
-            self._check_shape(where, estimator.coherence_motion, n)
-            sizes = {len(estimator.covariance), *map(len, estimator.covariance)}
-            if sizes != {3 * n**2}:
-                raise ValueError(f"estimators.{name}.covariance is not of {3 * n**2} parameters")
-        if self.truth is not None and self.truth.joints != n:
-            raise ValueError(f"truth is of {self.truth.joints} joints, not {n}")
+            expected += [
+                (f"estimators.{name}.{field}", value, special.get(field, (n, n)))
+                for field, value in estimator
+                if isinstance(value, list)
+            ]
         for number, trial in enumerate(self.trials):
             if not 1 <= trial.k <= n:
                 raise ValueError(f"trials.{number}.k = {trial.k} is none of {n} joints")
-            self._check_shape(f"trials.{number}.lock_ratio", trial.lock_ratio, n)
-            self._check_shape(f"trials.{number}.bias_bound", trial.bias_bound, n)
+            expected.append((f"trials.{number}.lock_ratio", trial.lock_ratio, (n,)))
+            expected.append((f"trials.{number}.bias_bound", trial.bias_bound, (n,)))
+        for where, value, shape in expected:
+            if _shape(value) != shape:
+                raise ValueError(f"{where} does not have the shape {shape} for {n} joints")
+        if self.truth is not None and self.truth.joints != n:
+            raise ValueError(f"truth is of {self.truth.joints} joints, not {n}")
         return self
 
-    def _check_matrices(self, name: str, part: JsonModel) -> None:
-        for field, value in part:
-            if isinstance(value, list) and field not in ("coherence_motion", "covariance"):
-                self._check_shape(f"{name}.{field}", value, self.joints, self.joints)
 
-    def _check_shape(self, name: str, values: Sequence[Any], length: int, *others: int) -> None:
-        if len(values) != length:
-            raise ValueError(f"{name} has {len(values)} values for {self.joints} joints")
-        for row in values if others else ():
-            self._check_shape(f"a row of {name}", row, *others)
+def _shape(rows: Any) -> tuple[int, ...]:
+    """Shape of lists of lists; empty where they are of different lengths."""
+    try:
+        return np.shape(rows)
+    except ValueError:
+        return ()
 
 
 def write_summary(path: Path, summary: Summary, *, anew: bool = False) -> None:

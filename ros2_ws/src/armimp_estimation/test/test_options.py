@@ -14,7 +14,6 @@ from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.fit import FitConfig
 from armimp_estimation.mbk import MBK
-from armimp_estimation.scores import coherence_significance
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.verdict import Limits
@@ -60,10 +59,6 @@ def radius(level: float) -> np.ndarray:
         (of_matrices, r"B has shape \(3, 3\), expected \(2, 2\)", {"B": np.eye(3)}),
         (of_matrices, "finite", {"B": np.full((2, 2), NAN)}),
         *((radius, "confidence level", {"level": level}) for level in (0.0, 1.0, -0.5, NAN)),
-        *(
-            (coherence_significance, "significance", {"averages": 11.0, "alpha": alpha})
-            for alpha in (0.0, 1.0, NAN)
-        ),
         (require_model, r"'spring'.*reflex", {"name": "spring"}),
         (
             make_estimator,

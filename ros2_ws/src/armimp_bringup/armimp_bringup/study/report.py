@@ -25,10 +25,9 @@ from armimp_bringup.study.scores import (
 from armimp_bringup.study.scores import Table as Results
 from armimp_bringup.study.store import StudyEntry
 from armimp_estimation.curves import ImpedanceCurve
-from armimp_estimation.mbk import MBK
+from armimp_estimation.mbk import MBK, UNITS
 from armimp_estimation.report.formats import (
     NONE,
-    UNITS,
     code,
     mark,
     number,

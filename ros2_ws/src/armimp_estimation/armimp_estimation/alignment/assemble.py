@@ -289,38 +289,17 @@ def assemble_trials(
     for window in windows:
         # A latched topic repeats the statuses of trials that were over before the recording.
         if window.start_ns + window.ticks * period > began_ns:
-            trials.append(
-                assemble_trial(window, streams, source=source, period=period, planned=planned)
-            )
+            trials.append(_assemble(window, streams, source, period, planned))
             used += sum(segment.samples for segment in trials[-1].segments)
             if used > received:
                 raise DataError(f"trial {window.trial} overlaps with others: they share samples")
     return tuple(trials)
 
 
-def assemble_trial(
-    window: TrialWindow,
-    streams: Streams,
-    *,
-    source: str = "",
-    period: float = PERIOD_NS,
-    planned: float | None = None,
+def _assemble(
+    window: TrialWindow, streams: Streams, source: str, period: float, planned: float | None
 ) -> Trial:
-    """Join the streams of one trial.
-
-    Parameters
-    ----------
-    window : TrialWindow
-        When the trial took place.
-    streams : Streams
-        Everything that was received; other trials may be in it, too.
-    source : str
-        Where it comes from, for messages.
-    period : float
-        Sampling period, ns.
-    planned : float or None
-        Sampling rate of the recording, Hz, if it is known beforehand.
-    """
+    """Join the streams of one trial, at a sampling period in ns; other trials may be in them."""
     aligned = {t: _Aligned(one, window.start_ns, period) for t, one in streams.stamped.items()}
     stamps = _union([one.stamps for one in aligned.values()])
     numbers = tick_numbers(stamps, period)

@@ -206,20 +206,12 @@ def invert(matrix: ComplexArray, f: FloatArray) -> ComplexArray:
     try:
         inverse = np.linalg.inv(stack)
     except np.linalg.LinAlgError as error:
-        singular = next(k for k, one in enumerate(stack) if not _is_regular(one))
+        singular = int(np.argmin(np.linalg.matrix_rank(stack)))
         raise DataError(
             f"motion of the joints is linearly dependent at {f[singular]:.4g} Hz: "
             "the impedance matrix is not determined"
         ) from error
     return np.ascontiguousarray(np.moveaxis(inverse, 0, 2))
-
-
-def _is_regular(matrix: ComplexArray) -> bool:
-    try:
-        np.linalg.inv(matrix)
-    except np.linalg.LinAlgError:
-        return False
-    return True
 
 
 def multiply(left: ComplexArray, right: ComplexArray) -> ComplexArray:

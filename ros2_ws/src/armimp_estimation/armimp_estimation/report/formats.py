@@ -19,7 +19,6 @@ _UNWANTED = re.compile(
 )
 NONE = "–"
 """What stands for a number that is not there."""
-UNITS: Mapping[str, str] = {"M": "kg·m²", "B": "N·m·s/rad", "K": "N·m/rad"}
 STREAMS: Mapping[str, str] = {
     topics.JOINT_STATES: "joint angles",
     topics.TORQUE_SENSORS: "torques on the arm",
