@@ -21,7 +21,7 @@ from armimp_bringup.orchestrator import run_experiment
 from armimp_common.status import Progress
 from armimp_estimation.bags import read_bag
 from armimp_estimation.bags.files import BAGS
-from armimp_estimation.bags.finishing import finish_bag, finish_bags
+from armimp_estimation.bags.writer import finish_bag, finish_bags
 from armimp_estimation.problems import ProblemCode
 from support.bag_files import iterate_messages
 from support.fault_figures import Figures
@@ -40,7 +40,7 @@ RECORDER = """
 import os, struct, sys, time
 from pathlib import Path
 from armimp_common.topics import TRIAL
-from armimp_estimation.bags.statuses import decode_trial_status
+from armimp_common.cdr import decode_trial_status
 from armimp_estimation.alignment.synchronizer import TOGETHER
 from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import recorded_arm

@@ -28,7 +28,7 @@ import numpy as np
 import zstandard
 
 from armimp_bringup.cli import main, program
-from armimp_common.cdr import CommandEncoder, JointStateEncoder
+from armimp_common.cdr import CommandEncoder, JointStateEncoder, encode_trial_status
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import (
     COMMANDS,
@@ -42,7 +42,6 @@ from armimp_common.topics import (
 )
 from armimp_estimation.bags.mcap_reader import MAGIC
 from armimp_estimation.bags.metadata_yaml import bag_information, dump
-from armimp_estimation.bags.statuses import encode_trial_status
 from support.synthetic_bags import recorded_arm
 
 Arguments: TypeAlias = tuple[str, ...]

@@ -10,11 +10,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_common.cdr import CommandDecoder, JointStateDecoder, stamp_of
+from armimp_common.cdr import CommandDecoder, JointStateDecoder, decode_trial_status, stamp_of
 from armimp_common.status import TrialStatus
 from armimp_common.topics import COMMANDS, DATA_STREAMS, PERIOD_NS, PERTURBATION, TRIAL, VALUE_FIELD
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.summary import Summary
 from support.bag_files import iterate_messages

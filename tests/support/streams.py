@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterable, Sequence
 
+from armimp_common.cdr import decode_trial_status
 from armimp_common.topics import PERTURBATION, TRIAL
 from armimp_estimation.alignment.synchronizer import FETCHED, StreamSynchronizer
-from armimp_estimation.bags.statuses import decode_trial_status
 from armimp_estimation.recorder import TrialRecorder
 from support.synthetic_bags import Message
 

@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from armimp_common.cdr import CommandEncoder, JointStateEncoder
+from armimp_common.cdr import CommandEncoder, JointStateEncoder, encode_trial_status
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import (
     COMMANDS,
@@ -18,7 +18,6 @@ from armimp_common.topics import (
     TORQUE_SENSORS,
     TRIAL,
 )
-from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.record import TrialRecord
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 

@@ -11,7 +11,7 @@ from armimp_bringup.config import Declared
 from armimp_common.errors import DataError
 from armimp_estimation.bags import BagContent, read_bag
 from armimp_estimation.bags.files import require_distinct
-from armimp_estimation.bags.finishing import finish_bag
+from armimp_estimation.bags.writer import finish_bag
 from armimp_estimation.estimators.estimate import Estimator
 from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata, latest_metadata
 from armimp_estimation.parameters import EstimatorParameters

@@ -38,7 +38,7 @@ from armimp_common.status import (
     values_of,
 )
 from armimp_estimation.bags import require_free_space
-from armimp_estimation.bags.finishing import finish_bags
+from armimp_estimation.bags.writer import finish_bags
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem

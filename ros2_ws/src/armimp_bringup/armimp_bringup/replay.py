@@ -22,7 +22,7 @@ from armimp_bringup.offline_estimate import read_bags
 from armimp_bringup.orchestrator import PARAMETERS_FILE, Course, Supervisor, settle
 from armimp_bringup.terminal import display
 from armimp_common import qos, topics
-from armimp_common.cdr import stamp_of
+from armimp_common.cdr import encode_trial_status, stamp_of
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import subscribe_raw
@@ -30,7 +30,6 @@ from armimp_common.schema import to_params_yaml
 from armimp_common.status import Phase, Progress, TrialStatus
 from armimp_estimation.alignment.trial_windows import TrialWindow
 from armimp_estimation.bags import BagContent
-from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.metadata import latest_metadata
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result

@@ -1,4 +1,4 @@
-"""CDR of the three streamed layouts: bounds-checked, fast, and without ROS.
+"""CDR of the streamed layouts and of trial statuses: bounds-checked, fast, and without ROS.
 
 Messages of one stream differ only in stamp and numbers. So a layout is parsed once, and every
 further message of it takes one comparison and one ``struct`` call.
@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError, MalformedMessageError
+from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import NS_PER_S, ValueField
 
 Buffer: TypeAlias = bytes | bytearray | memoryview
@@ -515,6 +516,58 @@ class CommandDecoder(_Decoder):
         if count != self._count:
             raise reader.error(f"has {count} values for {self._count} joints")
         return _Layout(data, reader, "8sI0s", numbers, range(count))
+
+
+def decode_trial_status(data: bytes) -> TrialStatus:
+    """Decode one message of the topic ``imbic_controller/trial``.
+
+    Raises
+    ------
+    MalformedMessageError
+        If the bytes are not such a message.
+    """
+    reader = CdrReader(data, "DiagnosticStatus")
+    reader.uint32()  # the level, one byte, and the padding before the first string
+    name = reader.string()
+    reader.string()
+    reader.string()
+    pairs = [(reader.string(), reader.string()) for _ in range(reader.count(8))]
+    reader.finish()
+    try:
+        values = {key.decode(): value.decode() for key, value in pairs}
+    except UnicodeDecodeError:
+        raise reader.error("has text that is not UTF-8") from None
+    if name != TrialStatus.STATUS_NAME.encode():
+        raise reader.error(f"is not a trial status: {name.decode(errors='replace')!r}")
+    return TrialStatus.from_values(values)
+
+
+def decode_trial_statuses(messages: Sequence[bytes]) -> tuple[list[TrialStatus], str]:
+    """Statuses of a recording, and what is wrong with the first that is damaged, if one is."""
+    statuses: list[TrialStatus] = []
+    problem = ""
+    for message in messages:
+        try:
+            statuses.append(decode_trial_status(message))
+        except MalformedMessageError as error:
+            problem = problem or str(error)
+    return statuses, problem
+
+
+def encode_trial_status(status: TrialStatus) -> bytes:
+    """Encode a message of the topic ``imbic_controller/trial``, with zeros in the padding.
+
+    The bytes are those which a typed rclpy publisher sends.
+    """
+    level = 2 if status.phase is Phase.ABORTED else 0 if status.valid else 1
+    values = status.to_values()
+    texts = [text for pair in values.items() for text in pair]
+    data = bytes((level, 0, 0, 0))
+    data += b"".join(map(_string, (TrialStatus.STATUS_NAME, status.sentence, "")))
+    data += struct.pack("<I", len(values)) + b"".join(map(_string, texts))
+    # Nothing follows the last one.
+    padding = -(len(texts[-1].encode()) + 1) % 4
+    return b"\0\1\0\0" + data[: len(data) - padding]
 
 
 def _joint_state(data: Buffer) -> tuple[CdrReader, list[bytes], Span, Span]:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from armimp_common.arrays import IntArray
-from armimp_common.cdr import stamp_of
+from armimp_common.cdr import encode_trial_status, stamp_of
 from armimp_common.errors import ArmimpError, DataError, MalformedMessageError
 from armimp_common.status import Phase, Progress, StoppingDecision, TrialStatus
 from armimp_common.topics import (
@@ -31,7 +31,6 @@ from armimp_estimation.alignment.assemble import Trial, assemble_trials
 from armimp_estimation.alignment.streams import Stream, Streams, stamps_in_step
 from armimp_estimation.bags import BagWriter, require_free_space
 from armimp_estimation.bags.files import BAGS
-from armimp_estimation.bags.statuses import encode_trial_status
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.problems import Problem, ProblemCode

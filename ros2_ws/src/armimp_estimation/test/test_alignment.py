@@ -8,7 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common.cdr import CommandDecoder, CommandEncoder, JointStateEncoder
+from armimp_common.cdr import (
+    CommandDecoder,
+    CommandEncoder,
+    JointStateEncoder,
+    decode_trial_statuses,
+)
 from armimp_common.errors import DataError
 from armimp_common.status import Cause, Phase, TrialStatus
 from armimp_common.topics import (
@@ -30,7 +35,6 @@ from armimp_estimation.alignment.trial_windows import (
     tick_numbers,
     windows_from_statuses,
 )
-from armimp_estimation.bags.statuses import decode_trial_statuses
 from armimp_estimation.problems import Problem, ProblemCode, Severity
 from armimp_estimation.record import TrialRecord
 from support.synthetic_bags import SyntheticRecording, synthetic_recording

@@ -11,8 +11,8 @@ from rosbags.highlevel import AnyReader
 from armimp_common import topics
 from armimp_common.errors import BagError
 from armimp_estimation.bags import BagWriter, read_bag
-from armimp_estimation.bags.finishing import finish_bag, finish_bags
 from armimp_estimation.bags.metadata_yaml import FILE_NAME
+from armimp_estimation.bags.writer import finish_bag, finish_bags
 from support.bag_files import iterate_messages, write_bag
 from support.fault_figures import Figures
 from support.synthetic_bags import Message, synthetic_recording

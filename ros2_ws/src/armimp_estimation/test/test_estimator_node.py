@@ -20,13 +20,13 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from armimp_common import qos, topics
+from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import subscribe_counts, subscribe_raw, wait_until_matched
 from armimp_common.schema import Value
 from armimp_common.status import Level, Phase
 from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import ProblemCode

@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from armimp_common.cdr import CommandEncoder, JointStateDecoder, JointStateEncoder
+from armimp_common.cdr import (
+    CommandEncoder,
+    JointStateDecoder,
+    JointStateEncoder,
+    decode_trial_status,
+    decode_trial_statuses,
+    encode_trial_status,
+)
 from armimp_common.errors import BagError
 from armimp_common.status import NOTICE_TICKS, Phase, StoppingDecision
 from armimp_common.topics import (
@@ -27,11 +34,6 @@ from armimp_estimation import scores
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.streams import Streams
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.statuses import (
-    decode_trial_status,
-    decode_trial_statuses,
-    encode_trial_status,
-)
 from armimp_estimation.estimators.lpm import FittedColumn, LpmConfig, LpmFull
 from armimp_estimation.problems import Problem, ProblemCode
 from armimp_estimation.record import TrialRecord

@@ -9,16 +9,16 @@ from hypothesis import strategies as st
 
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.curves import (
+from armimp_estimation.report.look import DASHES, printed, strokes
+from armimp_estimation.report.result_plots import (
     BodeCurve,
     distances,
     element_curve,
     envelope,
     magnitude_range,
     phase_range,
+    rows_of,
 )
-from armimp_estimation.report.look import DASHES, printed, strokes
-from armimp_estimation.report.result_plots import rows_of
 from armimp_estimation.scores import Coherences
 from support.synthetic_trials import TWO_JOINT_ARM, SyntheticConfig, synthetic_trial
 

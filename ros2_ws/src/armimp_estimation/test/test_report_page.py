@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from armimp_common import topics
+from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.status import Phase
-from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
 from armimp_estimation.problems import ProblemCode, problem
 from armimp_estimation.report import REPORT_FILE, report_page, write_report
 from armimp_estimation.report.formats import difference, number, uncertain

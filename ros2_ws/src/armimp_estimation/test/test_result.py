@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.errors import DataError
 from armimp_common.realtime import TimingLimits
 from armimp_common.status import Cause, Phase, TimingFigures
 from armimp_common.topics import JOINT_STATES, PERIOD_NS, TORQUE_SENSORS, TRIAL
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.bags import read_bag
-from armimp_estimation.bags.statuses import decode_trial_status, encode_trial_status
 from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.estimators.registry import IdentifyConfig
 from armimp_estimation.identify import Identification, identify

@@ -13,7 +13,6 @@ from armimp_bringup.study.conditions import LEVELS, Condition
 from armimp_bringup.study.scores import FloatArray, Score, Table, statistics
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.curves import deviation_percent, phase_about
 from armimp_estimation.report.formats import NONE, symbol
 from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
 from armimp_estimation.report.plots import (
@@ -29,7 +28,7 @@ from armimp_estimation.report.plots import (
     label,
     stacked,
 )
-from armimp_estimation.report.result_plots import IMPEDANCE, TRUE
+from armimp_estimation.report.result_plots import IMPEDANCE, TRUE, deviation_percent, phase_about
 
 # From good to bad, within the limit and beyond it; dark is bad in print as well.
 _WITHIN: Final = ("#f2f7fb", "#6baed6")

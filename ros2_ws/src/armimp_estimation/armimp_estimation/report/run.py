@@ -17,7 +17,6 @@ from armimp_estimation.distortion import Distortion
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import deviations
 from armimp_estimation.problems import Kind, ProblemCode, kind_of
-from armimp_estimation.report.curves import reference_of
 from armimp_estimation.report.formats import (
     STREAMS,
     alarming,
@@ -37,6 +36,7 @@ from armimp_estimation.report.result_plots import (
     coherence_plot,
     distortion_plot,
     plot_matrix,
+    reference_of,
     trace_plot,
     trace_views,
 )
