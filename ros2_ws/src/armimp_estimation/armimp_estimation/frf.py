@@ -4,7 +4,7 @@ Kang & Zhang, eq. 15-16: ``R_ik = G_{τΔk θi} / G_{τΔk τΔk}``, ``T_ik = G_
 The perturbation is known exactly, so both are unbiased by any disturbance in the loop.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,6 @@ from armimp_common.errors import DataError
 from armimp_estimation.periods import has_power
 from armimp_estimation.trial import TrialData
 
-_INCOMPLETE = "trials_incomplete"
 # Power of a perturbation, relative to its largest, below which windows leak it from elsewhere.
 _LEAKED = 1e-5
 
@@ -131,53 +130,42 @@ def order_trials(trials: Sequence[TrialData]) -> tuple[TrialData, ...]:
         If a joint has no trial or several, if the trials are of different arms, rates or
         frequencies, or if a trial perturbs other joints too.
     """
-    if not trials:
-        raise DataError("no trial to estimate from", _INCOMPLETE)
+    for contradiction in _contradictions(trials):
+        raise DataError(contradiction, "trials_incomplete")
     first = trials[0]
-    names = first.record.joint_names
-    for trial in trials:
-        record = trial.record
-        if record.joint_names != names:
-            raise DataError(
-                f"trial {record.trial} has joints {', '.join(record.joint_names)}, "
-                f"trial {first.record.trial} has {', '.join(names)}",
-                _INCOMPLETE,
-            )
-        if record.rate != first.record.rate:
-            raise DataError(
-                f"trial {record.trial} has {record.rate} samples per second, "
-                f"trial {first.record.trial} has {first.record.rate}",
-                _INCOMPLETE,
-            )
-        if not np.array_equal(trial.spectra.f, first.spectra.f):
-            raise DataError(
-                f"trials {first.record.trial} and {record.trial} have spectra at different "
-                "frequencies",
-                _INCOMPLETE,
-            )
-        for joint, name in enumerate(names):
-            if joint != trial.joint and record.perturbation[joint].any():
-                raise DataError(
-                    f"trial {record.trial} perturbs {name} as well as {names[trial.joint]}: "
-                    "decomposition needs one joint at a time",
-                    _INCOMPLETE,
-                )
-    for joint, name in enumerate(names):
-        numbers = [trial.record.trial for trial in trials if trial.joint == joint]
-        if not numbers:
-            raise DataError(f"no trial perturbs joint {joint + 1} ({name})", _INCOMPLETE)
-        if len(numbers) > 1:
-            raise DataError(
-                f"{len(numbers)} trials perturb joint {joint + 1} ({name}), expected one: "
-                f"trials {', '.join(map(str, numbers))}",
-                _INCOMPLETE,
-            )
     perturbed = np.all([_perturbed(trial) for trial in trials], axis=0)
     if perturbed.any() and not perturbed.all():
         trials = [
             replace(one, spectra=one.spectra.at(first.spectra.f[perturbed])) for one in trials
         ]
     return tuple(sorted(trials, key=lambda trial: trial.joint))
+
+
+def _contradictions(trials: Sequence[TrialData]) -> Iterator[str]:
+    """Why trials do not make a whole decomposition."""
+    if not trials:
+        yield "no trial to estimate from"
+    for trial in trials:
+        one, other = trial.record, trials[0].record
+        this, that, names = f"trial {one.trial}", f"trial {other.trial}", other.joint_names
+        if one.joint_names != names:
+            yield f"{this} has joints {', '.join(one.joint_names)}, {that} has {', '.join(names)}"
+        if one.rate != other.rate:
+            yield f"{this} has {one.rate} samples per second, {that} has {other.rate}"
+        if not np.array_equal(trial.f, trials[0].f):
+            yield f"trials {other.trial} and {one.trial} have spectra at different frequencies"
+        for joint, name in enumerate(names):
+            if joint != trial.joint and one.perturbation[joint].any():
+                both = f"{name} as well as {names[trial.joint]}"
+                yield f"{this} perturbs {both}: decomposition needs one joint at a time"
+    for joint, name in enumerate(trials[0].record.joint_names):
+        numbers = [str(trial.record.trial) for trial in trials if trial.joint == joint]
+        which = f"joint {joint + 1} ({name})"
+        if not numbers:
+            yield f"no trial perturbs {which}"
+        if len(numbers) > 1:
+            listed = ", ".join(numbers)
+            yield f"{len(numbers)} trials perturb {which}, expected one: trials {listed}"
 
 
 def _perturbed(trial: TrialData) -> BoolArray:

@@ -150,7 +150,7 @@ def _from_chatter(
     records: Sequence[TrialRecord], reading: TorqueReading
 ) -> tuple[HoldCorrection, FloatArray]:
     weights, to_parabola, edge = _lags(reading, records[0].rate)
-    lags, before = to_parabola.shape[1], reading.first_lag(records[0].rate) - 1
+    lags, before = to_parabola.shape[1], reading.first(records[0].rate)[0] - 1
     inputs, outputs = [], []
     for record in records:
         torque, steps = record.torque, command_steps(record, record.samples)

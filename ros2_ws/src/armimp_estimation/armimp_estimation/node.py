@@ -323,19 +323,9 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         """Publish and store the result, once; without any trial there is none."""
         if self.result is not None:
             return
-        self.result = result = self._result_so_far()
-        if self._directory is not None:
-            try:
-                self._directory.mkdir(parents=True, exist_ok=True)
-                result.write(self._directory)
-            except (ArmimpError, OSError) as error:
-                self.get_logger().error(f"result not stored: {error}")
-        self._result.publish(result_message(result))
-
-    def _result_so_far(self) -> Result:
         timing = self._recording.timing
         measured = {} if timing is None else {RECORD_KEY: timing.model_dump_json()}
-        return conclude(
+        self.result = result = conclude(
             self._finished,
             metadata={**self._metadata, **measured},
             joint_names=self._settings.joints,
@@ -344,6 +334,13 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             most_excluded=self._settings.most_excluded,
             problems=self._problems,
         )
+        if self._directory is not None:
+            try:
+                self._directory.mkdir(parents=True, exist_ok=True)
+                result.write(self._directory)
+            except (ArmimpError, OSError) as error:
+                self.get_logger().error(f"result not stored: {error}")
+        self._result.publish(result_message(result))
 
     def _note(self, new: Problem) -> None:
         if new not in self._problems:

@@ -140,7 +140,7 @@ class TorqueReading(JsonModel):
             Updates and readings per second, Hz.
         """
         x = 2.0 * np.pi * f / rate
-        first, since = self._first(rate)
+        first, since = self.first(rate)
         z = np.exp(-1j * x)
         steps = 1.0 / (1.0 - z)
         ramps = since * steps + z * steps**2
@@ -162,7 +162,7 @@ class TorqueReading(JsonModel):
             return 0.0
         if self.timing is TorqueTiming.INTERVAL_MEAN or self.prompt:
             return 0.5
-        first, since = self._first(rate)
+        first, since = self.first(rate)
         skew = first - 0.5 - self.delay * rate
         for amplitude, pole in zip(*self._modes, strict=True):
             decay = np.exp(pole * since / rate) / (1.0 - np.exp(pole / rate))
@@ -184,7 +184,7 @@ class TorqueReading(JsonModel):
         ndarray, shape (3, count)
             For torques of 1, t/L and (t/L)²/2.
         """
-        _, since = self._first(rate)
+        _, since = self.first(rate)
         t = since + np.arange(count)
         found = np.stack([np.ones(count), t, 0.5 * t**2]).astype(np.complex128)
         for amplitude, pole in zip(*self._modes, strict=True):
@@ -201,12 +201,11 @@ class TorqueReading(JsonModel):
         coefficients = np.atleast_1d(np.poly(np.exp(poles / rate))).real
         return np.asarray(coefficients / np.sum(coefficients))
 
-    def first_lag(self, rate: float) -> int:
-        """Periods from an update to the first reading that shows it."""
-        return self._first(rate)[0]
+    def first(self, rate: float) -> tuple[int, float]:
+        """Periods from an update to the first reading that shows it.
 
-    def _first(self, rate: float) -> tuple[int, float]:
-        """That, and how many periods after the update that reading belongs to, 0 < since <= 1."""
+        And how many periods after the update that reading belongs to, 0 < since <= 1.
+        """
         periods = self.delay * rate
         # A delay of whole periods may come with a rounding error.
         first = int(np.floor(periods + 1e-9)) + 1

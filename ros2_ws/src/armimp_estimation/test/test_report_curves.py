@@ -51,17 +51,17 @@ def curve(z: complex | np.ndarray, deviation: float = 0.1, averages: float = 11.
 def test_estimates_are_compared_with_the_truth_or_else_with_the_best_of_them() -> None:
     curves = {"welch_siso": stored(5.05), "lpm_full": stored(5.0, deviation=0.01)}
     truth = MBK(M=np.zeros((1, 1)), B=np.zeros((1, 1)), K=np.full((1, 1), 4.9))
-    _, off, radius = distances(curves, None, 0, 0).lines["welch_siso"]
+    _, off, radius = distances(curves, None, 0, 0)[0]["welch_siso"]
     assert off is not None
     np.testing.assert_allclose(off, 1.0)
     np.testing.assert_allclose(radius, 20.0 * curve(5.05).radius)
-    assert distances(curves, None, 0, 0).lines["lpm_full"][1] is None
-    parted = distances(curves, truth, 0, 0)
-    off = parted.lines["lpm_full"][1]
+    assert distances(curves, None, 0, 0)[0]["lpm_full"][1] is None
+    parted, ends = distances(curves, truth, 0, 0)
+    off = parted["lpm_full"][1]
     assert off is not None
     np.testing.assert_allclose(off, 100.0 * (5.0 / 4.9 - 1.0))
-    assert parted.ends[0] < off.min()
-    assert parted.ends[1] > off.max()
+    assert ends[0] < off.min()
+    assert ends[1] > off.max()
 
 
 def test_band_of_the_magnitude_is_as_wide_as_the_circle_of_confidence() -> None:

@@ -157,22 +157,6 @@ class Streams:
             self._decode(topic)
         return self
 
-    def require(self) -> None:
-        """Refuse streams of which nothing could be decoded.
-
-        Raises
-        ------
-        DataError
-            If there is one with stamps.
-        """
-        for topic, stream in self.decode().stamped.items():
-            if not stream.count and stream.malformed:
-                raise DataError(
-                    f"{topic}: none of {stream.malformed} messages can be decoded: {stream.defect}"
-                )
-            if not stream.count:
-                raise DataError(f"no messages of {topic}")
-
     def _decode(self, topic: str) -> None:
         messages, self._pending[topic] = self._pending[topic], []
         if not messages:
@@ -216,7 +200,13 @@ def decode_streams(joint_names: Sequence[str], messages: Mapping[str, Sequence[b
     streams = Streams(joint_names)
     for topic in (*VALUE_FIELD, COMMANDS):
         streams.add(topic, messages.get(topic, ()))
-    streams.require()
+    for topic, stream in streams.decode().stamped.items():
+        if not stream.count and stream.malformed:
+            raise DataError(
+                f"{topic}: none of {stream.malformed} messages can be decoded: {stream.defect}"
+            )
+        if not stream.count:
+            raise DataError(f"no messages of {topic}")
     return streams
 
 

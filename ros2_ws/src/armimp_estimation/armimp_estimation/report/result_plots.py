@@ -47,6 +47,8 @@ _EXCERPT = 2000
 """Samples at either end that are shown in full."""
 Band = tuple[FloatArray, FloatArray]
 """Lower and upper end."""
+Distance = tuple[FloatArray, FloatArray | None, FloatArray]
+"""Frequencies (Hz), distance, None for the reference, and radius of the 95 % circle (%)."""
 _REFERENCE = "lpm_full"
 
 
@@ -69,11 +71,11 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     over angle of joint k.
     """
     grids = [curve.f for curve in curves.values()]
-    parted = distances(curves, truth, i, k)
+    parted, ends = distances(curves, truth, i, k)
     lines, every = [], []
     for name, stroke in strokes(curves).items():
         one = element_curve(curves[name], i, k)
-        f, off, radius = parted.lines[name]
+        f, off, radius = parted[name]
         lines += [
             Line(x=one.f, y=one.magnitude, stroke=stroke, unit=IMPEDANCE, ends=one.magnitude_band),
             Line(x=one.f, y=one.phase, stroke=stroke, row=2, unit="°", ends=one.phase_band),
@@ -97,7 +99,7 @@ def bode_chart(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, 
     rows = [
         (3.0, Axis(title="magnitude (N·m/rad)", ends=magnitude_range(every), log=True)),
         (2.0, phase),
-        (2.4, Axis(title="distance (%)", ends=parted.ends, log=True, hoverformat=".3~g")),
+        (2.4, Axis(title="distance (%)", ends=ends, log=True, hoverformat=".3~g")),
     ]
     return Chart(abscissa=frequency_axis(grids), rows=rows, lines=lines)
 
@@ -382,17 +384,6 @@ def deviation_percent(truth: ComplexArray, z: ComplexArray) -> FloatArray:
     return 100.0 * np.abs(z / truth - 1.0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Distances:
-    """How far the estimates of one element are from their reference."""
-
-    lines: Mapping[str, tuple[FloatArray, FloatArray | None, FloatArray]]
-    """By name of the estimator: frequencies (Hz), distance (%), and radius of the 95 % confidence
-    circle (%). The reference itself has no distance."""
-    ends: tuple[float, float]
-    """Of a logarithmic axis that shows them, %."""
-
-
 def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str:
     """Tell what estimates are compared with: the truth (empty), or an estimator by its name."""
     if truth is not None:
@@ -400,10 +391,15 @@ def reference_of(curves: Mapping[str, ImpedanceCurve], truth: MBK | None) -> str
     return _REFERENCE if _REFERENCE in curves else next(iter(curves))
 
 
-def distances(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int) -> Distances:
-    """Distance of every estimate of ``Z_ik`` (0-based) from its reference, see `reference_of`."""
+def distances(
+    curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k: int
+) -> tuple[dict[str, Distance], tuple[float, float]]:
+    """Distance of every estimate of ``Z_ik`` (0-based) from its reference, see `reference_of`.
+
+    And the ends of a logarithmic axis that shows them, %.
+    """
     reference = reference_of(curves, truth)
-    lines: dict[str, tuple[FloatArray, FloatArray | None, FloatArray]] = {}
+    lines: dict[str, Distance] = {}
     found = []
     for name, curve in curves.items():
         if truth is not None:
@@ -418,7 +414,7 @@ def distances(curves: Mapping[str, ImpedanceCurve], truth: MBK | None, i: int, k
     values = np.concatenate(found)
     values = values[np.isfinite(values) & (values > 0.0)]
     low, high = np.quantile(values, (0.02, 0.995)) if values.size else (0.01, 60.0)
-    return Distances(lines=lines, ends=(float(min(low, 0.15 * high)), float(1.5 * high)))
+    return lines, (float(min(low, 0.15 * high)), float(1.5 * high))
 
 
 # The ranges follow the curves, not their bands: one wild band must not flatten everything else.
