@@ -287,13 +287,15 @@ def fit_impedance(
             share = min(abs(delay.delay) / estimate.delay_unknown, 1.0)
             doubt = (share * estimate.friction_skew).reshape(n * n, -1)
             problem = replace(problem, systematics=(*problem.systematics, doubt))
-        estimate = replace(
-            estimate,
-            Z=problem.Z.reshape(estimate.Z.shape),
-            variance=problem.total.reshape(estimate.variance.shape),
-            systematics=tuple(one.reshape(estimate.Z.shape) for one in problem.systematics),
-            delay_uncertainty=None,
-        )
+    problem = problem.with_bounds_told(estimate.bounded)
+    estimate = replace(
+        estimate,
+        Z=problem.Z.reshape(estimate.Z.shape),
+        variance=problem.total.reshape(estimate.variance.shape),
+        systematics=tuple(one.reshape(estimate.Z.shape) for one in problem.systematics),
+        bounded=0,
+        delay_uncertainty=None,
+    )
     if problem.calibration:
         variance = estimate.variance + sum(
             np.abs(one.reshape(estimate.Z.shape)) ** 2 for one in problem.calibration
@@ -652,6 +654,21 @@ class _Elements:
         scatter = max(1.0, ratio / (len(terms) * max(len(rows) - 1, 1)))
         covariance = np.linalg.inv(np.eye(len(terms)) + normal / scatter)
         return covariance @ (expected + mixed / scatter), covariance
+
+    def with_bounds_told(self, bounded: int) -> _Elements:
+        """Return the same less what the data tell of the first systematics, with errors of it.
+
+        Each is of unknown size, 0 ± 1 before the data, and of its own shape over frequency.
+        """
+        if not bounded:
+            return self
+        terms, others = np.stack(self.systematics[:bounded]), self.systematics[bounded:]
+        found, covariance = replace(self, systematics=others).common_coefficients(
+            terms, np.zeros(bounded)
+        )
+        errors = np.tensordot(np.linalg.cholesky(covariance).T, terms, axes=1)
+        Z = self.Z - np.tensordot(found, terms, axes=1)
+        return replace(self, Z=Z, systematics=(*errors, *others))
 
     def functional_error(self, row: int, functional: ComplexArray) -> float:
         """Standard error of ``Re Σ_f conj(b_f) Z_f``."""

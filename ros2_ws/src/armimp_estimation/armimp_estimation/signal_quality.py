@@ -6,6 +6,7 @@ and its intervals know. But what follows from the motion itself biases it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -41,6 +42,8 @@ DROPPED = 0.002
 _TELLING_COUNTS = 50.0
 _TELLING_SAMPLES = 4096
 _LOST = 0.16
+_LEADING = 0.2
+_TINY = float(np.finfo(np.float64).tiny)
 _WINDOW = 0.5
 _VALUES = 3
 _CHANGES = 5
@@ -213,6 +216,50 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
     steps = np.array([_step_of(record, joint) for joint, record in enumerate(records)])
     share, resting = _unseen(records)
     return share, _LOST * steps[:, None] * resting
+
+
+def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray:
+    """How far the motion that encoders of locked joints show may be ahead of them.
+
+    A law that holds a joint throws it back where its reading steps. Rounding then isn't independent
+    of the motion, but follows its speed, by the ratio of their rms values at most. Of joints that
+    a law of 30 to 250 rad/s holds at 500 to 2000 Hz it was 0 to 0.5 of that, the more the oftener
+    readings step back: 0.2 times their share is assumed as its standard error.
+
+    Parameters
+    ----------
+    records : sequence of TrialRecord
+        One trial for each joint, in order.
+    band_end : float
+        Frequency up to which speeds are looked at, Hz.
+
+    Returns
+    -------
+    ndarray, shape (n, n)
+        Standard error of each joint in each trial, s; 0 for the perturbed one.
+    """
+    lead = np.zeros((len(records), len(records)))
+    for joint, k in np.ndindex(lead.shape):
+        step = _step_of(records[joint], joint)
+        if k == joint or step == 0.0:
+            continue
+        angle = records[k].position[joint]
+        steps = np.sign(np.rint(np.diff(angle) / step))
+        steps = steps[steps != 0.0]
+        if steps.size < _CHANGES:
+            continue
+        reversals = float(np.mean(steps[1:] != steps[:-1]))
+        speed = float(np.std(speed_of(angle, records[k].rate, band_end)))
+        lead[joint, k] = _LEADING * reversals * step / math.sqrt(12.0) / max(speed, _TINY)
+    return lead
+
+
+def speed_of(angle: FloatArray, rate: float, band_end: float) -> FloatArray:
+    """Speed of a joint, up to a frequency in Hz, (N,), rad/s."""
+    turning = 2.0 * np.pi * np.fft.rfftfreq(angle.size, 1.0 / rate)
+    spectrum = 1j * turning * np.fft.rfft(angle - np.mean(angle))
+    spectrum[turning > 2.0 * np.pi * band_end] = 0.0
+    return np.asarray(np.fft.irfft(spectrum, angle.size))
 
 
 def _step_of(record: TrialRecord, joint: int) -> float:

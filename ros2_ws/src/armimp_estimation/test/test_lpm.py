@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from armimp_estimation.estimators.lpm import LpmConfig, LpmFull, unresolved
 from armimp_estimation.fit import FitConfig, MBKFit, fit_mbk
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion
+from armimp_estimation.signal_quality import lost_motion, rounding_lead
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
@@ -95,7 +95,8 @@ def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None
     for joint, k in ((1, 0), (0, 1)):
         size = beside[joint, k] / np.std(records[k].perturbation[k])
         assert size > 0.0
-        responses = [share[joint, k] * R[joint, k]]
+        ahead = 2j * np.pi * f * rounding_lead(records, 5.0)[joint, k]
+        responses = [share[joint, k] * R[joint, k], ahead * R[joint, k]]
         for power in (0, 1):
             shape = T[joint, k] / f**power
             responses.append(size * shape / np.sqrt(np.mean(np.abs(shape) ** 2)))

@@ -13,6 +13,7 @@ from armimp_estimation.estimators.estimate import ImpedanceEstimate
 from armimp_estimation.fit import (
     FitConfig,
     MBKFit,
+    fit_impedance,
     fit_mbk,
     fit_weights,
     hidden_square,
@@ -149,6 +150,30 @@ def test_when_all_variances_are_zero_expect_a_fit_and_no_error() -> None:
     )
     np.testing.assert_allclose(fit.mbk.B, TWO_JOINT_ARM.B, rtol=1e-9)
     np.testing.assert_array_equal(errors(fit), 0.0)
+
+
+@pytest.mark.parametrize(("noise", "left"), [(0.02, 0.1), (1e6, 1.0)])
+def test_what_is_bounded_before_the_data_is_put_right_as_far_as_they_tell_it(
+    noise: float, left: float
+) -> None:
+    Z = TWO_JOINT_ARM.impedance(F)
+    turning = 2j * np.pi * F
+    bound = np.zeros_like(Z)
+    bound[:, 1] = 2e-6 * turning**3 * Z[:, 0]
+    rng = np.random.default_rng(5)
+    scatter = rng.standard_normal(Z.shape) + 1j * rng.standard_normal(Z.shape)
+    variance = np.abs(bound) ** 2 + noise**2
+    biased = estimate_of(Z + 0.8 * bound + np.sqrt(0.5) * noise * scatter, variance)
+    biased = replace(biased, systematics=(bound,))
+    told, fit = fit_impedance(replace(biased, bounded=1))
+    believed = fit_mbk(biased)
+    truth = np.stack((TWO_JOINT_ARM.M, TWO_JOINT_ARM.B, TWO_JOINT_ARM.K))
+    assert (np.abs(stacked(fit) - truth) < 4.0 * errors(fit)).all()
+    assert np.linalg.norm(told.systematics[0]) <= left * np.linalg.norm(bound)
+    if left < 1.0:
+        assert (errors(fit)[:, :, 1] < 0.5 * errors(believed)[:, :, 1]).all()
+    else:
+        np.testing.assert_allclose(errors(fit), errors(believed), rtol=1e-3)
 
 
 @pytest.mark.parametrize(("order", "cutoff"), [(2, 50.0), (3, 40.0)])

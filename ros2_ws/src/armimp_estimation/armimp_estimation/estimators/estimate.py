@@ -71,6 +71,9 @@ class ImpedanceEstimate:
     """Standard errors of corrections that the values contain, or of biases that they are known to
     have, N·m/rad: complex, since each is the same error at all frequencies, in this proportion. The
     variance includes them; shape (n, n, n_freq)."""
+    bounded: int = 0
+    """How many of them, the first ones, are bounds: what the data tell of their size is left to the
+    M-B-K fit."""
     covariance: ComplexArray | None = None
     """``E[δ_a conj(δ_b)]`` of the errors of ``R_1k … R_nk, T_1k … T_nk``, for each trial k;
     responses from different trials are independent. None if that is not so; shape
@@ -110,7 +113,7 @@ class ImpedanceEstimate:
         variance = self.variance.copy()
         for common in self.systematics:
             variance -= np.abs(common) ** 2
-        return replace(self, variance=np.maximum(variance, 0.0), systematics=())
+        return replace(self, variance=np.maximum(variance, 0.0), systematics=(), bounded=0)
 
     def with_noise_at(self, impedance: ComplexArray) -> "ImpedanceEstimate":
         """Return the same with the noise of ``T - Z R`` at another impedance than the estimated.

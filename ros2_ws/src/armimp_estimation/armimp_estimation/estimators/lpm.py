@@ -24,7 +24,7 @@ from armimp_estimation.hold_correction import HoldCorrection, command_steps, upd
 from armimp_estimation.mbk import MBK
 from armimp_estimation.periods import common_periods
 from armimp_estimation.record import TrialRecord
-from armimp_estimation.signal_quality import lost_motion
+from armimp_estimation.signal_quality import lost_motion, rounding_lead, speed_of
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
@@ -169,7 +169,8 @@ class LpmFull:
         every = _angles_and(_unit(n, 2 * n, f), n)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
-        systematics = (*skewed, *unresolved(records, impedance, R, torque, inverse, f))
+        bounded = unresolved(records, impedance, R, torque, inverse, f)
+        systematics = (*bounded, *skewed)
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
@@ -192,6 +193,7 @@ class LpmFull:
             T=torque,
             R=R,
             systematics=systematics,
+            bounded=len(bounded),
             line_power=powers,
             weight_floor=self._floor(columns[0]),
             friction_skew=added.real.astype(np.complex128),
@@ -448,15 +450,18 @@ def unresolved(
 ) -> list[ComplexArray]:
     """What motion of locked joints that their encoders don't show may do to the impedance.
 
-    Rounding takes a share off the responses R that are seen, or adds it. What isn't seen at all
+    Rounding takes a share off the responses R that are seen, or adds it, and may be ahead of them
+    by a lead: a share of ``jω`` times that. What isn't seen at all
     follows the torque on the joint, which is a spring to that, or a damper: with ``S = T`` or
     ``T/s``, a motion of a is a response ``δR = a S / rms(S x)``. The effect of either is
     ``δZ = -Z δR R⁻¹``.
     """
     share, beside = lost_motion(records)
+    lead = rounding_lead(records, float(f[-1]))
     lost = []
-    for joint, k in np.argwhere(share + beside > 0.0):
-        responses = [share[joint, k] * R[joint, k]]
+    for joint, k in np.argwhere(share + beside + lead > 0.0):
+        ahead = 2j * np.pi * f * lead[joint, k]
+        responses = [share[joint, k] * R[joint, k], ahead * R[joint, k]]
         for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
             caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
             responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
@@ -511,7 +516,9 @@ def untold_friction(
     effects = []
     for k, record in enumerate(records):
         inertia = _inertia(impedance[:, k], f)
-        amplitude = np.sqrt(2.0) * max(float(np.std(_speed(record, f))), _TINY)
+        amplitude = np.sqrt(2.0) * max(
+            float(np.std(speed_of(record.position[k], record.rate, float(f[-1])))), _TINY
+        )
         of_one = turning * (turning - bending[k])
         largest = 0.25 / record.rate * 4.0 * _FRICTION / (np.pi * amplitude)
         effect = np.zeros_like(impedance)
@@ -548,7 +555,7 @@ def _reversals(
         steps = np.diff(record.torque, axis=1)
         gained = steps[k] / inertia[k, number] if whole is None else whole[k] @ steps
         change = float(np.std(gained)) / record.rate
-        speed = np.abs(_speed(record, f))
+        speed = np.abs(speed_of(record.position[k], record.rate, float(f[-1])))
         reversing[number] = np.mean(speed < change)
         usual = max(float(np.mean(speed)), _TINY)
         bending[number] = record.rate * reversing[number] * change / (6.0 * usual)
@@ -560,15 +567,6 @@ def _inertia(impedance: ComplexArray, f: FloatArray) -> FloatArray:
     high = f >= 0.8 * f[-1]
     squared = (2.0 * np.pi * f[high]) ** 2
     return np.asarray(-np.mean(impedance.real[..., high] / squared, axis=-1))
-
-
-def _speed(record: TrialRecord, f: FloatArray) -> FloatArray:
-    """Speed of the perturbed joint, up to the end of the band, rad/s; (N,)."""
-    angle = record.position[record.perturbed_joint]
-    turning = 2.0 * np.pi * np.fft.rfftfreq(record.samples, 1.0 / record.rate)
-    spectrum = 1j * turning * np.fft.rfft(angle - np.mean(angle))
-    spectrum[turning > 2.0 * np.pi * f[-1]] = 0.0
-    return np.asarray(np.fft.irfft(spectrum, record.samples))
 
 
 def _unit(rows: int, channels: int, f: FloatArray) -> ComplexArray:
