@@ -182,13 +182,16 @@ _NOTICED = 2.0
 _MOST_CUFFS = 8
 """Joints up to which cuffs and reflexes are looked for: it takes time with the third power."""
 _LIKELY = 0.2
-"""Assumption: how likely a joint has a reflex or a spring that relaxes, before the trial."""
+"""Assumption: how likely a joint has a reflex, a spring that relaxes or a soft cuff, before the
+trial."""
 _REFLEX, _REFLEX_DELAY, _MUSCLE = 0.5, 0.04, 30.0
 """Assumption: velocity gain of a reflex that a joint may have, relative to its B; its delay, s, and
 the corner of its muscle, rad/s, as in Kearney, Stein & Parameswaran (1997)."""
 _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 """Assumption: stiffness that a joint may have in addition to K and that relaxes, relative to K, and
 with which time constants, s."""
+_CUFF = 1e-5
+"""Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10
@@ -546,6 +549,9 @@ class _Elements:
                 value, error = self.common_coefficient(terms)
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
                 square = _noticed(max(value, 0.0) if place < n else value, error)
+                if place < n:
+                    soft = hidden_square(value / _CUFF, error / _CUFF, _LIKELY, positive=True)
+                    square = max(square, soft * _CUFF**2)
                 for row, of_mbk in enumerate(self._all_coefficients):
                     squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2
             hidden = np.zeros_like(squares)
