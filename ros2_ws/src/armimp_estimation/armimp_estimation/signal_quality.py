@@ -52,8 +52,8 @@ _OF_COMMAND = 0.02
 _LAGS = 4
 RESOLVED_SHARE = 0.25
 """Share of the motion of a locked joint that may be unseen where its motion counts as resolved."""
-RESOLVED = 8.0
-"""Peak to peak motion, in counts of the resolution, below which nothing is resolved."""
+RESOLVED: Final = {JOINT_STATES: 20.0, TORQUE_SENSORS: 8.0}
+"""Peak to peak motion and torque, in counts of the resolution, below which nothing is resolved."""
 
 
 def judge_signals(record: TrialRecord) -> list[Problem]:
@@ -75,7 +75,7 @@ def judge_signals(record: TrialRecord) -> list[Problem]:
             moves = stream == TORQUE_SENSORS or joint == record.perturbed_joint
             if moves:
                 counts = counts_of(signal)
-                if counts < RESOLVED:
+                if counts < RESOLVED[stream]:
                     found.append((ProblemCode.UNRESOLVED, {"counts": counts}))
                 k = record.perturbed_joint
                 partner = (record.torque if stream == JOINT_STATES else record.position)[k]
@@ -219,7 +219,7 @@ def lost_motion(records: Sequence[TrialRecord]) -> tuple[FloatArray, FloatArray]
 
 
 def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray:
-    """How far the motion that encoders of locked joints show may be ahead of them.
+    """How far the motion that encoders show may be ahead of that of the joints.
 
     A law that holds a joint throws it back where its reading steps. Rounding then isn't independent
     of the motion, but follows its speed, by the ratio of their rms values at most. Of joints that
@@ -236,12 +236,12 @@ def rounding_lead(records: Sequence[TrialRecord], band_end: float) -> FloatArray
     Returns
     -------
     ndarray, shape (n, n)
-        Standard error of each joint in each trial, s; 0 for the perturbed one.
+        Standard error of each joint in each trial, s.
     """
     lead = np.zeros((len(records), len(records)))
     for joint, k in np.ndindex(lead.shape):
         step = _step_of(records[joint], joint)
-        if k == joint or step == 0.0:
+        if step == 0.0:
             continue
         angle = records[k].position[joint]
         steps = np.sign(np.rint(np.diff(angle) / step))

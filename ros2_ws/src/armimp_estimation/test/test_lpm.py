@@ -95,13 +95,16 @@ def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None
     for joint, k in ((1, 0), (0, 1)):
         size = beside[joint, k] / np.std(records[k].perturbation[k])
         assert size > 0.0
-        ahead = 2j * np.pi * f * rounding_lead(records, 5.0)[joint, k]
-        responses = [share[joint, k] * R[joint, k], ahead * R[joint, k]]
+        responses = [share[joint, k] * R[joint, k]]
         for power in (0, 1):
             shape = T[joint, k] / f**power
             responses.append(size * shape / np.sqrt(np.mean(np.abs(shape) ** 2)))
         for one in responses:
             expected += np.abs(one * Z[:, joint, None] * inverse[None, k]) ** 2
+    # And readings may lead the motion, of the perturbed joint, too.
+    for (joint, k), lead in np.ndenumerate(rounding_lead(records, 5.0)):
+        ahead = 2j * np.pi * f * lead * R[joint, k]
+        expected += np.abs(ahead * Z[:, joint, None] * inverse[None, k]) ** 2
     np.testing.assert_allclose(added, expected, rtol=1e-12)
 
 
@@ -171,10 +174,10 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
             fitted = getattr(whole.mbk, name)[:, k]
             np.testing.assert_allclose(column.values[row], fitted, rtol=5e-3)
             # It takes the mean over all trials of each correlation of bins, and knows of reflexes
-            # that noise may hide, which make errors of the joint's own torque larger.
+            # that noise may hide, which make errors of the joint's own torque larger, and of cuffs.
             errors = getattr(whole, f"{name}_se")[:, k]
             apart = np.arange(len(errors)) != k
-            np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.02)
+            np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.05)
             assert (column.errors[row] < 1.02 * errors).all()
 
 
