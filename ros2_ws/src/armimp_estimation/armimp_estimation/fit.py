@@ -763,7 +763,7 @@ def _with_delay(
     untold = assumed * turning * steady
     # A low-pass of first order is exp(-sd + (sd)²/2 - (sd)³/3 ...), others have less of each.
     filtered = [(delay * turning) ** order / order * inertial for order in _ORDERS if delay]
-    # Torques that jump and angles that don't differ by (ωL)²/24 of inertia at the middle of a period.
+    # Torques that jump and angles that don't differ by (ωL)²/24 of inertia amid a period.
     jumping = (assumed * turning) ** 2 / 6.0 * inertial
     terms = np.stack([assumed * turning * turned, jumping, *filtered])
     trial = replace(problem, Z=turned - doubt, systematics=(*problem.systematics, doubt, untold))

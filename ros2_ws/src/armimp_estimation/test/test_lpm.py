@@ -177,7 +177,7 @@ def test_column_of_one_trial_is_that_of_the_whole_estimate_where_joints_are_lock
             # that noise may hide, which make errors of the joint's own torque larger, and of cuffs.
             errors = getattr(whole, f"{name}_se")[:, k]
             apart = np.arange(len(errors)) != k
-            np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.05)
+            np.testing.assert_allclose(column.errors[row][apart], errors[apart], rtol=0.1)
             assert (column.errors[row] < 1.02 * errors).all()
 
 
