@@ -92,8 +92,10 @@ def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors() 
     expected = np.linalg.lstsq(design, y, rcond=None)[0]
     np.testing.assert_allclose(stacked(fit)[:, 0, 0], expected, rtol=1e-9)
     covariance = np.linalg.inv(design.T @ design)  # each part has half of the variance of 2
-    # A reflex that the noise may hide adds a thousandth.
-    np.testing.assert_allclose(errors(fit)[:, 0, 0], np.sqrt(np.diag(covariance)), rtol=2e-3)
+    # A reflex that the noise may hide adds a thousandth to B, a soft cuff a twentieth to M.
+    ratio = errors(fit)[:, 0, 0] / np.sqrt(np.diag(covariance))
+    assert (ratio > 1.0).all()
+    assert (ratio < [1.05, 1.002, 1.005]).all()
 
 
 def test_a_frequency_of_great_variance_is_not_listened_to() -> None:
