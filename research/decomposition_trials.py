@@ -155,7 +155,7 @@ def estimate(
         else:
             options = replace(experiment.options, welch=welch)
             reading = options.lpm.reading
-            data = [TrialData.from_record(one, welch, reading) for one in experiment.records]
+            data = [TrialData.of(one, welch=welch, reading=reading) for one in experiment.records]
             impedance = make_estimator(name, options).estimate(data)
         impedance, fit = fit_impedance(impedance)
         runs[name] = Run(

@@ -173,9 +173,7 @@ def test_phases_and_numbers_are_those_of_the_code() -> None:
 @pytest.fixture(scope="module")
 def trials() -> list[TrialData]:
     config = SyntheticConfig(samples=40_000)
-    return [
-        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, joint, config, 1)) for joint in (0, 1)
-    ]
+    return [TrialData.of(synthetic_trial(TWO_JOINT_ARM, joint, config, 1)) for joint in (0, 1)]
 
 
 @pytest.fixture(scope="module")

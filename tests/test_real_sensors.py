@@ -83,7 +83,7 @@ def estimated(name: str, *, told: bool = True) -> EstimatorResult:
     if told:
         return experiment.identify(["lpm_full"]).estimators["lpm_full"]
     options = replace(experiment.options, lpm=LpmConfig(reading=TorqueReading()))
-    data = [TrialData.from_record(one, options.welch) for one in experiment.records]
+    data = [TrialData.of(one, welch=options.welch) for one in experiment.records]
     return identify(data, ["lpm_full"], truth(), options).estimators["lpm_full"]
 
 

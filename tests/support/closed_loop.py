@@ -63,7 +63,7 @@ class ClosedLoop:
                 start_ns=status.start_ns,
                 seed=status.seed,
             )
-            trials.append(TrialData.from_record(record))
+            trials.append(TrialData.of(record))
         arm = self._parameters.simulator.human_arm()
         truth = MBK(M=arm.inertia, B=arm.damping, K=arm.stiffness)
         found = identify(trials, ("lpm_full",), truth)

@@ -150,7 +150,7 @@ def synthetic_trials(
 ) -> list[TrialData]:
     """Trials of all joints of an arm, with their spectra."""
     return [
-        TrialData.from_record(synthetic_trial(arm, joint, loop, seed), WELCH)
+        TrialData.of(synthetic_trial(arm, joint, loop, seed), welch=WELCH)
         for joint in range(arm.joints)
     ]
 

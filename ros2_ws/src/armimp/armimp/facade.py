@@ -292,7 +292,7 @@ def identify(recording: Recording, estimator: str = "lpm_full", model: str = "au
     if not recording.trials:
         raise DataError("there is no trial in the recording")
     welch = segments_for([[trial] for trial in recording.trials])
-    data = [TrialData.from_record(one, welch, recording.reading) for one in recording.trials]
+    data = [TrialData.of(one, welch=welch, reading=recording.reading) for one in recording.trials]
     config = IdentifyConfig(
         welch=welch,
         lpm=LpmConfig(reading=recording.reading),

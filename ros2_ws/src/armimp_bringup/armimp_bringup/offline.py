@@ -317,7 +317,7 @@ class SimulatedExperiment:
         """
         options = self.options
         data = [
-            TrialData.from_record(record, options.welch, options.lpm.reading)
+            TrialData.of(record, welch=options.welch, reading=options.lpm.reading)
             for record in self.records
         ]
         return identify(data, estimators, self.truth, options)

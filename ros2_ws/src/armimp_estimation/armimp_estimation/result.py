@@ -133,7 +133,7 @@ def conclude(
             if config is None:
                 config = known.options(segments_for(parts))
             reading = config.lpm.reading
-            data = [TrialData.from_stretches(one, config.welch, reading) for one in parts]
+            data = [TrialData.of(*one, welch=config.welch, reading=reading) for one in parts]
             identification = identify(data, estimators, known.truth, config)
             found += identification.problems
         except DataError as error:

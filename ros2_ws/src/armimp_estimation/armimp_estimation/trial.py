@@ -47,32 +47,17 @@ class TrialData:
     """Of ``[tau_delta_k, theta_1..theta_n, tau_1..tau_n]`` in all stretches, N·m and rad."""
 
     @classmethod
-    def from_record(
+    def of(
         cls,
-        record: TrialRecord,
-        config: WelchConfig | None = None,
+        *stretches: TrialRecord,
+        welch: WelchConfig | None = None,
         reading: TorqueReading | None = None,
     ) -> "TrialData":
-        """Compute the spectra of a whole record; bit-identical to gathering them live.
+        """Compute the spectra of a whole record, or of the intact stretches of a trial.
 
-        Raises
-        ------
-        DataError
-            If the record is shorter than one segment.
-        """
-        return cls.from_stretches([record], config, reading)
-
-    @classmethod
-    def from_stretches(
-        cls,
-        stretches: Sequence[TrialRecord],
-        config: WelchConfig | None = None,
-        reading: TorqueReading | None = None,
-    ) -> "TrialData":
-        """Compute the spectra of the intact stretches of a trial; no segment spans a gap.
-
-        They are those of torques without the delay and the filter of their ``reading``. Drift, as
-        the longest stretch tells it, is taken out of record and spectra.
+        They are bit-identical to those that are gathered live, and no segment spans a gap. Torques
+        are taken without the delay and the filter of their ``reading``. Drift, as the longest
+        stretch tells it, is taken out of record and spectra.
 
         Raises
         ------
@@ -82,9 +67,9 @@ class TrialData:
         record = max(stretches, key=lambda stretch: stretch.samples)
         drift = drift_of(record)
         if drift is not None and drift.significant:
-            stretches = [drift.removed_from(stretch) for stretch in stretches]
+            stretches = tuple(drift.removed_from(stretch) for stretch in stretches)
             record = max(stretches, key=lambda stretch: stretch.samples)
-        accumulator = SpectralAccumulator(2 * record.joints + 1, record.rate, config)
+        accumulator = SpectralAccumulator(2 * record.joints + 1, record.rate, welch)
         k = record.perturbed_joint
         for stretch in stretches:
             accumulator.interrupt()

@@ -53,12 +53,12 @@ def test_a_trial_without_drift_stays_as_it_is() -> None:
     found = drift_of(one)
     assert found is not None
     assert not found.significant
-    assert TrialData.from_record(one, WELCH).record is one
+    assert TrialData.of(one, welch=WELCH).record is one
 
 
 def test_drift_goes_and_offset_stays_and_nothing_else_changes() -> None:
     one = record(0)
-    data = TrialData.from_record(drifting(one), WELCH)
+    data = TrialData.of(drifting(one), welch=WELCH)
     found = drift_of(drifting(one))
     assert found is not None
     left = data.record.torque - one.torque
@@ -78,8 +78,7 @@ def test_drift_costs_the_estimates_nothing_and_would_cost_them_the_stiffness(
     def worst(slope: float) -> tuple[float, float]:
         """Largest error of K, and of the curve at the lowest bins, relative to |Z|."""
         data = [
-            TrialData.from_record(drifting(record(joint), slope * SLOPE), WELCH)
-            for joint in range(2)
+            TrialData.of(drifting(record(joint), slope * SLOPE), welch=WELCH) for joint in range(2)
         ]
         found = estimator.estimate(data)
         low = found.f < 0.3

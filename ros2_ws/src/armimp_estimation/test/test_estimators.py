@@ -103,7 +103,7 @@ def pushed_record(seed: int) -> TrialRecord:
 
 def test_bias_of_the_direct_one_is_that_of_theory() -> None:
     """``G_θτ/G_θθ = (Z G_xx - Y G_dd)/(G_xx + G_dd)``: with equal powers halfway from Z to -Y."""
-    data = [TrialData.from_record(pushed_record(seed), WELCH) for seed in range(30)]
+    data = [TrialData.of(pushed_record(seed), welch=WELCH) for seed in range(30)]
     found = np.mean([DIRECT.estimate([one]).Z for one in data])
     assert abs(found - (4.0 - 6.0) / 2.0) < 0.1
     unbiased = np.mean([SISO.estimate([one]).Z.real for one in data])
@@ -223,7 +223,7 @@ def still(trial: TrialData) -> TrialRecord:
 def test_when_the_perturbed_joint_does_not_move_expect_its_number_in_the_error() -> None:
     moving, resting = synthetic_trials()
     record = still(resting)
-    data = [moving, TrialData.from_record(record, WELCH)]
+    data = [moving, TrialData.of(record, welch=WELCH)]
     with pytest.raises(DataError, match="joint 2 does not follow its perturbation"):
         SISO.estimate(data)
     with pytest.raises(DataError, match=r"joint 2 does not move at 0\.1221 Hz"):

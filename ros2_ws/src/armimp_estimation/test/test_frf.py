@@ -38,7 +38,7 @@ def static_record(noise: float = 0.0) -> TrialRecord:
 
 
 def test_responses_of_a_static_system_are_its_gains() -> None:
-    frf = frf_matrix([TrialData.from_record(static_record(), WELCH)])
+    frf = frf_matrix([TrialData.of(static_record(), welch=WELCH)])
     gains = np.concatenate((frf.R, frf.T))[:, 0]
     expected = np.array([0.5, 0.001, 3.0, -2.0])[:, None] * np.ones(frf.f.size)
     np.testing.assert_allclose(gains, expected, rtol=1e-12)
@@ -53,7 +53,7 @@ def test_variance_of_responses_is_that_of_repeated_experiments() -> None:
     motion = 1.0 / ((0.2 + arm.M[0, 0]) * s**2 + (4.0 + arm.B[0, 0]) * s + 30.0 + arm.K[0, 0])
     push = motion * (arm.M[1, 0] * s**2 + arm.B[1, 0] * s + arm.K[1, 0])
     columns = [
-        frf_matrix([TrialData.from_record(synthetic_trial(arm, 0, loop, seed), WELCH)])
+        frf_matrix([TrialData.of(synthetic_trial(arm, 0, loop, seed), welch=WELCH)])
         for seed in range(300)
     ]
     squares = np.mean([np.abs(c.R[0, 0] - motion) ** 2 for c in columns], axis=0)
@@ -66,7 +66,7 @@ def test_variance_of_responses_is_that_of_repeated_experiments() -> None:
 
 def test_when_trials_differ_in_length_expect_the_averages_of_the_shortest() -> None:
     short = synthetic_trial(TWO_JOINT_ARM, 1, dataclasses.replace(LOOP, samples=3000), 1)
-    data = [synthetic_trials()[0], TrialData.from_record(short, WELCH)]
+    data = [synthetic_trials()[0], TrialData.of(short, welch=WELCH)]
     estimate = WelchSiso().estimate(data)
     assert estimate.averages == data[1].spectra.effective_averages < 6.0
 
@@ -96,7 +96,7 @@ def test_when_trials_do_not_belong_together_expect_data_error(
 
 def test_when_spectra_are_at_different_frequencies_expect_data_error() -> None:
     first, second = synthetic_trials()
-    other = TrialData.from_record(second.record, WelchConfig(segment=512, overlap=256))
+    other = TrialData.of(second.record, welch=WelchConfig(segment=512, overlap=256))
     with pytest.raises(DataError, match="trials 1 and 2 have spectra at different frequencies"):
         order_trials([first, other])
 
@@ -110,7 +110,7 @@ def test_when_there_is_one_segment_only_expect_data_error() -> None:
 def test_when_there_is_no_perturbation_expect_data_error() -> None:
     record = dataclasses.replace(static_record(), perturbation=np.zeros((2, 6144)))
     with pytest.raises(DataError, match="joint 1: no perturbation at"):
-        frf_matrix([TrialData.from_record(record, WELCH)])
+        frf_matrix([TrialData.of(record, welch=WELCH)])
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -121,7 +121,7 @@ def test_when_the_perturbation_is_too_large_to_be_squared_expect_data_error(valu
     perturbation[0, 100] = value
     record = dataclasses.replace(record, perturbation=perturbation)
     with pytest.raises(DataError, match="joint 1: no perturbation at"):
-        frf_matrix([TrialData.from_record(record, WELCH)])
+        frf_matrix([TrialData.of(record, welch=WELCH)])
 
 
 def test_inverse_times_matrix_is_the_identity_at_each_frequency() -> None:

@@ -33,7 +33,7 @@ def smooth() -> list[TrialRecord]:
 
 def viscosity(records: list[TrialRecord], config: LpmConfig | None = None) -> FloatArray:
     """Fitted viscosity relative to the true one."""
-    data = [TrialData.from_record(record) for record in records]
+    data = [TrialData.of(record) for record in records]
     estimator = LpmFull() if config is None else LpmFull(config=config)
     return fit_mbk(estimator.estimate(data)).mbk.B / ARM.B
 

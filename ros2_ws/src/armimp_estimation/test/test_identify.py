@@ -24,7 +24,7 @@ ESTIMATORS = ("welch_siso", "welch_full")
 
 def trials(loop: SyntheticConfig = LOOP, arm: MBK = TWO_JOINT_ARM) -> list[TrialData]:
     return [
-        TrialData.from_record(synthetic_trial(arm, joint, loop, 1), CONFIG.welch)
+        TrialData.of(synthetic_trial(arm, joint, loop, 1), welch=CONFIG.welch)
         for joint in range(arm.joints)
     ]
 
@@ -86,11 +86,11 @@ def test_an_inertia_that_is_not_symmetric_is_refused() -> None:
 def test_angles_and_torques_in_another_order_than_perturbations_are_refused() -> None:
     loop = dataclasses.replace(LOOP, lock_stiffness=3000.0)
     swapped = [
-        TrialData.from_record(
+        TrialData.of(
             dataclasses.replace(
                 trial.record, position=trial.record.position[::-1], torque=trial.record.torque[::-1]
             ),
-            CONFIG.welch,
+            welch=CONFIG.welch,
         )
         for trial in trials(loop)
     ]

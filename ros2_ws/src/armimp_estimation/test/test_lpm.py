@@ -118,8 +118,8 @@ def test_in_short_records_fewer_bins_take_part() -> None:
     ]
     loop = dataclasses.replace(LOOP, samples=1250)
     data = [
-        TrialData.from_record(
-            synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), WelchConfig.for_samples(1250)
+        TrialData.of(
+            synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), welch=WelchConfig.for_samples(1250)
         )
         for joint in range(2)
     ]
@@ -140,7 +140,7 @@ def cut_to(record: TrialRecord, samples: int) -> TrialRecord:
 def test_of_trials_of_different_length_each_is_used_whole_at_frequencies_of_the_shortest() -> None:
     loop = dataclasses.replace(LOOP, voluntary=0.3)
     whole = synthetic_trials(loop)
-    shorter = [TrialData.from_record(cut_to(trial.record, 3072), WELCH) for trial in whole]
+    shorter = [TrialData.of(cut_to(trial.record, 3072), welch=WELCH) for trial in whole]
     mixed = LPM.estimate([whole[0], shorter[1]])
     both_short = LPM.estimate(shorter)
 

@@ -459,7 +459,7 @@ class Run:
 
 
 def final(joint: int) -> tuple[float, float]:
-    trial = TrialData.from_record(ARM_RECORDING.records[joint], WELCH)
+    trial = TrialData.of(ARM_RECORDING.records[joint], welch=WELCH)
     motion = scores.coherence(trial.spectra, 0, trial.position_channel(joint))
     torque = scores.coherence(trial.spectra, 0, trial.torque_channel(joint))
     return float(np.mean(motion)), float(np.mean(torque))

@@ -344,8 +344,8 @@ def test_segments_of_all_parts_are_averaged_and_none_spans_a_gap() -> None:
     config = WelchConfig(segment=1024, overlap=768)
     complete = RECORDING.records[0]
     parts = [part(complete, 0, 3000), part(complete, 3100, 3600), part(complete, 4000, 9000)]
-    data = TrialData.from_stretches(parts, config)
-    alone = [TrialData.from_stretches([one], config).spectra for one in parts[::2]]
+    data = TrialData.of(*parts, welch=config)
+    alone = [TrialData.of(one, welch=config).spectra for one in parts[::2]]
     counts = [8, 16]
     assert [one.segments for one in alone] == counts
     mean = sum(one.matrix * one.segments for one in alone) / sum(counts)
@@ -483,7 +483,7 @@ def identification() -> Identification:
     config = IdentifyConfig(welch=WelchConfig(segment=1024, overlap=768))
     loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=0.02)
     data = [
-        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), config.welch)
+        TrialData.of(synthetic_trial(TWO_JOINT_ARM, joint, loop, 1), welch=config.welch)
         for joint in range(2)
     ]
     return identify(data, ["welch_siso", "welch_full"], TWO_JOINT_ARM, config)

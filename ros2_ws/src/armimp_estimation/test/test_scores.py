@@ -103,8 +103,7 @@ def test_the_interval_of_the_deviation_holds_that_of_the_loop_as_often_as_it_say
     held, found = [], []
     for seed in range(40):
         trials = [
-            TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, k, loop, seed), WELCH)
-            for k in (0, 1)
+            TrialData.of(synthetic_trial(TWO_JOINT_ARM, k, loop, seed), welch=WELCH) for k in (0, 1)
         ]
         estimate = LpmFull(band=(1.0, 15.0)).estimate(trials)
         error = (shown.impedance(estimate.f) - TARGET.impedance(estimate.f))[0, 0]
@@ -172,7 +171,7 @@ def test_lock_ratio_is_the_motion_that_the_perturbation_causes_and_not_that_of_a
             locked = 1 - record.perturbed_joint
             record.position[locked] = 0.01 * record.position[1 - locked]
             record.position[locked] += dither * np.sin(2.0 * np.pi * 40.0 * t)
-        data = [TrialData.from_record(one, WELCH) for one in records]
+        data = [TrialData.of(one, welch=WELCH) for one in records]
         ratios.append(scores.lock_ratio(data, frf_matrix(data)))
     np.testing.assert_allclose(ratios[0], [[1.0, 0.01], [0.01, 1.0]], rtol=1e-6)
     np.testing.assert_allclose(ratios[1], ratios[0], rtol=0.05)
@@ -210,7 +209,7 @@ def test_bias_bound_is_the_share_of_torque_that_locked_joints_make() -> None:
 def test_mean_coherences_are_arranged_by_torque_and_perturbed_joint() -> None:
     loop = SyntheticConfig(rate=125.0, samples=6144, torque_noise=1.0, position_noise=0.01)
     trials = [
-        TrialData.from_record(synthetic_trial(TWO_JOINT_ARM, k, loop, 1), WELCH) for k in range(2)
+        TrialData.of(synthetic_trial(TWO_JOINT_ARM, k, loop, 1), welch=WELCH) for k in range(2)
     ]
     found = scores.Coherences.of(trials, estimate_of(TWO_JOINT_ARM.impedance(F)))
     torque, motion = scores.band_mean(found.torque), scores.band_mean(found.motion)

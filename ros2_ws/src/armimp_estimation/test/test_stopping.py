@@ -157,9 +157,7 @@ def test_intervals_of_trials_that_end_early_hold_the_truth_and_estimates_are_not
         trials: list[TrialRecord] = []
         for joint in (0, 1):
             trials.append(ended(synthetic_trial(TWO_JOINT_ARM, joint, loop, seed), trials))
-        data = [
-            TrialData.from_record(one, WelchConfig(segment=1024, overlap=768)) for one in trials
-        ]
+        data = [TrialData.of(one, welch=WelchConfig(segment=1024, overlap=768)) for one in trials]
         options = FitConfig(weight_floor=LPM.config.weight_floor)
         fit = fit_mbk(LPM.estimate(data), options)
         values = np.stack([fit.mbk.M, fit.mbk.B, fit.mbk.K])

@@ -102,7 +102,7 @@ def test_without_the_poles_of_the_filter_a_step_is_there_after_as_many_readings(
 
 
 def fitted(records: list[TrialRecord], reading: TorqueReading) -> MBK:
-    data = [TrialData.from_record(record, None, reading) for record in records]
+    data = [TrialData.of(record, reading=reading) for record in records]
     return fit_mbk(LpmFull(config=LpmConfig(reading=reading)).estimate(data)).mbk
 
 
@@ -129,7 +129,7 @@ def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: Torq
     assert told["B"] < 0.005
     assert told["K"] < 0.015
     # What nobody told is found as a common delay, or in the standard errors.
-    data = [TrialData.from_record(record) for record in records]
+    data = [TrialData.of(record) for record in records]
     fit = fit_mbk(LpmFull().estimate(data))
     for name in "MBK":
         error = np.abs(getattr(fit.mbk, name) - getattr(ARM, name))
@@ -148,9 +148,9 @@ def test_without_commands_the_skew_alone_leaves_little(reading: TorqueReading) -
 def test_spectra_are_corrected_for_delay_and_filter_and_coherences_stay() -> None:
     reading = TorqueReading(delay=0.003, cutoff=50.0)
     prompt, slow = (rig_record(0, one) for one in (TorqueReading(), reading))
-    plain = TrialData.from_record(prompt).spectra.matrix
-    raw = TrialData.from_record(slow).spectra.matrix
-    corrected = TrialData.from_record(slow, None, reading).spectra.matrix
+    plain = TrialData.of(prompt).spectra.matrix
+    raw = TrialData.of(slow).spectra.matrix
+    corrected = TrialData.of(slow, reading=reading).spectra.matrix
 
     # But for the skew of half a sample, which is not corrected here.
     np.testing.assert_allclose(np.abs(corrected[0, 3:]), np.abs(plain[0, 3:]), rtol=0.03)
@@ -172,7 +172,7 @@ def test_averaged_spectra_give_the_right_mass_through_a_filter_that_is_known() -
     records = [rig_record(joint, reading) for joint in range(2)]
 
     def mass_error(known: TorqueReading | None) -> float:
-        data = [TrialData.from_record(record, None, known) for record in records]
+        data = [TrialData.of(record, reading=known) for record in records]
         found = fit_mbk(WelchFull().estimate(data)).mbk.M
         return float(np.max(np.abs(found / ARM.M - 1.0)))
 

@@ -79,7 +79,7 @@ def perturbed(joint: int = 1) -> TrialRecord:
 @pytest.mark.parametrize("joint", [0, 1])
 def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: int) -> None:
     source = perturbed(joint)
-    trial = TrialData.from_record(source, CONFIG)
+    trial = TrialData.of(source, welch=CONFIG)
     angle = trial.position_channel(1)
     torque = trial.torque_channel(0)
     assert (angle, torque) == (2, 3)
@@ -95,7 +95,7 @@ def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: 
         seed=None,
     )
     # Powers of two scale without rounding.
-    other = TrialData.from_record(scaled, CONFIG)
+    other = TrialData.of(scaled, welch=CONFIG)
     np.testing.assert_array_equal(other.input_power, 4.0 * trial.input_power)
     factors = np.array([2.0, 1.0, 4.0, 8.0, 1.0])
     expected = factors[:, None, None] * factors[None, :, None] * trial.spectra.matrix
@@ -104,4 +104,4 @@ def test_channels_are_perturbation_of_the_joint_then_angles_then_torques(joint: 
 
 def test_when_the_record_is_too_short_expect_its_trial_in_the_error() -> None:
     with pytest.raises(DataError, match="trial 2: record of 1000 samples is shorter than one"):
-        TrialData.from_record(perturbed())
+        TrialData.of(perturbed())
