@@ -19,7 +19,6 @@ from armimp_bringup.study.figures import impedance_figure, levels_figure, write_
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
-    SCORES,
     Table,
     judge,
     results_table,
@@ -97,18 +96,6 @@ def test_report_is_the_same_after_interruptions_and_in_another_order(
         run_study(BASE, part, tmp_path / "other", Threads(2), figures=False)
     again = (tmp_path / "other" / "report.html").read_bytes()
     assert again == (study / "report.html").read_bytes()
-
-
-def test_errors_of_elements_are_the_largest_of_all_conditions(
-    entries: Sequence[StudyEntry], table: Table, truth: MBK
-) -> None:
-    found = {one.name: one.worst_elements(table[:, 1]) for one in SCORES}
-    estimates = np.array([entry.estimators["lpm_full"].K for entry in entries])
-    worst = np.max(np.abs(estimates - truth.K), axis=0)
-    np.testing.assert_allclose(found["M, K error"][1], 100.0 * worst / np.abs(truth.K))
-    scale = np.sqrt(np.outer(np.diag(truth.K), np.diag(truth.K)))
-    np.testing.assert_allclose(found["M, K scaled"][1], 100.0 * worst / scale)
-    np.testing.assert_array_equal(found["VAF"][0], table["vaf_percent"][:, 1].min(axis=0))
 
 
 def test_statistics_by_level_count_every_condition_once(table: Table) -> None:

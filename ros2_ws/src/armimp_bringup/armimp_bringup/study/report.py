@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.report_plots import Panel, heat_map, levels_chart, overlay_plot
+from armimp_bringup.study.report_plots import levels_chart, overlay_plot
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
@@ -25,7 +25,7 @@ from armimp_bringup.study.scores import (
 from armimp_bringup.study.scores import Table as Results
 from armimp_bringup.study.store import StudyEntry
 from armimp_estimation.curves import ImpedanceCurve
-from armimp_estimation.mbk import MBK, UNITS
+from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import (
     NONE,
     code,
@@ -37,7 +37,7 @@ from armimp_estimation.report.formats import (
 )
 from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
-from armimp_estimation.report.plots import Plot, View
+from armimp_estimation.report.plots import Plot
 from armimp_estimation.report.result_plots import TRUTH, plot_matrix
 from armimp_estimation.report.run import advised
 from armimp_estimation.report.settings import (
@@ -62,8 +62,6 @@ _LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
     "perturbation": ("imbic_controller", ("perturbation.peak",)),
 }
 """Node and beginnings of the parameters that each factor sets."""
-_MOTION: Final = Score(name="motion of held joints", unit=" %", floor=False, digits=3)
-_BIAS: Final = Score(name="bias that it may cause", unit=" %", floor=False, digits=3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -212,9 +210,8 @@ class StudyReport:
                 score = one.score
                 values, _ = score.worst(table, judged=one.limit is not None)
                 seeds = table["seed"][:, 0, 0]
-                of_seeds = np.array(
-                    [_worst(values[seeds == seed], score)[0] for seed in self._seeds]
-                )
+                of_each = (values[seeds == seed] for seed in self._seeds)
+                of_seeds = np.array([one[np.argmax(score.badness(one))] for one in of_each])
                 of_seeds = of_seeds[np.argsort(score.badness(of_seeds))]
                 met = NONE
                 if (limit := one.limit) is not None:
@@ -233,28 +230,23 @@ class StudyReport:
     # --- conditions ----------------------------------------------------------------------------
 
     def _conditions(self) -> Content:
-        """Maps of the worst score in each condition."""
-        plots = []
+        """The worst of each score in each condition, over its seeds."""
+        groups = []
         for name in self._estimators:
-            views = []
+            rows: list[list[object]] = [["F{} R{} P{}".format(*one)] for one in self._groups()]
             for score in SCORES:
                 limit = score.limit(self.entries[0].joints, name)
-                worst = score.worst(self._of(name), judged=limit is not None)
-                views.append(self._map(score, limit, *worst))
-            plots.append(
-                Plot(
-                    identifier=f"map-{name.replace('_', '-')}",
-                    caption=name,
-                    description=f"Worst values of {name} in each condition.",
-                    views=views,
-                    height=self._height,
-                )
-            )
-        return {"seeds": len(self._seeds), "plots": plots}
-
-    @property
-    def _height(self) -> int:
-        return 130 + 34 * len(np.unique(self.table["friction"]))
+                worst, _ = score.worst(self._of(name), judged=limit is not None)
+                for row, members in zip(rows, self._groups().values(), strict=True):
+                    badness = score.badness(worst[members])
+                    row.append(_shown(score, float(worst[members][np.argmax(badness)])))
+            groups.append((name, rows))
+        table = Table(
+            caption="Worst value in each condition",
+            columns=["condition", *map(_named, SCORES)],
+            groups=groups,
+        )
+        return {"seeds": len(self._seeds), "table": table}
 
     def _groups(self) -> dict[tuple[int, int, int], list[int]]:
         """Numbers of the results of each combination of levels."""
@@ -264,97 +256,34 @@ class StudyReport:
             groups.setdefault(key, []).append(place)
         return dict(sorted(groups.items()))
 
-    def _map(
-        self, score: Score, limit: float | None, values: FloatArray, where: Sequence[str]
-    ) -> View:
-        """Map over friction (rows) and resolution (columns), one panel for each perturbation."""
-        groups = self._groups()
-        frictions, resolutions, perturbations = (
-            sorted({levels[place] for levels in groups}) for place in range(3)
-        )
-        panels = []
-        for p in perturbations:
-            shown = np.full((len(frictions), len(resolutions)), np.nan)
-            notes: list[list[list[str] | None]] = [[None] * len(resolutions) for _ in frictions]
-            for (i, f), (k, r) in (
-                (a, b) for a in enumerate(frictions) for b in enumerate(resolutions)
-            ):
-                members = groups.get((f, r, p))
-                if members is None:
-                    continue
-                shown[i, k], place = _worst(values[members], score)
-                worst = members[place]
-                more = f", seed {self.entries[worst].seed}" if len(members) > 1 else ""
-                lines = [
-                    f"perturbation {p}, F{f} R{r}",
-                    f"{score.name} {score.format(shown[i, k])}",
-                    f"in {where[worst]}{more}",
-                ]
-                if more:
-                    best = values[members][np.argmin(score.badness(values[members]))]
-                    lines.append(f"best seed {score.format(best)}")
-                notes[i][k] = lines
-            columns = [f"R{r}" for r in resolutions]
-            panels.append(
-                Panel(title=f"perturbation {p}", columns=columns, values=shown, notes=notes)
-            )
-        titles = ("friction level", "resolution level")
-        return heat_map(score, [f"F{f}" for f in frictions], panels, titles=titles, limit=limit)
-
-    def _lock_ratios(self) -> tuple[FloatArray, list[str]]:
-        """Largest motion of a held joint in each condition (%), and which joint that was."""
-        n = self.entries[0].joints
-        ratios = 100.0 * np.where(np.eye(n, dtype=np.bool_), 0.0, self.table["lock_ratio"][:, 0])
-        return _largest(ratios, lambda i, k: f"joint {i + 1} while {k + 1} is perturbed")
-
     def _locking(self) -> Content | None:
-        """How still the held joints were in each condition; None where none is held."""
-        if self.entries[0].joints == 1:
+        """How still the held joints were in the worst trial; None where none is held."""
+        n, limits = self.entries[0].joints, Limits()
+        if n == 1:
             return None
-        limits = Limits()
-        bounds = _largest(100.0 * self.table["bias_bound"][:, 0], lambda i, k: f"Z{i + 1}{k + 1}")
-        parts = (
-            (_MOTION, 100.0 * limits.lock_ratio, self._lock_ratios()),
-            (_BIAS, 100.0 * limits.bias_bound, bounds),
-        )
+        held = np.where(np.eye(n, dtype=np.bool_), 0.0, self.table["lock_ratio"][:, 0])
         worst = [
-            f"{score.name}: at most {score.format(values.max())} (limit {limit:g} %)"
-            for score, limit, (values, _) in parts
+            f"{what}: at most {100.0 * float(values.max()):.3f} % (limit {100.0 * limit:g} %)"
+            for what, limit, values in (
+                ("motion of held joints", limits.lock_ratio, held),
+                ("bias that it may cause", limits.bias_bound, self.table["bias_bound"][:, 0]),
+            )
         ]
-        plot = Plot(
-            identifier="map-locking",
-            caption="Worst trial in each condition",
-            description="Motion of held joints relative to the perturbed one in each condition.",
-            views=[self._map(score, limit, *found) for score, limit, found in parts],
-            height=self._height,
-        )
-        return {"worst": "; ".join(worst).capitalize(), "plot": plot}
+        return {"worst": "; ".join(worst).capitalize()}
 
     # --- elements ------------------------------------------------------------------------------
 
     def _accuracy(self) -> Content:
         """Largest errors of each element over all conditions."""
-        groups, plots = [], []
-        for name in self._estimators:
-            table = self._of(name)
-            groups.append((name, [self._error_row(table, letter) for letter in LETTERS]))
-            plots.append(
-                Plot(
-                    identifier=f"elements-{name.replace('_', '-')}",
-                    caption=name,
-                    description=f"Worst values of each element by {name}.",
-                    views=[self._element_map(table, score) for score in SCORES],
-                    height=130 + 34 * self.entries[0].joints,
-                )
-            )
+        groups = [
+            (name, [self._error_row(self._of(name), letter) for letter in LETTERS])
+            for name in self._estimators
+        ]
         columns = ["matrix", "allowed with two joints"]
         columns += ["within", "worst", "element"] * 2 + ["within 1.96 s.e."]
         spans = [("", 2), ("relative error", 3), ("scaled error", 3), ("", 1)]
         caption = "Largest errors of M, B and K"
-        return {
-            "table": Table(caption=caption, columns=columns, groups=groups, spans=spans),
-            "plots": plots,
-        }
+        return {"table": Table(caption=caption, columns=columns, groups=groups, spans=spans)}
 
     def _error_row(self, table: Results, letter: str) -> list[object]:
         """Allowed and largest errors of a matrix by one estimator, and how many are covered."""
@@ -373,29 +302,6 @@ class StudyReport:
         off = np.abs(table[letter] - getattr(self._truth, letter))
         covered = float(np.mean(off <= NORMAL_95 * table[f"{letter}_se"]))
         return [*row, number(100.0 * covered, ".0f", "%")]
-
-    def _element_map(self, table: Results, score: Score) -> View:
-        """Map of the worst values of a score by element, one panel for each of its fields."""
-        n, panels = self.entries[0].joints, []
-        columns = [f"{k + 1}" for k in range(n)]
-        for place, values in enumerate(score.worst_elements(table)):
-            letter = score.element(place, 0, 0)[0]
-            notes = [
-                [
-                    [f"{score.element(place, i, k)}: {score.name} {score.format(values[i, k])}"]
-                    for k in range(n)
-                ]
-                for i in range(n)
-            ]
-            if letter in UNITS:
-                for i, k in np.ndindex(n, n):
-                    true = getattr(self._truth, letter)[i, k]
-                    notes[i][k].append(f"true value {number(float(true), '.4g')} {UNITS[letter]}")
-            title = letter if len(score.fields) > 1 else ""
-            panels.append(Panel(title=title, columns=columns, values=values, notes=notes))
-        limit = score.limit(n, table["estimator"].flat[0])
-        titles = ("torque of joint", "angle of joint")
-        return heat_map(score, columns, panels, titles=titles, limit=limit)
 
     # --- curves and levels ---------------------------------------------------------------------
 
@@ -510,17 +416,8 @@ def _present(entries: Sequence[StudyEntry], factor: str) -> str:
     return " and ".join(map(str, levels))
 
 
-def _worst(values: FloatArray, score: Score) -> tuple[float, int]:
-    """The worst of some values, and its place."""
-    place = int(np.argmax(score.badness(values)))
-    return float(values[place]), place
-
-
-def _largest(values: FloatArray, name: Callable[[int, int], str]) -> tuple[FloatArray, list[str]]:
-    """Largest of (n_conditions, n, n) values in each condition, and its name."""
-    flat = values.reshape(len(values), -1)
-    places = flat.argmax(axis=1)
-    return flat.max(axis=1), [name(*divmod(int(one), values.shape[-1])) for one in places]
+def _shown(score: Score, value: float) -> str:
+    return NONE if math.isnan(value) else score.format(value)
 
 
 def _named(score: Score) -> str:
@@ -531,7 +428,7 @@ def _worst_row(one: WorstValue, *, seeds: bool) -> list[object]:
     place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
     return [
         _named(one.score),
-        NONE if math.isnan(one.worst) else one.score.format(one.worst),
+        _shown(one.score, one.worst),
         one.target,
         "not judged" if one.met is None else mark(one.met),
         symbol(one.element[0], one.element[1:]),

@@ -1,19 +1,18 @@
-"""Plots of the report of a study: maps of numbers, levels, and all curves over the truth."""
+"""Plots of the report of a study: levels, and all curves over the truth."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.scores import FloatArray, Score, Table, statistics
+from armimp_bringup.study.scores import Score, Table, statistics
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
-from armimp_estimation.report.formats import NONE, symbol
+from armimp_estimation.report.formats import symbol
 from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
 from armimp_estimation.report.plots import (
     Axis,
@@ -21,151 +20,15 @@ from armimp_estimation.report.plots import (
     Line,
     Plot,
     Stroke,
-    Trace,
-    View,
-    axis,
     frequency_axis,
-    label,
-    stacked,
 )
 from armimp_estimation.report.result_plots import IMPEDANCE, TRUE, deviation_percent, phase_about
 
-# From good to bad, within the limit and beyond it; dark is bad in print as well.
-_WITHIN: Final = ("#f2f7fb", "#6baed6")
-_BEYOND: Final = ("#f0a868", "#b03a00")
 _TRUE: Final = replace(TRUE, width=2.0)
 _TARGET: Final = Stroke(name="target", colour="--soft", dash="dash", width=1.2)
 _GAP: Final = 0.6
 _SYMBOLS: Final = ("circle", "square", "triangle-up", "diamond", "triangle-down", "cross", "x")
 _SUBSCRIPTS: Final = str.maketrans("0123456789·", "₀₁₂₃₄₅₆₇₈₉.")
-
-
-# --- maps --------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Panel:
-    """A block of fields of a map."""
-
-    title: str
-    """Above it; may be empty."""
-    columns: Sequence[str]
-    """Labels."""
-    values: FloatArray
-    """NaN where there is no number; shape (n_rows, n_columns)."""
-    notes: Sequence[Sequence[Sequence[str] | None]]
-    """Lines that the pointer shows, for each field; None where there is no field."""
-
-
-def heat_map(
-    score: Score,
-    rows: Sequence[str],
-    panels: Sequence[Panel],
-    *,
-    titles: tuple[str, str],
-    limit: float | None = None,
-) -> View:
-    """Map of the values of a score by colour, with the numbers in the fields.
-
-    Parameters
-    ----------
-    score : Score
-        What is shown.
-    rows : sequence of str
-        Labels of the rows, from the top.
-    panels : sequence of Panel
-        Side by side, at least one.
-    titles : tuple of str
-        Of the axis of the rows, and of that of the columns.
-    limit : float, optional
-        Where the colours of a miss begin.
-    """
-    data: list[Trace] = []
-    ticks: list[float] = []
-    notes: list[dict[str, object]] = []
-    start = 0.0
-    for panel in panels:
-        places = [start + place for place in range(len(panel.columns))]
-        fields = [
-            list(zip(values, lines, strict=True))
-            for values, lines in zip(panel.values.tolist(), panel.notes, strict=True)
-        ]
-        data.append(
-            {
-                "type": "heatmap",
-                "x": places,
-                "y": list(range(len(rows))),
-                "z": [[value if math.isfinite(value) else None for value, _ in r] for r in fields],
-                "text": [[_written(score, *field) for field in row] for row in fields],
-                "texttemplate": "%{text}",
-                "hovertext": [
-                    ["<br>".join(map(label, lines or ())) for _, lines in r] for r in fields
-                ],
-                "hovertemplate": "%{hovertext}<extra></extra>",
-                "hoverongaps": False,
-                "xgap": 2,
-                "ygap": 2,
-                "coloraxis": "coloraxis",
-                "meta": [],
-            }
-        )
-        ticks += places
-        if panel.title:
-            notes.append(_note(panel.title, (places[0] + places[-1]) / 2.0, 1.0, yanchor="bottom"))
-        start = places[-1] + 1.0 + _GAP
-    bare: dict[str, Any] = {"showgrid": False, "showline": False, "ticks": ""}
-    names = [label(column) for panel in panels for column in panel.columns]
-    abscissa = axis(titles[1], tickvals=ticks, ticktext=names, **bare)
-    ordinate = axis(
-        titles[0],
-        tickvals=list(range(len(rows))),
-        ticktext=[label(row) for row in rows],
-        autorange="reversed",
-        **bare,
-    )
-    layout = stacked(abscissa, [(1.0, ordinate)])
-    layout |= {"hovermode": "closest", "annotations": notes}
-    layout["margin"] = {**layout["margin"], "t": 44}
-    found = np.concatenate([panel.values.ravel() for panel in panels])
-    layout["coloraxis"] = _colours(score, found[np.isfinite(found)], limit)
-    return View(name=score.name, data=data, layout=layout)
-
-
-def _written(score: Score, value: float, lines: Sequence[str] | None) -> str:
-    """The number in a field of a map."""
-    if lines is None:
-        return ""
-    return label(NONE if math.isnan(value) else score.format(value).removesuffix(score.unit))
-
-
-def _colours(score: Score, found: FloatArray, limit: float | None) -> dict[str, object]:
-    """Axis of colours: what is within the limit never has the colour of what is beyond it."""
-    known = found if limit is None else np.append(found, limit)
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-    high = max(high, low + 1.0) if high <= low else high
-    worst, best = (low, high) if score.floor else (high, low)
-    # From the best to the worst value.
-    stops = [(0.0, _WITHIN[0]), (1.0, _WITHIN[1])]
-    if limit is not None and worst != limit:
-        share = abs(limit - best) / (high - low)
-        stops = [(0.0, _WITHIN[0]), (share, _WITHIN[1]), (share, _BEYOND[0]), (1.0, _BEYOND[1])]
-    if score.floor:
-        stops = [(1.0 - place, colour) for place, colour in reversed(stops)]
-    return {
-        "colorscale": [list(stop) for stop in stops],
-        "cmin": low,
-        "cmax": high,
-        "colorbar": {
-            "thickness": 12,
-            "outlinewidth": 0,
-            "title": {"text": label(score.unit.strip()), "side": "top"},
-            "tickfont": {"size": 10},
-        },
-    }
-
-
-def _note(text: str, x: float, y: float, **more: object) -> dict[str, object]:
-    return {"text": label(text), "x": x, "y": y, "yref": "paper", "showarrow": False, **more}
 
 
 # --- levels ------------------------------------------------------------------------------------

@@ -235,13 +235,6 @@ class Score:
         found = np.array([one[tuple(place)] for one, place in zip(values, places, strict=True)])
         return found, [self.element(*place) for place in places]
 
-    def worst_elements(self, table: Table) -> FloatArray:
-        """The worst value of each element over all conditions, (F, n, n)."""
-        values = self.values(table)
-        places = self.badness(values).argmax(axis=0)[np.newaxis]
-        found: FloatArray = np.take_along_axis(values, places, axis=0)[0]
-        return found
-
     def subjects(self, table: Table) -> Mapping[tuple[str, str], FloatArray]:
         """Values, shape (n_conditions, n_elements), by symbol and 1-based indices of their marks.
 
