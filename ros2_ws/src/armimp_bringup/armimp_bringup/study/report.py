@@ -17,7 +17,6 @@ from armimp_bringup.study.scores import (
     LETTERS,
     MOST_JOINTS,
     SCORES,
-    FloatArray,
     Score,
     StudyVerdict,
     WorstValue,
