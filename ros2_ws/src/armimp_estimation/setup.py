@@ -16,7 +16,7 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
         NAME: [
-            *("py.typed", "problems.yaml"),
+            *("py.typed", "problems.yaml", "paper.mplstyle"),
             *("report/*.css", "report/*.js", "report/templates/*.html"),
         ]
     },

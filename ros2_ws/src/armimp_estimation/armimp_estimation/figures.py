@@ -39,29 +39,7 @@ from armimp_estimation.summary import Summary
 
 TWO_COLUMNS = 7.16
 """Width of a figure of two columns, inches."""
-STYLE: Any = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.labelsize": 8,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "legend.fontsize": 7.5,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#dcdfe3",
-    "grid.linewidth": 0.4,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "xtick.minor.size": 0,
-    "ytick.minor.size": 0,
-    "lines.linewidth": 1.1,
-    "lines.markersize": 3.5,
-    # Letters in the PDF stay letters, as publishers ask for.
-    "pdf.fonttype": 42,
-}
-"""Settings of matplotlib for all figures."""
+_STYLE = Path(__file__).with_name("paper.mplstyle")
 DASHES: dict[str, Any] = {
     "solid": "solid",
     "dash": (0, (4, 1.5)),
@@ -87,7 +65,7 @@ _SECONDS = 5.0
 """How much of the signals is shown, from the beginning of the perturbation."""
 
 
-@rc_context(STYLE)
+@rc_context(fname=_STYLE)
 def matrix_figure(
     charts: Sequence[Sequence[Chart]],
     titles: Sequence[Sequence[str]],
@@ -198,7 +176,7 @@ def write_figures(directory: Path, result: Result) -> None:
         save_figure(trace_figure(trials), directory / "traces")
 
 
-@rc_context(STYLE)
+@rc_context(fname=_STYLE)
 def save_figure(figure: Figure, path: Path) -> list[Path]:
     """Write a figure as PNG and PDF; equal figures give equal files.
 
