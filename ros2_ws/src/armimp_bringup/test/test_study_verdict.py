@@ -164,7 +164,7 @@ def test_worst_score_is_the_smallest_and_may_reach_the_limit(
         assert worst.met is met
         assert verdict.met is met
         assert worst.worst == pytest.approx(value, nan_ok=True)
-        assert worst.place == ("Z21 at friction 2, resolution 1, perturbation 3, seed 7")
+        assert str(worst).endswith("in Z21 at friction 2, resolution 1, perturbation 3, seed 7")
         others = [one for one in verdict.worst if one is not worst]
         assert _unmet(others) == []
 

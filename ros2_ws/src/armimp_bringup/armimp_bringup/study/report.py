@@ -190,7 +190,7 @@ class StudyReport:
             "title": title,
             "met": verdict.met,
             "joints": verdict.joints,
-            "sentences": [(name, _sentence(worst[name])) for name in self._estimators],
+            "missed": [str(one) for one in missed],
             "unresolved": f"{100.0 * verdict.unresolved:.1f}" if verdict.unresolved else None,
             "problems": advised(verdict.problems[:_MOST_PROBLEMS]),
             "more": len(verdict.problems) - _MOST_PROBLEMS,
@@ -433,30 +433,6 @@ def _worst_row(one: WorstValue, *, seeds: bool) -> list[object]:
         symbol(one.element[0], one.element[1:]),
         f"{place}, seed {one.seed}" if seeds else place,
     ]
-
-
-def _sentence(worst: Sequence[WorstValue]) -> str:
-    """Which targets one estimator meets or misses, and by how much."""
-    judged = [one for one in worst if one.met is not None]
-    missed = [one for one in judged if not one.met]
-    if not judged:
-        return "has no targets; it is shown for comparison."
-    if missed:
-        far = "; ".join(_miss(one) for one in missed)
-        return f"misses {len(missed)} of {len(judged)} targets: {far}."
-    bounds = (
-        f"{one.quantity} {'at least' if one.score.floor else 'at most'} "
-        f"{one.score.format(one.worst)}"
-        for one in judged
-    )
-    return f"meets all {len(judged)} targets: {', '.join(bounds)}."
-
-
-def _miss(one: WorstValue) -> str:
-    if one.limit is None or math.isnan(one.worst):
-        return f"{one.quantity} is unknown in {one.place}"
-    value, limit = one.score.format(one.worst), one.score.format(one.limit)
-    return f"{one.quantity} {value} where {limit} is asked for, in {one.place}"
 
 
 def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:

@@ -329,11 +329,15 @@ class WorstValue(BaseModel):
         sign = "≥" if self.score.floor else "≤"
         return "–" if self.limit is None else f"{sign} {self.limit:g}{self.score.unit}"
 
-    @property
-    def place(self) -> str:
-        """Element and condition in words."""
-        levels = {name: getattr(self, name) for name in _LEVELS}
-        return f"{self.element} at {Condition(**levels)}"
+    def __str__(self) -> str:
+        """How far the value is from the target, and where that is."""
+        condition = Condition(**{name: getattr(self, name) for name in _LEVELS})
+        sign = "<" if self.score.floor else ">"
+        limit = math.nan if self.limit is None else self.limit
+        return (
+            f"{self.estimator}: {self.quantity} {self.score.format(self.worst)} {sign} "
+            f"{self.score.format(limit)} in {self.element} at {condition}"
+        )
 
 
 class StudyVerdict(BaseModel):
@@ -356,7 +360,7 @@ class StudyVerdict(BaseModel):
     def failures(self) -> list[str]:
         """What is not as it should be, one line each."""
         return [
-            *(_missed(one) for one in self.worst if one.met is False),
+            *(str(one) for one in self.worst if one.met is False),
             *(sentence for _, sentence in self.problems),
         ]
 
@@ -406,10 +410,3 @@ def _worst(table: Table, score: Score) -> WorstValue:
         element=elements[place],
         **{name: int(table[name][place, 0, 0]) for name in _LEVELS},
     )
-
-
-def _missed(one: WorstValue) -> str:
-    limit = math.nan if one.limit is None else one.limit
-    sign = "<" if one.score.floor else ">"
-    worst, limited = one.score.format(one.worst), one.score.format(limit)
-    return f"{one.estimator}: {one.quantity} {worst} {sign} {limited} in {one.place}"
