@@ -109,8 +109,6 @@ class ModelFit:
     """Mean lack of fit of bins that had no part in the fit; NaN if the others don't fit."""
     criterion: float
     """Bayesian information criterion, less is better."""
-    Z: ComplexArray
-    """Fitted impedance; shape (n, n, n_freq)."""
 
     @property
     def fits(self) -> bool:
@@ -412,7 +410,6 @@ class _Problem:
             lack_limit=limit,
             held_out=self.held_out(solution, free) if fits else math.nan,
             criterion=criterion,
-            Z=fitted,
         )
 
     def held_out(self, solution: FloatArray, free: BoolArray) -> float:

@@ -164,10 +164,8 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
         self.destroy_timer(self._late)
         for stream in [*self._streams, *self._beside]:
             self.destroy_subscription(stream)
-        self.destroy_publisher(self._received)
-        self.destroy_publisher(self._stopping)
-        self.destroy_publisher(self._progress)
-        self.destroy_publisher(self._result)
+        for publisher in (self._received, self._stopping, self._progress, self._result):
+            self.destroy_publisher(publisher)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
