@@ -139,8 +139,8 @@ def test_a_sourced_shell_finds_packages_modules_and_parameter_files_in_the_insta
         "import importlib\n"
         f"for name in {PACKAGES!r}:\n"
         "    print(share(name), importlib.import_module(name).__file__, sep='\\n')\n"
-        "from armimp_bringup.config import config_file\n"
-        "print(config_file('fastdds.xml'))\n"
+        "from armimp_bringup.graph import OPEN\n"
+        "print(OPEN.resolve(strict=True))\n"
     )
 
     lines = workspace.python(program).splitlines()

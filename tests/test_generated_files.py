@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from write_generated import generated
 
-from armimp_bringup.config import ExperimentConfig, config_file, load_config
+from armimp_bringup.config import ExperimentConfig, load_config
 from armimp_bringup.parameters import node_parameters
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -20,7 +20,7 @@ def test_every_file_is_as_write_generated_writes_it(name: Path) -> None:
 
 
 def test_the_example_of_an_experiment_holds_the_defaults() -> None:
-    example = load_config(config_file("experiment.yaml"), {})
+    example = load_config(ROOT / "ros2_ws/src/armimp_bringup/config/experiment.yaml", {})
     assert example.model_copy(update={"arm_sim": {}, "imbic_controller": {}}) == ExperimentConfig()
     example_parameters = node_parameters(example, None)
     default_parameters = node_parameters(ExperimentConfig(), None)

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.config import config_file
+from armimp_bringup.graph import LOOPBACK
 from armimp_common.status import Phase, TrialStatus
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE, SUPERVISOR_NODE
 from armimp_estimation.bags import read_bag
@@ -41,7 +41,7 @@ MOMENTS = int(os.environ.get("ARMIMP_KILL_MOMENTS", "1"))
 """Random moments in each phase for the long version."""
 REACH = {
     "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
-    "FASTRTPS_DEFAULT_PROFILES_FILE": str(config_file("fastdds_loopback.xml")),
+    "FASTRTPS_DEFAULT_PROFILES_FILE": str(LOOPBACK),
 }
 """Of the witness: that of the graph."""
 PROGRAM = Path(__file__).parent / "killed_run.py"

@@ -14,7 +14,7 @@ setup(
     maintainer="armimp developers",
     maintainer_email="armimp@example.org",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "study/templates/*.html"]},
+    package_data={NAME: ["py.typed", "*.xml", "study/templates/*.html"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (f"share/{NAME}", ["package.xml"]),

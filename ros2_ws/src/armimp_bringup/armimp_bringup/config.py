@@ -298,32 +298,6 @@ def _read(path: Path) -> dict[str, Any]:
     return loaded or {}
 
 
-def config_file(name: str) -> Path:
-    """Return a file of this package's ``config`` folder, from the sources or the installation.
-
-    Raises
-    ------
-    ConfigurationError
-        If it is not there.
-    """
-    beside = Path(__file__).resolve().parents[1] / "config" / name
-    if beside.is_file():
-        return beside
-    # Where a wheel puts it: beside the folder of the packages in the same environment.
-    wheel = Path(__file__).resolve().parents[4] / "share" / "armimp_bringup" / "config" / name
-    if wheel.is_file():
-        return wheel
-    try:
-        from ament_index_python.packages import get_package_share_directory
-
-        installed = Path(get_package_share_directory("armimp_bringup")) / "config" / name
-    except (ImportError, LookupError):
-        installed = beside
-    if not installed.is_file():
-        raise ConfigurationError(f"{name} is neither in the sources nor installed: {beside}")
-    return installed
-
-
 def require_unused(directory: Path) -> None:
     """Refuse an output directory with anything in it; there need not be one yet.
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import gc
 import os
 from collections.abc import Mapping
+from pathlib import Path
 
 import rclpy
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from armimp_bringup.config import config_file
 from armimp_common.domain import DomainClaim
 from armimp_common.errors import ConfigurationError, GraphError
 from armimp_common.executor import NO_LOG_FILES
@@ -19,6 +19,12 @@ from armimp_common.process import reachable_from_outside
 
 _RANGE, _PROFILES = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 _OLD_RANGE, _DOMAIN = "ROS_LOCALHOST_ONLY", "ROS_DOMAIN_ID"
+
+
+OPEN = Path(__file__).with_name("fastdds.xml")
+"""Profile of the middleware for any network."""
+LOOPBACK = Path(__file__).with_name("fastdds_loopback.xml")
+"""Profile with which other machines cannot reach it."""
 
 
 class GraphContext:
@@ -51,7 +57,7 @@ class GraphContext:
         self.context = Context()
         try:
             self._join()
-            if variables[_PROFILES] == _loopback() and self._is_open():
+            if variables[_PROFILES] == str(LOOPBACK) and self._is_open():
                 # The middleware reads profiles once in each process, and had done so before.
                 self.context.try_shutdown()
                 _set_variables({_RANGE: "LOCALHOST"})
@@ -109,10 +115,6 @@ def _set_variables(variables: Mapping[str, str | None]) -> None:
             os.environ[name] = value
 
 
-def _loopback() -> str:
-    return str(config_file("fastdds_loopback.xml"))
-
-
 def _reach() -> dict[str, str | None]:
     """Variables of the environment that say who can be heard and reached; None: not there."""
     reach, profiles = os.environ.get(_RANGE, "LOCALHOST"), os.environ.get(_PROFILES)
@@ -121,8 +123,8 @@ def _reach() -> dict[str, str | None]:
     if reach == "LOCALHOST":
         # With this range, or the variable that was there before it, the middleware would put
         # transports of its own in the place of those of the profile.
-        return {_RANGE: "SYSTEM_DEFAULT", _PROFILES: _loopback(), _OLD_RANGE: None}
-    return {_RANGE: reach, _PROFILES: str(config_file("fastdds.xml"))}
+        return {_RANGE: "SYSTEM_DEFAULT", _PROFILES: str(LOOPBACK), _OLD_RANGE: None}
+    return {_RANGE: reach, _PROFILES: str(OPEN)}
 
 
 def external_domain(domain_id: int | None) -> int:

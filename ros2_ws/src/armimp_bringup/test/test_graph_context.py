@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import pytest
 from rclpy.node import Node
 
-from armimp_bringup.config import ExperimentConfig, config_file
-from armimp_bringup.graph import GraphContext
+from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.graph import LOOPBACK, OPEN, GraphContext
 from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.parameters import node_parameters
 from armimp_common.domain import DomainClaim
@@ -49,20 +49,20 @@ def test_the_environment_is_as_it_was_after_the_context(
 @pytest.mark.parametrize(
     ("reach", "profiles", "expected"),
     [
-        ("LOCALHOST", None, ("SYSTEM_DEFAULT", "fastdds_loopback.xml")),
-        ("SUBNET", None, ("SUBNET", "fastdds.xml")),
-        ("OFF", None, ("OFF", "fastdds.xml")),
-        (None, "fastdds.xml", ("LOCALHOST", "fastdds.xml")),
-        ("SUBNET", "fastdds.xml", ("SUBNET", "fastdds.xml")),
+        ("LOCALHOST", None, ("SYSTEM_DEFAULT", LOOPBACK)),
+        ("SUBNET", None, ("SUBNET", OPEN)),
+        ("OFF", None, ("OFF", OPEN)),
+        (None, OPEN, ("LOCALHOST", OPEN)),
+        ("SUBNET", OPEN, ("SUBNET", OPEN)),
     ],
 )
 def test_when_the_user_chose_a_reach_or_a_profile_expect_it_kept(
     monkeypatch: pytest.MonkeyPatch,
     reach: str | None,
-    profiles: str | None,
-    expected: tuple[str, str],
+    profiles: Path | None,
+    expected: tuple[str, Path],
 ) -> None:
-    given = {VARIABLES[0]: reach, VARIABLES[1]: profiles and str(config_file(profiles))}
+    given = {VARIABLES[0]: reach, VARIABLES[1]: None if profiles is None else str(profiles)}
     for name, value in given.items():
         monkeypatch.delenv(name, raising=False)
         if value is not None:
@@ -70,7 +70,7 @@ def test_when_the_user_chose_a_reach_or_a_profile_expect_it_kept(
 
     with GraphContext():
         assert os.environ[VARIABLES[0]] == expected[0]
-        assert os.environ[VARIABLES[1]] == str(config_file(expected[1]))
+        assert os.environ[VARIABLES[1]] == str(expected[1])
 
     assert {name: os.environ.get(name) for name in given} == given
 
@@ -144,12 +144,12 @@ def test_nothing_is_shared_in_memory_which_a_killed_process_could_leave_locked(
 
 
 def test_both_profiles_are_the_same_but_for_how_far_they_reach() -> None:
-    def read(name: str) -> ElementTree.Element:
+    def read(profile: Path) -> ElementTree.Element:
         # Without the name space, for shorter paths.
-        text = re.sub(r' xmlns="[^"]+"', "", config_file(name).read_text(encoding="utf-8"))
+        text = re.sub(r' xmlns="[^"]+"', "", profile.read_text(encoding="utf-8"))
         return ElementTree.fromstring(text)
 
-    loopback, plain = read("fastdds_loopback.xml"), read("fastdds.xml")
+    loopback, plain = read(LOOPBACK), read(OPEN)
     for place, names in {
         "profiles/transport_descriptors/transport_descriptor": [
             "interfaceWhiteList",
