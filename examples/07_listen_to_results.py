@@ -12,7 +12,7 @@ from armimp_common import qos, topics
 
 
 class Listener(Node):
-    """Prints the result of an experiment."""
+    """Prints each column of the matrix as its trial ends, and the conclusion."""
 
     def __init__(self) -> None:
         super().__init__("listener")
@@ -24,8 +24,9 @@ class Listener(Node):
     def _on_result(self, message: DiagnosticStatus) -> None:
         print(f"{message.name}: {message.message}", flush=True)
         values = {item.key: item.value for item in message.values}
-        print("K row by row:", values.get("lpm_full.K"), "N·m/rad", flush=True)
-        self.concluded = True
+        if "lpm_full.K" in values:
+            print("K row by row:", values["lpm_full.K"], "N·m/rad", flush=True)
+            self.concluded = True
 
 
 rclpy.init()

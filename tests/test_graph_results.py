@@ -1,4 +1,4 @@
-"""What a running experiment tells: progress, the result, diagnostics."""
+"""What a running experiment tells: progress, columns as they come, the result, diagnostics."""
 
 import time
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ from armimp_common import qos
 from armimp_common.domain import DomainClaim
 from armimp_common.status import Level, Phase, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
+from armimp_estimation.alignment.assemble import Trial
+from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.spectra import WelchConfig
 from support.graph import PATIENCE, hosted
 from support.runs import FinishedRun
@@ -50,6 +52,8 @@ class Account:
     run: FinishedRun
     heard: list[DiagnosticStatus]
     progress: list[Progress]
+    estimated: list[str]
+    """Statuses that the estimator heard, and columns that it published."""
 
 
 @pytest.fixture(scope="module")
@@ -58,8 +62,22 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
     with DomainClaim() as claim:
         domain_id = claim.domain_id
     progress: list[Progress] = []
+    estimated: list[str] = []
+    on_trial = ImpedanceEstimatorNode._on_trial
+    publish = ImpedanceEstimatorNode._publish_column
+
+    def heard(node: ImpedanceEstimatorNode, message: DiagnosticStatus) -> None:
+        estimated.append(what(message))
+        on_trial(node, message)
+
+    def published(node: ImpedanceEstimatorNode, trial: Trial) -> None:
+        publish(node, trial)
+        estimated.append(f"column {trial.trial}")
+
     with hosted(Bystander, domain_id) as bystander, pytest.MonkeyPatch.context() as patch:
         tell_by_samples(patch)
+        patch.setattr(ImpedanceEstimatorNode, "_on_trial", heard)
+        patch.setattr(ImpedanceEstimatorNode, "_publish_column", published)
         result = run_experiment(SHORT, directory, domain_id=domain_id, on_progress=progress.append)
         # Whoever draws needs not read the bags.
         assert [len(trial.segments) for trial in result.trials] == [1, 1]
@@ -71,15 +89,23 @@ def account(environment: None, tmp_path_factory: pytest.TempPathFactory) -> Acco
         run=FinishedRun(directory=directory, summary=result.summary),
         heard=bystander.heard,
         progress=progress,
+        estimated=estimated,
     )
 
 
-def test_statuses_of_all_trials_are_heard_and_the_result_once(account: Account) -> None:
+def test_columns_are_published_as_each_trial_ends_and_the_result_at_the_end(
+    account: Account,
+) -> None:
     heard = [what(message) for message in account.heard]
 
+    results = [item for item in heard if not item[-1].isdigit() or item.startswith("column")]
+    assert results == ["column 1", "column 2", "impedance"]
     trials = [f"{phase} {k}" for k in (1, 2) for phase in ("settle", "perturb", "rest")]
-    assert [item for item in heard if item != "impedance"] == [*trials, "done 2"]
-    assert heard.count("impedance") == 1
+    assert [item for item in heard if item not in results] == [*trials, "done 2"]
+    # The first column does not wait for the second trial. To whom it comes, and when, is no matter
+    # of the estimator.
+    order = account.estimated
+    assert order.index("perturb 1") < order.index("column 1") < order.index("rest 2")
 
 
 def test_published_result_is_the_stored_one(account: Account) -> None:
@@ -93,6 +119,22 @@ def test_published_result_is_the_stored_one(account: Account) -> None:
         for key in ("M", "B", "K", "M_se", "vaf"):
             published = [float(text) for text in values[f"{name}.{key}"].split()]
             assert published == np.ravel(getattr(result, key)).tolist()
+
+
+def test_published_columns_have_the_curves_of_their_joint(account: Account) -> None:
+    for k in (1, 2):
+        column = next(
+            values_of(message) for message in account.heard if what(message) == f"column {k}"
+        )
+        assert (column["trial"], column["joint"], column["lost"]) == (str(k), str(k), "0")
+        curves = {key for key in column if key.endswith((".re", ".im"))}
+        assert curves == {
+            f"{curve}_{i}{k}.{part}"
+            for curve in ("R", "T", "Z")
+            for i in (1, 2)
+            for part in ("re", "im")
+        }
+        assert len({len(column[key].split()) for key in ("f", *curves)}) == 1
 
 
 def test_progress_grows_in_every_trial(account: Account) -> None:

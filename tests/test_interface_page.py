@@ -44,8 +44,8 @@ from armimp_control.parameters import ControllerParameters
 from armimp_estimation.curves import ImpedanceCurve, write_frf
 from armimp_estimation.estimators.registry import estimator_names
 from armimp_estimation.identify import Identification, identify
+from armimp_estimation.messages import RESULT_NAME, column_message, result_message
 from armimp_estimation.metadata import READING_KEYS, Timing
-from armimp_estimation.node import result_message
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.result import Result
 from armimp_estimation.summary import (
@@ -192,13 +192,19 @@ def _general(key: str) -> str:
     return re.sub(r"_[12][12]\.", "_IK.", key)
 
 
+def test_the_keys_of_a_column_are_those_of_the_code(trials: list[TrialData]) -> None:
+    message = column_message(trials[0], 0)
+    assert _keys("Column") == {_general(key) for key in values_of(message)}
+    assert message.name.replace("1", "K") in PAGE
+
+
 def test_the_keys_of_the_conclusion_are_those_of_the_code(identification: Identification) -> None:
     names = identification.joint_names
     rest: dict[str, Any] = {"config": {}, "seed": 1, "problems": [], "trials": []}
     summary = Summary.of(identification, joint_names=names, truth=None, **rest)
     message = result_message(Result(summary=summary, curves=curves_of(identification)))
     assert _keys("Conclusion") == {_general(key) for key in values_of(message)}
-    assert f"`{message.name}`" in PAGE
+    assert f"`{RESULT_NAME}`" in PAGE
 
 
 # --- bags and files ----------------------------------------------------------------------------

@@ -42,6 +42,7 @@ from armimp_common.status import (
     make_status,
     status_message,
 )
+from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.summary import Summary
 from support.graph import joined
 
@@ -237,7 +238,7 @@ ACTS: dict[str, Act] = {
         DiagnosticStatus,
         topics.RESULT,
         qos.LATCHED,
-        lambda _: make_status("anybody: impedance", Level.OK, "valid", {"valid": "true"}),
+        lambda _: make_status(RESULT_NAME, Level.OK, "valid", {"valid": "true"}),
     ),
     "error": message(
         DiagnosticArray,

@@ -39,6 +39,7 @@ from armimp_common.status import (
 )
 from armimp_estimation.bags import require_free_space
 from armimp_estimation.bags.writer import finish_bags
+from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.metadata import RECORD_KEY, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
@@ -203,7 +204,8 @@ class Supervisor(Node):
 
     def _on_result(self, message: DiagnosticStatus) -> None:
         self.last_news = time.monotonic()
-        self.concluded = True
+        if message.name == RESULT_NAME:
+            self.concluded = True
 
     def _on_trial(self, message: DiagnosticStatus) -> None:
         try:

@@ -37,22 +37,22 @@ from armimp_common.pubsub import (
     wait_for_partners,
 )
 from armimp_common.status import (
-    Level,
     Phase,
     TimingFigures,
     TrialStatus,
-    make_status,
     status_message,
     values_of,
 )
 from armimp_estimation.alignment.assemble import Trial
 from armimp_estimation.alignment.synchronizer import FETCHED, TOGETHER, StreamSynchronizer
 from armimp_estimation.alignment.trial_windows import AnnouncedTrials, fault_of
+from armimp_estimation.messages import column_message, failed_trial_message, result_message
 from armimp_estimation.metadata import RECORD_KEY, Metadata, Timing
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.recorder import TrialRecorder
 from armimp_estimation.result import Result, conclude
+from armimp_estimation.trial import TrialData, segments_for
 
 _LATE_PERIOD = 0.005
 """How often to poll for messages that are late (s); mostly there are none."""
@@ -66,7 +66,7 @@ _RECORDED_BESIDE = {topics.CLOCK: Clock, topics.DIAGNOSTICS: DiagnosticArray}
 
 
 class ImpedanceEstimatorNode(PollingNode, ManagedNode):
-    """Records all trials, tells of each while it runs, and estimates the matrix after the last."""
+    """Records all trials, estimates a column after each, and the whole matrix after the last."""
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(topics.ESTIMATOR_NODE, **kwargs)
@@ -314,8 +314,19 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             self._note(trial)
         else:
             self._finished.append(trial)
+            self._publish_column(trial)
         if self._ended == len(self._settings.joints):
             self._conclude()
+
+    def _publish_column(self, trial: Trial) -> None:
+        try:
+            parts = trial.intact(allow_gaps=self._settings.allow_gaps)
+            welch = segments_for([parts])
+            data = TrialData.of(*parts, welch=welch, reading=self._known.reading)
+            message = column_message(data, trial.statistics.lost)
+        except DataError as error:
+            message = failed_trial_message(trial, str(error))
+        self._result.publish(message)
 
     def _conclude(self) -> None:
         """Publish and store the result, once; without any trial there is none."""
@@ -378,27 +389,6 @@ class ImpedanceEstimatorNode(PollingNode, ManagedNode):
             return
         if (progress := self._recording.progress()) is not None:
             self._progress.publish(status_message(progress))
-
-
-def result_message(result: Result) -> DiagnosticStatus:
-    """Tell M, B and K with standard errors, and the scores; curves are in files."""
-    summary = result.summary
-    codes = dict.fromkeys(one.code.value for one in summary.faults)
-    values: dict[str, str | bool | list[float]] = {
-        "valid": summary.valid,
-        "problems": " ".join(codes),
-    }
-    for name, found in summary.estimators.items():
-        for key in ("M", "B", "K", "M_se", "B_se", "K_se", "vaf", "r2", "coherence_derived"):
-            matrix = getattr(found, key)
-            if matrix is not None:
-                values[f"{name}.{key}"] = [value for row in matrix for value in row]
-    return make_status(
-        f"{topics.ESTIMATOR_NODE}: impedance",
-        Level.OK if summary.valid else Level.ERROR,
-        "valid" if summary.valid else f"not valid: {summary.faults[0]}",
-        values,
-    )
 
 
 def main() -> int:

@@ -24,9 +24,10 @@ from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import subscribe_counts, subscribe_raw, wait_until_matched
 from armimp_common.schema import Value
-from armimp_common.status import Level, Phase
+from armimp_common.status import Level, Phase, values_of
 from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_estimation.bags import read_bag
+from armimp_estimation.messages import RESULT_NAME
 from armimp_estimation.node import ImpedanceEstimatorNode
 from armimp_estimation.parameters import EstimatorParameters
 from armimp_estimation.problems import ProblemCode
@@ -104,8 +105,16 @@ class Script:
     def has_heard(self, wanted: int) -> bool:
         return self.echoes >= wanted
 
+    @property
+    def columns(self) -> list[DiagnosticStatus]:
+        return [result for result in self.results if result.name != RESULT_NAME]
+
+    @property
+    def conclusions(self) -> list[DiagnosticStatus]:
+        return [result for result in self.results if result.name == RESULT_NAME]
+
     def concluded(self) -> bool:
-        return bool(self.results)
+        return bool(self.conclusions)
 
 
 class Desk:
@@ -205,8 +214,10 @@ class TestFaults:
         where = {"first": 0.04, "last": 0.041}
         assert problem.values == {"stream": "joint_states", "count": 1, **where}
         assert desk.summary.trials[0].lost == 1
-        assert desk.script.results[0].level == bytes([Level.ERROR])
-        assert desk.script.results[0].message == f"not valid: {problem}"
+        assert desk.script.conclusions[0].level == bytes([Level.ERROR])
+        assert desk.script.conclusions[0].message == f"not valid: {problem}"
+        assert desk.script.columns[0].message.startswith(problem.sentence)
+        assert values_of(desk.script.columns[0])["lost"] == "1"
 
     def test_when_a_message_is_malformed_expect_it_named_and_the_node_alive(
         self, desk: Desk
@@ -269,7 +280,7 @@ class TestFaults:
 
         desk.play([*statuses, DONE])
         a_moment(desk.spinner)
-        assert desk.script.results == []
+        assert desk.script.conclusions == []
         desk.play([message for message in MADE_UP if message[0] != TRIAL])
         desk.conclude()
 
@@ -375,7 +386,7 @@ class TestLife:
         assert summary.problems[0].code is ProblemCode.RECORDING_STOPPED
         assert done in summary.problems[0].sentence
         assert not summary.valid
-        assert desk.script.results[0].level == bytes([Level.ERROR])
+        assert desk.script.conclusions[0].level == bytes([Level.ERROR])
         assert len(desk.bags) == 2
         (cut,) = read_bag(desk.bags[-1]).trials
         assert 35 <= cut.segments[0].samples <= 40
@@ -473,7 +484,7 @@ class TestController:
         self.begin(desk, Phase.PERTURB)
         self.heard(desk, alive=1, silent=0)
         a_moment(desk.spinner)
-        assert not desk.script.results
+        assert not desk.script.conclusions
 
         self.heard(desk, alive=0, silent=1)
 
