@@ -12,13 +12,14 @@ with which the instant of the readings was known beforehand.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit, log_ndtr
+from scipy.special import log_ndtr, softmax
 
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
@@ -550,8 +551,8 @@ class _Elements:
                 # No cuff has a negative compliance; angles may have passed the high-pass, too.
                 square = _noticed(max(value, 0.0) if place < n else value, error)
                 if place < n:
-                    soft = hidden_square(value / _CUFF, error / _CUFF, _LIKELY, positive=True)
-                    square = max(square, soft * _CUFF**2)
+                    soft, _ = hidden_square(value, error, _LIKELY, sizes=(_CUFF,), positive=True)
+                    square = max(square, soft)
                 for row, of_mbk in enumerate(self._all_coefficients):
                     squares[:, row] += square * _apply(of_mbk, terms[row]) ** 2
             hidden = np.zeros_like(squares)
@@ -592,7 +593,7 @@ class _Elements:
     def _change_by_hidden(self, term: ComplexArray, row: int) -> FloatArray:
         """Squared change of M, B and K, (3,), by a term that the noise may hide."""
         told, error = self.coefficient_of(term, row)
-        square = hidden_square(told, error, _LIKELY, positive=True)
+        square, _ = hidden_square(told, error, _LIKELY, positive=True)
         return np.asarray(square * _apply(self.coefficients(row), term) ** 2)
 
     def coefficient_of(self, term: ComplexArray, row: int) -> tuple[float, float]:
@@ -796,11 +797,19 @@ def _with_delay(
     ), known
 
 
-def hidden_square(told: float, error: float, likely: float, *, positive: bool = False) -> float:
+def hidden_square(
+    told: float,
+    error: float,
+    likely: float,
+    *,
+    sizes: Sequence[float] = (1.0,),
+    positive: bool = False,
+    elsewhere: float = 0.0,
+) -> tuple[float, float]:
     """Mean square of an effect that may be there or not, by what the data tell of it.
 
-    Before the data it is there with a probability p, and then of the size 0 ± 1. Data that tell it
-    as g with the standard error e make that probability larger or smaller by the ratio
+    Before the data it is there with a probability p, and then 0 ± s. Data that tell it as g with
+    the standard error e, both in units of s, make that probability larger or smaller by the ratio
     ``√v exp(m²/2v)`` of their likelihoods, with ``v = e²/(1 + e²)`` and ``m = g v/e²``, and its
     mean square, if it is there, is ``m² + v``. Of an effect that isn't negative the ratio is
     ``2 Φ(m/√v)`` times that.
@@ -808,21 +817,36 @@ def hidden_square(told: float, error: float, likely: float, *, positive: bool = 
     Parameters
     ----------
     told, error : float
-        g and e, in units of the size that it has if it is there.
+        g s and e s.
     likely : float
         p.
+    sizes : sequence of float
+        Sizes s, each as likely as the others.
     positive : bool
         Whether it isn't negative.
+    elsewhere : float
+        Logarithm of that ratio of other data, which tell whether it is there, not how large.
+
+    Returns
+    -------
+    square : float
+        Mean square.
+    evidence : float
+        Logarithm of the ratio of these data, over all sizes.
     """
     if not 0.0 < error < math.inf:
-        return 0.0
-    left = error**2 / (1.0 + error**2)
-    mean = told * left / error**2
-    odds = math.log(likely / (1.0 - likely) * math.sqrt(left)) + 0.5 * mean**2 / left
+        return 0.0, 0.0
+    size = np.asarray(sizes, dtype=np.float64)
+    left = (error / size) ** 2 / (1.0 + (error / size) ** 2)
+    mean = told / size * left / (error / size) ** 2
+    ratios = 0.5 * np.log(left) + 0.5 * mean**2 / left - math.log(len(size))
     if positive:
-        odds += math.log(2.0) + float(log_ndtr(mean / math.sqrt(left)))
-        mean = max(mean, 0.0)
-    return float(expit(odds)) * (mean**2 + left)
+        ratios += math.log(2.0) + log_ndtr(mean / np.sqrt(left))
+        mean = np.maximum(mean, 0.0)
+    odds = math.log(likely / (1.0 - likely)) + elsewhere + ratios
+    there = softmax(np.append(odds, 0.0))[:-1]
+    square = float(np.sum(there * (mean**2 + left) * size**2))
+    return square, float(np.logaddexp.reduce(ratios))
 
 
 def _delay_of(problem: _Elements) -> tuple[float, float]:

@@ -19,13 +19,11 @@ from armimp_estimation.estimators.lpm import LpmFull
 from armimp_estimation.estimators.registry import IdentifyConfig, make_estimator
 from armimp_estimation.fit import MBKFit, fit_impedance
 from armimp_estimation.frf import frf_matrix, order_trials
-from armimp_estimation.hold_correction import HoldCorrection
 from armimp_estimation.json_model import JsonModel, Number, Vector
 from armimp_estimation.mbk import MBK
 from armimp_estimation.nonlinearity import judge_linearity
 from armimp_estimation.plausibility import judge_angles
 from armimp_estimation.problems import Problem, ProblemCode, Severity, Verdict
-from armimp_estimation.record import TrialRecord
 from armimp_estimation.robot_balance import (
     RobotBalance,
     RobotResponses,
@@ -33,7 +31,6 @@ from armimp_estimation.robot_balance import (
     judge_balance,
 )
 from armimp_estimation.signal_quality import RESOLVED_SHARE, judge_signals, unseen_share
-from armimp_estimation.torque_timing import TorqueReading
 from armimp_estimation.trial import TrialData
 
 
@@ -220,7 +217,15 @@ def identify(
     known = results.get("lpm_full")
     hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
     if best is not None:
-        of_motion, doubts, gains = _judge_motion(records, best.fit.mbk, hold, reading)
+        resolved = np.all(unseen_share(records) < RESOLVED_SHARE, axis=0)
+        delay = 0.0 if best.fit.delay is None else best.fit.delay.delay
+        of_motion, doubts, gains = judge_linearity(
+            records,
+            best.fit.mbk,
+            hold,
+            reading.model_copy(update={"delay": reading.delay + delay}),
+            resolved=np.asarray(resolved),
+        )
         problems += of_motion
         results = {
             name: one.with_doubts(doubts).with_gains_in_doubt(gains)
@@ -252,28 +257,3 @@ def identify(
         truth=truth,
         balance=balance,
     )
-
-
-def _judge_motion(
-    records: Sequence[TrialRecord],
-    arm: MBK,
-    hold: HoldCorrection | None,
-    reading: TorqueReading,
-) -> tuple[list[Problem], list[FloatArray], FloatArray]:
-    """What isn't linear in any trial, and the errors that come of it.
-
-    They are those of M, B and K, (3, n, n) for each trial, and those of the gains, (n,).
-    """
-    problems: list[Problem] = []
-    doubts: list[FloatArray] = []
-    gains = np.zeros(len(records))
-    unseen = unseen_share(records)
-    for k, record in enumerate(records):
-        resolved = bool((unseen[:, k] < RESOLVED_SHARE).all())
-        found, shift, gains[k] = judge_linearity(record, arm, hold, reading, resolved=resolved)
-        problems += found
-        if shift.any():
-            doubt = np.zeros((3, len(records), len(records)))
-            doubt[:, k, k] = shift
-            doubts.append(doubt)
-    return problems, doubts, gains

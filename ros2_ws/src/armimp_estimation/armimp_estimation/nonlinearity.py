@@ -11,20 +11,21 @@ trial. Terms and e are taken without all that any linear filter makes of angle a
 the coefficient is found with what of the term turns with the sign of the perturbation, or the same
 term of what that alone causes, as the instrument (Söderström & Stoica, *Instrumental Variable
 Methods for System Identification*): so a linear arm gives zero on average, whatever the person does
-beside, although that moves the arm, too. What M, B and K are alike of the regressor, times the
-coefficient, is what the term does to them; what the gain of a transducer changes by is in doubt for
-all that it measures. What readings lack because torques jump with commands is put right before:
-commands that overcome friction would make it look like a bent spring. The trial is cut into parts,
-and the scatter of what each of them says is the error, with no assumption about the spectrum of e;
-parts that weigh much pull the coefficient towards themselves, which is made up for (MacKinnon &
-White, *Journal of Econometrics* 29, 1985: HC3). Few parts tell that scatter badly, so what counts
-as significant follows Student's distribution. The ends of a trial are left out: there the
-derivatives of a record that is cut off ring.
+beside, although that moves the arm, too. What a person does is slow and hides what a stiffness that
+changes does there, so e is looked at with ``θ³`` once more, where it has least noise. What M, B and
+K are alike of the regressor, times the coefficient, is what the term does to them; what the gain of
+a transducer changes by is in doubt for all that it measures. What readings lack because torques
+jump with commands is put right before: commands that overcome friction would make it look like a
+bent spring. The trial is cut into parts, and the scatter of what each of them says is the error,
+with no assumption about the spectrum of e; parts that weigh much pull the coefficient towards
+themselves, which is made up for (MacKinnon & White, *Journal of Econometrics* 29, 1985: HC3). Few
+parts tell that scatter badly, so what counts as significant follows Student's distribution. The
+ends of a trial are left out: there the derivatives of a record that is cut off ring.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,7 @@ from scipy import stats
 from armimp_estimation.fit import hidden_square
 from armimp_estimation.hold_correction import HoldCorrection, command_steps
 from armimp_estimation.mbk import MBK
-from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity
+from armimp_estimation.problems import Concern, Problem, ProblemCode, Severity, problem
 from armimp_estimation.record import TrialRecord
 from armimp_estimation.torque_timing import TorqueReading
 
@@ -54,6 +55,7 @@ SIGNIFICANT = 3.5
 """Standard errors that are significant if there are many parts: by chance, 1 in 2000 is larger."""
 LARGE = {
     "amplitude": 0.03,
+    "curvature": 0.1,
     "hysteresis": 0.05,
     "time": 0.05,
     "friction": np.inf,
@@ -70,9 +72,16 @@ where their jumps with the commands are not known well.
 """
 REST = 0.5
 """Angle up to which stiffness is that of an arm at rest, in rms angles."""
-LIKELY, USUAL = 0.05, 0.1
-"""Assumptions: how likely a transducer isn't linear in one of these ways, and by what change of its
-gain if so."""
+HIDDEN: Mapping[str, tuple[float, tuple[float, ...]]] = {
+    "curvature": (0.2, (0.03, 0.1, 0.3, 1.0)),
+    "direction": (0.05, (0.1,)),
+    "gain": (0.05, (0.1,)),
+    "drift": (0.05, (0.1,)),
+}
+"""Assumptions: how likely a joint or a transducer isn't linear in one of these ways, and by what
+change of its stiffness or gain if so."""
+FAR = 2.0
+"""Angle up to which stiffness goes on to change, in rms angles: a few excursions don't decide."""
 PLAY = 0.12
 """Half of the play, in rms angles."""
 SLOW = 0.1
@@ -85,9 +94,11 @@ _PART = 1.5
 """Seconds of a part: motion and torque of a person hardly are alike any more after it."""
 _BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
+_LEFT = 0.01
 _LEAST = 10.0
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "amplitude": lambda signals: np.clip(signals[0], -REST, REST),
+    "curvature": lambda signals: np.clip(signals[0], -FAR, FAR) ** 3,
     "hysteresis": lambda signals: play(signals[1], PLAY),
     "friction": lambda signals: np.tanh(signals[2] / SLOW),
     "time": lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
@@ -97,7 +108,14 @@ _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 }
 """What follows from angle, the same and speed without what is slow, and torque, each in units of
 its rms; (4, N)."""
-_SLOPES = {"amplitude": -1.0, "time": 1.0, "direction": 2.0, "gain": 3.0, "drift": 1.0}
+_SLOPES = {
+    "amplitude": -1.0,
+    "curvature": 3.0,
+    "time": 1.0,
+    "direction": 2.0,
+    "gain": 3.0,
+    "drift": 1.0,
+}
 """Of these terms over their argument at one rms, less at rest, or between both directions."""
 _DOUBTED = {"direction": 0.5, "gain": 1.0, "drift": 0.5}
 """Shares of its change by which a gain may differ from that of the calibration.
@@ -106,6 +124,7 @@ That is right for one of two directions, for small torques, at the begin or at t
 """
 _CODES = {
     "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
+    "curvature": ProblemCode.DEPENDS_ON_AMPLITUDE,
     "hysteresis": ProblemCode.HYSTERESIS,
     "friction": ProblemCode.FRICTION_LEFT,
     "time": ProblemCode.CHANGES_OVER_TIME,
@@ -119,6 +138,7 @@ _CODES = {
 class Deviation:
     """One way in which the perturbed joint is not linear."""
 
+    name: str
     share: float
     error: float
     """Change of the stiffness from rest to the rms angle, or from begin to end, relative to it; of
@@ -136,13 +156,26 @@ class Deviation:
         """Whether chance hardly explains it."""
         return self._errors > SIGNIFICANT
 
+    def doubt(self, elsewhere: float = 0.0) -> float:
+        """Standard error that it is, relative to what was found: less if it may be chance.
+
+        Other joints of an arm tell how likely it is, `elsewhere`.
+        """
+        if self.significant:
+            return 1.0
+        return float(np.sqrt(self._odds(elsewhere)[0])) / abs(self.share) if self.share else 0.0
+
     @property
-    def doubt(self) -> float:
-        """Standard error of a gain that it is, relative to what was found: less if by chance."""
-        if self.significant or not self._errors > 0.0:
-            return float(self.significant)
-        told = abs(self.share) / USUAL
-        return float(np.sqrt(hidden_square(told, told / self._errors, LIKELY))) / told
+    def evidence(self) -> float:
+        """Logarithm of the ratio of likelihoods of what is and isn't linear."""
+        return self._odds(0.0)[1]
+
+    def _odds(self, elsewhere: float) -> tuple[float, float]:
+        if self.name not in HIDDEN or not self._errors > 0.0:
+            return 0.0, 0.0
+        told, (likely, sizes) = abs(self.share), HIDDEN[self.name]
+        error = told / self._errors
+        return hidden_square(told, error, likely, sizes=sizes, elsewhere=elsewhere)
 
     @property
     def _errors(self) -> float:
@@ -195,9 +228,9 @@ class _Band:
         cut = np.where(self._parts == parts[:, None], values, 0.0)
         return self.signal(np.concatenate((cut, 1j * cut)))
 
-    def weights(self, noise: FloatArray) -> FloatArray:
-        """What makes a signal white, by frequency, the same in each of its bands."""
-        of_noise = np.bincount(self._which, weights=np.abs(self.of(noise)) ** 2)
+    def weights(self, *noise: FloatArray) -> FloatArray:
+        """What makes a sum of signals white, by frequency, the same in each of its bands."""
+        of_noise = sum(np.bincount(self._which, weights=np.abs(self.of(n)) ** 2) for n in noise)
         of_white = np.bincount(self._which, weights=self.passed**4)
         tiny = float(np.finfo(float).tiny)
         weights: FloatArray = np.sqrt(of_white / np.maximum(of_noise, tiny))
@@ -313,17 +346,17 @@ def deviations(
     known = np.stack([caused[0], *caused[1], band.inner(caused[2] + record.torque[k].mean())])
     sizes = np.std(actual[:, kept], axis=1)[:, None]
     own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
-    if not ((sizes > 0.0).all() and own[2] > 0.0):
+    if not ((sizes > 0.0).all() and own.all()):
         return {}
     signals, known = actual / sizes, known / sizes
     linear = _Linear(band.filters(record.position[k])[:, kept], forces[:, kept])
     inner = band.inner(rest)
-    weights = band.weights(inner)
-    white = linear.removed(band.signal(weights * band.of(inner))[kept])
-    rest = linear.removed(rest[kept])
+    equal = np.ones(band.f.size)
+    white = band.weights(inner)
+    # What a linear arm leaves that isn't quite as it was fitted is in proportion to the torque.
+    nearly = band.weights(inner, _LEFT * band.inner(torque))
     found = {}
     for name, bend in _BENT.items():
-        # A person's own torque hides what M shows of a transducer, unless it is weighed.
         of_gain = name in _DOUBTED
         # What turns with the sign of the perturbation is as independent of the person as what that
         # alone causes, and tells more where the person moves or loads the joint.
@@ -331,9 +364,10 @@ def deviations(
         turns = 0.5 * (whole - bend(signals - 2.0 * known))
         turns = bend(known) + turns if of_gain else turns
         bent = np.stack([band.of(one) for one in (turns, whole)])
-        instrument, term = (band.signal(one)[kept] for one in (bent * weights if of_gain else bent))
+        weights = white if of_gain else nearly if name in HIDDEN else equal
+        instrument, term = (band.signal(weights * one)[kept] for one in bent)
         instrument, term = linear.unlike(instrument), linear.removed(term)
-        left = white if of_gain else rest
+        left = linear.removed(band.signal(weights * band.of(rest))[kept])
         slope, error, freedom = _slope(instrument, term, left)
         shift, gain = np.zeros(3), 0.0
         if of_gain:
@@ -348,10 +382,12 @@ def deviations(
             if name in {"hysteresis", "friction"}:
                 share = float(np.max(np.abs(shift / own)))
             else:
-                share = _SLOPES[name] * slope / (own[2] * float(sizes[0, 0]))
+                # Where it falls that far, the stiffness of this motion is no measure of it.
+                stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
+                share = _SLOPES[name] * slope / (stiffness * float(sizes[0, 0]))
         relative = abs(share * error / slope) if slope else 0.0
         found[name] = Deviation(
-            share=share, error=relative, freedom=freedom, shift=shift, gain=gain
+            name=name, share=share, error=relative, freedom=freedom, shift=shift, gain=gain
         )
     return found
 
@@ -407,44 +443,53 @@ def _slope(
 
 
 def judge_linearity(
-    record: TrialRecord,
+    records: Sequence[TrialRecord],
     arm: MBK,
     jump: HoldCorrection | None = None,
     reading: TorqueReading | None = None,
     *,
-    resolved: bool = True,
-) -> tuple[list[Problem], FloatArray, float]:
-    """Find what isn't linear; parameters are those of :func:`unexplained_torque`.
+    resolved: NDArray[np.bool_],
+) -> tuple[list[Problem], list[FloatArray], FloatArray]:
+    """Find what isn't linear; parameters are those of :func:`unexplained_torque`, of all trials.
 
     Where the motion of locked joints isn't `resolved`, its torque may look like that.
 
     Returns
     -------
     problems : list of Problem
-    shift : ndarray, shape (3,)
-        Standard errors of M, B and K of the joint itself that come of it.
-    gain : float
-        Relative standard error of the gain of the joint's transducer that comes of it.
+    doubts : list of ndarray, shape (3, n, n)
+        Standard errors of M, B and K that come of each trial: of the joint itself alone.
+    gain : ndarray, shape (n,)
+        Relative standard errors of the gains of the joints' transducers that come of it.
     """
-    problems = []
-    shift, gain = np.zeros(3), 0.0
-    for name, one in deviations(record, arm, jump, reading).items():
-        gain = float(np.hypot(gain, one.doubt * one.gain))
-        if not one.significant or abs(one.share) < _NEGLIGIBLE:
-            continue
-        shift = np.hypot(shift, one.shift)
-        severity = Severity.ERROR if resolved and abs(one.share) > LARGE[name] else Severity.NOTE
-        problems.append(
-            Problem(
-                code=_CODES[name],
-                concern=Concern.IMPEDANCE if name in _DOUBTED else Concern.PARAMETERS,
-                severity=severity,
-                trial=record.trial,
-                values={
-                    "name": record.joint_names[record.perturbed_joint],
-                    "percent": 100.0 * one.share,
-                    "error": 100.0 * one.error,
-                },
+    n = len(records)
+    problems: list[Problem] = []
+    doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
+    found = [deviations(record, arm, jump, reading) for record in records]
+    # Joints of one arm are alike in whether their stiffness depends on the amplitude.
+    bent = [one["curvature"].evidence if one else 0.0 for one in found]
+    for k, record in enumerate(records):
+        said: set[tuple[ProblemCode, Severity]] = set()
+        for name, one in found[k].items():
+            doubt = one.doubt(sum(bent) - bent[k] if name == "curvature" else 0.0)
+            gain[k] = np.hypot(gain[k], doubt * one.gain)
+            if one.significant and abs(one.share) < _NEGLIGIBLE:
+                continue
+            doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)
+            large = resolved[k] and abs(one.share) > LARGE[name]
+            code, severity = _CODES[name], Severity.ERROR if large else Severity.NOTE
+            if not one.significant or (code, severity) in said:
+                continue
+            said.add((code, severity))
+            problems.append(
+                problem(
+                    code,
+                    concern=Concern.IMPEDANCE if name in _DOUBTED else Concern.PARAMETERS,
+                    severity=severity,
+                    trial=record.trial,
+                    name=record.joint_names[record.perturbed_joint],
+                    percent=100.0 * one.share,
+                    error=100.0 * one.error,
+                )
             )
-        )
-    return problems, shift, gain
+    return problems, doubts, gain

@@ -222,7 +222,8 @@ class RobotResponses:
         coefficients = mixed.copy()
         coefficients[:, :n] -= impedance
         angles, torques = stacked[:n], stacked[n : 2 * n]
-        systematics = unresolved(self.records, impedance, angles, torques, self.inverse, f)
+        leads, lost = unresolved(self.records, impedance, angles, torques, self.inverse, f)
+        systematics = leads + lost
         if delay is not None:
             torque = multiply(mixed[:, n : 2 * n], stacked[n : 2 * n])
             systematics.append(delay.error * turn * rate * multiply(torque, self.inverse))

@@ -88,8 +88,8 @@ def test_motion_that_an_encoder_misses_is_that_of_a_spring_or_a_damper() -> None
     rng = np.random.default_rng(2)
     Z, R, T, inverse = rng.standard_normal((4, 2, 2, 5, 2)) @ [1.0, 1j]
     f = np.linspace(1.0, 5.0, 5)
-    effects = unresolved(records, Z, R, T, inverse, f)
-    added = np.sum([np.abs(one) ** 2 for one in effects], axis=0)
+    leads, lost = unresolved(records, Z, R, T, inverse, f)
+    added = np.sum([np.abs(one) ** 2 for one in leads + lost], axis=0)
     expected = np.zeros(Z.shape)
     share, beside = lost_motion(records)
     for joint, k in ((1, 0), (0, 1)):

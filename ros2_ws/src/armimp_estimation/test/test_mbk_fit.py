@@ -272,18 +272,24 @@ def test_when_there_are_two_frequencies_expect_data_error() -> None:
 
 
 def test_an_effect_that_noise_may_hide_counts_by_what_the_data_tell_of_it() -> None:
-    untold = hidden_square(0.0, 1e6, 0.05)
+    untold, _ = hidden_square(0.0, 1e6, 0.05)
     assert untold == pytest.approx(0.05)
-    assert hidden_square(2.0, 0.01, 0.05) == pytest.approx(4.0, rel=1e-3)
-    assert hidden_square(0.01, 0.01, 0.05) < 1e-6
-    assert hidden_square(-2.0, 0.01, 0.05, positive=True) < 1e-6
+    assert hidden_square(2.0, 0.01, 0.05)[0] == pytest.approx(4.0, rel=1e-3)
+    assert hidden_square(0.01, 0.01, 0.05)[0] < 1e-6
+    assert hidden_square(-2.0, 0.01, 0.05, positive=True)[0] < 1e-6
 
     # By the integral over all sizes and both cases.
-    told, error, likely = 0.6, 0.3, 0.05
+    told, error, likely, usual = 0.6, 0.3, 0.05, (0.1, 1.0)
     sizes = np.linspace(-10.0, 10.0, 200_001)
-    likelihood = stats.norm.pdf(told, sizes, error)
-    there = likely * stats.norm.pdf(sizes) * likelihood
-    absent = (1.0 - likely) * stats.norm.pdf(told, 0.0, error)
     step = sizes[1] - sizes[0]
-    expected = np.sum(there * sizes**2) * step / (np.sum(there) * step + absent)
-    assert hidden_square(told, error, likely) == pytest.approx(expected, rel=1e-6)
+    there = np.mean([stats.norm.pdf(sizes, scale=one) for one in usual], axis=0)
+    there *= stats.norm.pdf(told, sizes, error) * step
+    absent = stats.norm.pdf(told, 0.0, error)
+    square, evidence = hidden_square(told, error, likely, sizes=usual)
+    beside = (1.0 - likely) / likely * absent
+    assert square == pytest.approx(np.sum(there * sizes**2) / (np.sum(there) + beside), rel=1e-6)
+    assert evidence == pytest.approx(np.log(np.sum(there) / absent), rel=1e-6)
+
+    # Other data that make it nine times as likely as not leave it to these how large it is.
+    sure, _ = hidden_square(told, error, 0.5, sizes=usual, elsewhere=np.log(9.0))
+    assert sure == pytest.approx(hidden_square(told, error, 0.9, sizes=usual)[0], rel=1e-6)

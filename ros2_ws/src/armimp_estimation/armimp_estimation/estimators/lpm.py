@@ -169,8 +169,8 @@ class LpmFull:
         every = _angles_and(_unit(n, 2 * n, f), n)
         coefficients = every[n:].copy()
         every[n:, :n], coefficients[:, :n] = near.impedance(f), -beside
-        bounded = unresolved(records, impedance, R, torque, inverse, f)
-        systematics = (*bounded, *skewed)
+        leads, lost = unresolved(records, impedance, R, torque, inverse, f)
+        systematics = (*leads, *lost, *skewed)
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
@@ -193,7 +193,7 @@ class LpmFull:
             T=torque,
             R=R,
             systematics=systematics,
-            bounded=len(bounded),
+            bounded=len(leads),
             line_power=powers,
             weight_floor=self._floor(columns[0]),
             friction_skew=added.real.astype(np.complex128),
@@ -447,27 +447,33 @@ def unresolved(
     T: ComplexArray,
     inverse: ComplexArray,
     f: FloatArray,
-) -> list[ComplexArray]:
+) -> tuple[list[ComplexArray], list[ComplexArray]]:
     """What motion of locked joints that their encoders don't show may do to the impedance.
 
-    Rounding takes a share off the responses R that are seen, or adds it, and may be ahead of them
-    by a lead: a share of ``jω`` times that. What isn't seen at all
+    Readings may be ahead of the responses R by a lead, a share of ``jω`` times that. Rounding takes
+    a share off them, or adds it. What isn't seen at all
     follows the torque on the joint, which is a spring to that, or a damper: with ``S = T`` or
     ``T/s``, a motion of a is a response ``δR = a S / rms(S x)``. The effect of either is
     ``δZ = -Z δR R⁻¹``.
+
+    Returns
+    -------
+    leads, lost : list of (n, n, n_freq) NDArray
+        The shape over frequency of leads alone is known so well that data can tell their size.
     """
     share, beside = lost_motion(records)
     lead = rounding_lead(records, float(f[-1]))
-    lost = []
+    leads, lost = [], []
     for joint, k in np.argwhere(share + beside + lead > 0.0):
-        ahead = 2j * np.pi * f * lead[joint, k]
-        responses = [share[joint, k] * R[joint, k], ahead * R[joint, k]]
+        responses = [share[joint, k] * R[joint, k]]
         for shape in (T[joint, k], T[joint, k] / (2j * np.pi * f)):
             caused = np.sqrt(np.mean(np.abs(shape) ** 2)) * np.std(records[k].perturbation[k])
             responses.append(beside[joint, k] / max(float(caused), _TINY) * shape)
         effect = impedance[:, joint, None] * inverse[None, k]
         lost += [one * effect for one in responses if one.any()]
-    return lost
+        if lead[joint, k] > 0.0:
+            leads.append(2j * np.pi * f * lead[joint, k] * R[joint, k] * effect)
+    return leads, lost
 
 
 def beside_few_lines(
