@@ -285,14 +285,7 @@ def replay(
     *("joints", "perturbation_kind", "internal_model", "as_in_paper", "duration", "estimators"),
 )
 def reproduce(
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            help="Directory, new or of a study to go on with.",
-            show_default="results/study-TIME",
-        ),
-    ] = None,
+    out: _NewDirectory = None,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -333,12 +326,9 @@ def reproduce(
         settings = load_config(config, options)
         conditions = select_conditions(only or (), seeds)
         backend, origin = chosen_backend(workers, scheduler), OriginSummary.of(sys.argv)
-        try:
-            verdict = run_study(
-                settings, conditions, directory, backend, figures=figures, origin=origin
-            )
-        except KeyboardInterrupt:
-            raise InterruptionError("interrupted; the same command goes on from here") from None
+        verdict = run_study(
+            settings, conditions, directory, backend, figures=figures, origin=origin
+        )
         display.close()
         return present_verdict(verdict, directory, as_json=json)
 

@@ -95,24 +95,20 @@ class Display:
             self._phase, self._phase_began = text, time.monotonic()
         self._refresh()
 
-    def progress(self, done: int, total: int, stored: int = 0, *, things: str) -> None:
+    def progress(self, done: int, total: int, *, things: str) -> None:
         """Show how many things are done, and how long the others take.
 
         Parameters
         ----------
         done, total : int
             Things that are done, and all of them.
-        stored : int
-            Those that were done before this command began.
         things : str
             What they are, in the plural.
         """
         with self._lock:
             if self._bar is None:
                 self._progress_began = time.monotonic()
-            text = describe(
-                done, total, stored, time.monotonic() - self._progress_began, things=things
-            )
+            text = describe(done, total, time.monotonic() - self._progress_began, things=things)
             self._bar, self._phase = ("", done, total, text), ""
         if not self._console.is_terminal:
             self._console.print(text, highlight=False)
@@ -185,15 +181,13 @@ def display() -> Display:
     return Display.present or Display(Console(quiet=True))
 
 
-def describe(done: int, total: int, stored: int, seconds: float, *, things: str) -> str:
+def describe(done: int, total: int, seconds: float, *, things: str) -> str:
     """Progress in words; the time left follows from what was done in these seconds."""
     parts = [f"{done} of {total} {things}"]
-    if stored:
-        parts.append(f"{stored} of them from before")
-    if done > stored and done == total:
+    if done == total:
         parts.append(f"took {duration(seconds)}")
-    elif done > stored:
-        parts.append(f"{duration(seconds * (total - done) / (done - stored))} left")
+    elif done:
+        parts.append(f"{duration(seconds * (total - done) / done)} left")
     return ", ".join(parts)
 
 

@@ -1,16 +1,14 @@
 """Writing files that are never seen half written, and reading only regular files."""
 
 import os
-import re
 import secrets
 import stat
 from collections.abc import Callable
 from pathlib import Path
-from typing import BinaryIO, Final, Literal
+from typing import BinaryIO, Final
 
 from armimp_common.errors import DataError
 
-_PART_BYTES: Final = 8
 _MOST_BYTES: Final = 256 << 20
 _NEVER_SPARSE: Final = 64 << 20
 _SPARSEST: Final = 20
@@ -34,7 +32,7 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
     OSError
         If the file cannot be written.
     """
-    part = path.with_name(f".{secrets.token_hex(_PART_BYTES)}{path.suffix}")
+    part = path.with_name(f".{secrets.token_hex(8)}{path.suffix}")
     exclusively = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     os.close(os.open(part, exclusively, 0o666))
     try:
@@ -42,23 +40,6 @@ def replace_atomically(path: Path, write: Callable[[Path], object]) -> None:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-
-
-def is_part(path: Path) -> bool:
-    """Whether a file is one that `replace_atomically` had not finished when its process ended."""
-    return re.fullmatch(rf"\.[0-9a-f]{{{2 * _PART_BYTES}}}", path.stem) is not None
-
-
-def open_lock(path: Path) -> BinaryIO:
-    """Open or create a file that serves as a lock, without following a link.
-
-    Raises
-    ------
-    OSError
-        If it is no regular file, or cannot be opened.
-    """
-    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    return _checked(path, os.open(path, flags, 0o666), "r+b")
 
 
 def write_atomically(
@@ -106,13 +87,10 @@ def open_regular(path: Path) -> BinaryIO:
     """
     _require_regular(path, path.stat())
     # Should it become a pipe in between, opening it must not wait for a writer.
-    return _checked(path, os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
-
-
-def _checked(path: Path, descriptor: int, mode: Literal["rb", "r+b"]) -> BinaryIO:
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         _require_regular(path, os.fstat(descriptor))
-        return os.fdopen(descriptor, mode)
+        return os.fdopen(descriptor, "rb")
     except OSError:
         os.close(descriptor)
         raise

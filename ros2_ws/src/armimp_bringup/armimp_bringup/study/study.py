@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final
 
@@ -12,9 +14,9 @@ from rich.measure import Measurement
 from rich.table import Table
 
 from armimp_bringup.bench import available_cores
-from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.config import ExperimentConfig, prepare_directory
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study.conditions import Condition
+from armimp_bringup.study.conditions import LEVELS, Condition
 from armimp_bringup.study.engine import (
     Backend,
     Batch,
@@ -25,13 +27,15 @@ from armimp_bringup.study.engine import (
     split_evenly,
 )
 from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
-from armimp_bringup.study.store import CONFIG_FILE, RESULTS_DIRECTORY, open_study, study_text
+from armimp_bringup.study.store import StudyEntry, save_result, saved_curves, study_text
 from armimp_bringup.terminal import display, say
-from armimp_common.errors import ConfigurationError
+from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.atomic_write import write_text
 from armimp_estimation.report.run import REPORT_FILE
 from armimp_estimation.summary import OriginSummary
 
+CONFIG_FILE: Final = "config.json"
+RESULTS_DIRECTORY: Final = "conditions"
 STUDY_FILE: Final = "study.json"
 VERDICT_FILE: Final = "verdict.json"
 _FILES: Final = {
@@ -42,6 +46,8 @@ _FILES: Final = {
     RESULTS_DIRECTORY + "/": "result and curves of each condition",
 }
 _MOST_FAILURES: Final = 20
+_VARIED: Final = {*LEVELS, "seed", "mode", "processes"}
+"""What differs between the conditions of a study, and is not part of its configuration."""
 
 
 def chosen_backend(workers: int | None, scheduler: str | None) -> Backend:
@@ -68,7 +74,7 @@ def run_study(
     figures: bool = True,
     origin: OriginSummary | None = None,
 ) -> StudyVerdict:
-    """Run what is missing of a study, and write its files.
+    """Run a study and write its files.
 
     Parameters
     ----------
@@ -77,9 +83,9 @@ def run_study(
     conditions : sequence of Condition
         What the study consists of, each once.
     directory : Path
-        New, empty, or that of a study with the same configuration, which is completed.
+        New or empty.
     backend : Backend
-        Runs what is missing.
+        Runs it.
     figures : bool
         Whether to draw those for print; the report is written in any case.
     origin : OriginSummary, optional
@@ -100,46 +106,53 @@ def run_study(
     here = software()
     # What is set wrongly should show before anything is made.
     node_parameters(condition_config(base, conditions[0]), None)
-    with open_study(directory, base, here) as store:
-        missing = store.missing(conditions)
-        done = stored = len(conditions) - len(missing)
-        display().progress(done, len(conditions), stored, things="conditions")
-        if missing:
-            batches = [
-                Batch(base=base, conditions=part, software=here)
-                for part in split_evenly(missing, backend.workers)
-            ]
-            for results in backend.run(batches):
-                for result in results:
-                    store.save(result)
-                done += len(results)
-                display().progress(done, len(conditions), stored, things="conditions")
-        entries = store.entries(conditions)
-        table = results_table(entries)
-        verdict = judge(entries, table)
-        write_text(directory / STUDY_FILE, study_text(entries))
-        write_text(directory / "results.csv", results_csv(table))
-        text = verdict.model_dump_json(indent=1, by_alias=True)
-        write_text(directory / VERDICT_FILE, f"{text}\n")
-        drawn: dict[str, str] = {}
-        truth = entries[0].truth
-        if figures and truth is not None:
-            display().phase("drawing the figures")
-            from armimp_bringup.study.figures import write_figures
+    prepare_directory(directory)
+    results = directory / RESULTS_DIRECTORY
+    curves = partial(saved_curves, results)
+    try:
+        results.mkdir()
+    except OSError as error:
+        raise DataError(f"{directory}: cannot be used: {error.strerror}") from None
+    described = json.loads(base.model_dump_json(exclude=_VARIED))
+    described = {"schema": 1, "experiment": described, **here}
+    write_text(directory / CONFIG_FILE, json.dumps(described, indent=1) + "\n")
+    batches = [
+        Batch(base=base, conditions=part, software=here)
+        for part in split_evenly(conditions, backend.workers)
+    ]
+    found: dict[Condition, StudyEntry] = {}
+    display().progress(0, len(conditions), things="conditions")
+    for batch in backend.run(batches):
+        for result in batch:
+            save_result(results, result)
+            found[result.entry.condition] = result.entry
+        display().progress(len(found), len(conditions), things="conditions")
+    entries = [found[condition] for condition in conditions]
+    table = results_table(entries)
+    verdict = judge(entries, table)
+    write_text(directory / STUDY_FILE, study_text(entries))
+    write_text(directory / "results.csv", results_csv(table))
+    text = verdict.model_dump_json(indent=1, by_alias=True)
+    write_text(directory / VERDICT_FILE, f"{text}\n")
+    drawn: dict[str, str] = {}
+    truth = entries[0].truth
+    if figures and truth is not None:
+        display().phase("drawing the figures")
+        from armimp_bringup.study.figures import write_figures
 
-            drawn = write_figures(directory, conditions, table, truth, store.curves)
-        display().phase("writing the report")
-        from armimp_bringup.study.report import StudyReport
+        drawn = write_figures(directory, conditions, table, truth, curves)
+    display().phase("writing the report")
+    from armimp_bringup.study.report import StudyReport
 
-        report = StudyReport(
-            entries=entries,
-            table=table,
-            verdict=verdict,
-            curves=store.curves,
-            files={**_FILES, **drawn},
-            origin=origin,
-        )
-        write_text(directory / REPORT_FILE, report.page())
+    report = StudyReport(
+        entries=entries,
+        table=table,
+        verdict=verdict,
+        curves=curves,
+        files={**_FILES, **drawn},
+        origin=origin,
+    )
+    write_text(directory / REPORT_FILE, report.page())
     return verdict
 
 
