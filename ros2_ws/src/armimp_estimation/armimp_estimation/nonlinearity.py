@@ -12,15 +12,16 @@ the coefficient is found with what of the term turns with the sign of the pertur
 term of what that alone causes, as the instrument (Söderström & Stoica, *Instrumental Variable
 Methods for System Identification*): so a linear arm gives zero on average, whatever the person does
 beside, although that moves the arm, too. What a person does is slow and hides what a stiffness that
-changes does there, so e is looked at with ``θ³`` once more, where it has least noise. What M, B and
-K are alike of the regressor, times the coefficient, is what the term does to them; what the gain of
-a transducer changes by is in doubt for all that it measures. What readings lack because torques
-jump with commands is put right before: commands that overcome friction would make it look like a
-bent spring. The trial is cut into parts, and the scatter of what each of them says is the error,
-with no assumption about the spectrum of e; parts that weigh much pull the coefficient towards
-themselves, which is made up for (MacKinnon & White, *Journal of Econometrics* 29, 1985: HC3). Few
-parts tell that scatter badly, so what counts as significant follows Student's distribution. The
-ends of a trial are left out: there the derivatives of a record that is cut off ring.
+changes does there, so e is looked at with what the angle exceeds its rms by, where it has least
+noise. What M, B and K are alike of the regressor, times the coefficient, is what the term does to
+them; what the gain of a transducer changes by is in doubt for all that it measures. What readings
+lack because torques jump with commands is put right before: commands that overcome friction would
+make it look like a bent spring. The trial is cut into parts, and the scatter of what each of them
+says is the error, with no assumption about the spectrum of e; parts that weigh much pull the
+coefficient towards themselves, which is made up for (MacKinnon & White, *Journal of Econometrics*
+29, 1985: HC3). Few parts tell that scatter badly, so what counts as significant follows Student's
+distribution. The ends of a trial are left out: there the derivatives of a record that is cut off
+ring.
 """
 
 from __future__ import annotations
@@ -80,8 +81,8 @@ HIDDEN: Mapping[str, tuple[float, tuple[float, ...]]] = {
 }
 """Assumptions: how likely a joint or a transducer isn't linear in one of these ways, and by what
 change of its stiffness or gain if so."""
-FAR = 2.0
-"""Angle up to which stiffness goes on to change, in rms angles: a few excursions don't decide."""
+FAR = 1.0
+"""Angle beyond which stiffness differs, in rms angles."""
 PLAY = 0.12
 """Half of the play, in rms angles."""
 SLOW = 0.1
@@ -98,7 +99,7 @@ _LEFT = 0.01
 _LEAST = 10.0
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "amplitude": lambda signals: np.clip(signals[0], -REST, REST),
-    "curvature": lambda signals: np.clip(signals[0], -FAR, FAR) ** 3,
+    "curvature": lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
     "hysteresis": lambda signals: play(signals[1], PLAY),
     "friction": lambda signals: np.tanh(signals[2] / SLOW),
     "time": lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
@@ -110,13 +111,14 @@ _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
 its rms; (4, N)."""
 _SLOPES = {
     "amplitude": -1.0,
-    "curvature": 3.0,
+    "curvature": 0.32,
     "time": 1.0,
     "direction": 2.0,
     "gain": 3.0,
     "drift": 1.0,
 }
-"""Of these terms over their argument at one rms, less at rest, or between both directions."""
+"""Of these terms over their argument at one rms, less at rest, or between both directions; of what
+the angle exceeds its rms by, over a normal distribution of angles."""
 _DOUBTED = {"direction": 0.5, "gain": 1.0, "drift": 0.5}
 """Shares of its change by which a gain may differ from that of the calibration.
 
