@@ -193,6 +193,7 @@ _RELAXED, _RELAXATIONS = 0.4, (0.05, 0.3)
 with which time constants, s."""
 _CUFF = 1e-5
 """Assumption: compliance that a cuff between robot and arm may have, rad/(N·m)."""
+_LOW, _FEWEST = 1.0 / 3.0, 8
 _ITERATIONS = 3
 _ORDERS = (2, 3, 4, 5)
 _SINGULAR = 1e-10
@@ -520,15 +521,24 @@ class _Elements:
 
     def _fit_element(self, row: int) -> tuple[FloatArray, FloatArray]:
         coefficients = self.coefficients(row)
-        values = _apply(coefficients, self.Z[row])
-        squares = _sandwich(coefficients, self.noise[row], self.correlation)
-        for systematic in (*self.systematics, *self.calibration):
-            squares += _apply(coefficients, systematic[row]) ** 2
+        values, squares = self._sums(coefficients, row)
+        for known in self.calibration:
+            squares += _apply(coefficients, known[row]) ** 2
         return values, np.sqrt(squares)
+
+    def _sums(self, coefficients: FloatArray, row: int) -> tuple[FloatArray, FloatArray]:
+        """Sums over frequency with such coefficients, (3, n_freq), and their variances."""
+        squares = _sandwich(coefficients, self.noise[row], self.correlation)
+        for systematic in self.systematics:
+            squares += _apply(coefficients, systematic[row]) ** 2
+        return _apply(coefficients, self.Z[row]), squares
 
     def change_by_more_terms(self) -> FloatArray:
         """Squared change of M, B, K, (3, elements), by ``c s³``, ``c s⁴``, cuffs and what hides.
 
+        Viscosity and stiffness are what an arm does slowly. Whatever else there is at the upper end
+        of the band shows in their difference to those of the lowest third alone (Hausman,
+        *Econometrica* 46, 1978).
         Between robot and arm a cuff of the compliance c at joint l takes ``c Z_il Z_lj`` off, and a
         high-pass of first order with the corner c, which torques passed and angles didn't, about
         ``c Z_ij/s``. They are the same in all elements, so they count in those, too, where noise
@@ -541,6 +551,14 @@ class _Elements:
             for row, of_mbk in enumerate(self._all_coefficients):
                 value, error = self.coefficient_of(term, row)
                 squares[:, row] += _noticed(value, error) * _apply(of_mbk, term) ** 2
+        low = relative <= _LOW
+        if np.count_nonzero(low) >= _FEWEST:
+            for row, of_mbk in enumerate(self._all_coefficients):
+                apart = of_mbk - mbk_coefficients(self.omega, self.weights(row) * low)
+                values, variances = self._sums(apart, row)
+                for place in (1, 2):
+                    error = math.sqrt(variances[place])
+                    squares[place, row] += _noticed(values[place], error)
         n = math.isqrt(len(self.Z))
         if self.whole and n <= _MOST_CUFFS:
             Z = np.stack([_of_mbk(one, self.omega) for one in plain.T]).reshape(n, n, -1)
