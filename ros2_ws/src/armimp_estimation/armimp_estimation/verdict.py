@@ -196,8 +196,6 @@ def judge_estimate(
         When torques were read, as far as that was told.
     """
     problems = judge_matrices(estimate.name, names, fit)
-    if not estimate.unbiased:
-        return problems
     for i, k in np.ndindex(fit.lack.shape):
         if not fit.lack[i, k] <= fit.lack_limit:
             problems.append(
@@ -212,6 +210,8 @@ def judge_estimate(
                     },
                 )
             )
+    if not estimate.unbiased:
+        return problems
     corner, error = fit.high_pass
     if abs(corner) > max(_CORNER, _NOTICED * error):
         passed: dict[str, float | int | str] = {

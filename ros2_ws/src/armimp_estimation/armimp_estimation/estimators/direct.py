@@ -15,7 +15,12 @@ import numpy as np
 from armimp_common.arrays import ComplexArray
 from armimp_common.errors import DataError
 from armimp_estimation.estimators.estimate import ImpedanceEstimate
-from armimp_estimation.estimators.welch import Column, estimate_by_columns
+from armimp_estimation.estimators.welch import (
+    Column,
+    WelchSiso,
+    estimate_by_columns,
+    with_biases,
+)
 from armimp_estimation.frf import noise_gain, order_trials
 from armimp_estimation.trial import TrialData
 
@@ -38,8 +43,9 @@ class Direct:
     def estimate(self, trials: Sequence[TrialData]) -> ImpedanceEstimate:
         """Whole matrix from n trials in any order, one for each joint.
 
-        The variance of a column is ``G_ee / ((n_d - 1) G_θθ)`` with ``e = τ_i - Z_ik θ_k``. It
-        describes the scatter, not the bias: both may be far apart.
+        The variance of a column is ``G_ee / ((n_d - 1) G_θθ)`` with ``e = τ_i - Z_ik θ_k``, which
+        describes the scatter. The bias shows in the difference to `welch_siso`, which is none where
+        the perturbation is the angle itself; that is a standard error, too.
 
         Raises
         ------
@@ -51,7 +57,8 @@ class Direct:
         n = estimate.joints
         left = [self._unexplained(trial) for trial in ordered]
         inverse = np.eye(n, dtype=np.complex128)[:, :, None] * np.ones(estimate.f.size)
-        return replace(estimate, disturbance=np.stack(left), inverse=inverse)
+        estimate = replace(estimate, disturbance=np.stack(left), inverse=inverse)
+        return with_biases(estimate, (estimate.Z - WelchSiso().estimate(ordered).Z,))
 
     def _unexplained(self, trial: TrialData) -> ComplexArray:
         """Covariance of a column, shape (n, n, n_freq): that of torques without the motion."""
