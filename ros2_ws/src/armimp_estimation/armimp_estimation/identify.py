@@ -205,7 +205,13 @@ def identify(
     )
     if verdict.SINGLE in distinct:
         problems += verdict.judge_locking(names, locks, bounds, options.limits)
-    problems += of_estimates
+    # Lack of fit is for the verdict alone: what is known of those with a bias is known roughly.
+    telling = {name for name, one in results.items() if one.estimate.unbiased} or set(results)
+    problems += [
+        one
+        for one in of_estimates
+        if one.code is not ProblemCode.LACK_OF_FIT or one.estimator in telling
+    ]
     if options.calibration.assumed:
         assumed = {"gain": 100.0 * options.calibration.gain}
         assumed["cross_talk"] = 100.0 * options.calibration.cross_talk
@@ -217,14 +223,13 @@ def identify(
     known = results.get("lpm_full")
     hold = LpmFull(config=options.lpm).jump(records) if known is None else known.estimate.hold
     if best is not None:
-        resolved = np.all(unseen_share(records) < RESOLVED_SHARE, axis=0)
         delay = 0.0 if best.fit.delay is None else best.fit.delay.delay
         of_motion, doubts, gains = judge_linearity(
             records,
             best.fit.mbk,
             hold,
             reading.model_copy(update={"delay": reading.delay + delay}),
-            resolved=np.asarray(resolved),
+            resolved=np.all(unseen_share(records) < RESOLVED_SHARE, axis=0),
         )
         problems += of_motion
         results = {

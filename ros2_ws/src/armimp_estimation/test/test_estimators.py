@@ -115,7 +115,7 @@ def test_standard_errors_of_the_direct_one_have_the_bias_of_the_loop() -> None:
     for estimate, held in ((found, True), (found.without_systematics(), False)):
         fit = fit_mbk(estimate)
         off = np.abs(fit.mbk.B - TWO_JOINT_ARM.B) / fit.B_se
-        assert bool(off[0, 0] < 3.0) is held
+        assert bool(off[0, 0] < 1.96) is held
 
 
 @pytest.mark.parametrize(
