@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -116,8 +116,7 @@ class Identification:
     @property
     def deciding(self) -> tuple[str, ...]:
         """Estimators that decide whether the result is valid: those without bias, else all."""
-        unbiased = [name for name, one in self.estimators.items() if one.estimate.unbiased]
-        return tuple(unbiased or self.estimators)
+        return _deciding(self.estimators)
 
     @property
     def verdict(self) -> Verdict:
@@ -128,6 +127,11 @@ class Identification:
     def valid(self) -> bool:
         """Whether both verdicts are good."""
         return self.verdict.parameters
+
+
+def _deciding(results: Mapping[str, EstimatorResult]) -> tuple[str, ...]:
+    unbiased = [name for name, one in results.items() if one.estimate.unbiased]
+    return tuple(unbiased or results)
 
 
 def identify(
@@ -181,7 +185,6 @@ def identify(
     bounds = scores.bias_bound(frf)
     reading = options.lpm.reading
     results: dict[str, EstimatorResult] = {}
-    of_estimates: list[Problem] = []
     for worker in workers:
         found = worker.estimate(ordered)
         estimate, fit = fit_impedance(found, options.fit, options.calibration)
@@ -193,8 +196,6 @@ def identify(
             coherence=scores.Coherences.of(ordered, estimate),
             models=models,
         )
-        of_estimates += verdict.judge_estimate(names, estimate, fit, reading)
-        of_estimates += verdict.judge_models(estimate.name, models)
     first = next(iter(results.values()))
     problems = verdict.judge_band(trials[0].f, ordered[0].f)
     for trial in ordered:
@@ -205,13 +206,10 @@ def identify(
     )
     if verdict.SINGLE in distinct:
         problems += verdict.judge_locking(names, locks, bounds, options.limits)
-    # Lack of fit is for the verdict alone: what is known of those with a bias is known roughly.
-    telling = {name for name, one in results.items() if one.estimate.unbiased} or set(results)
-    problems += [
-        one
-        for one in of_estimates
-        if one.code is not ProblemCode.LACK_OF_FIT or one.estimator in telling
-    ]
+    for name, one in results.items():
+        decides = name in _deciding(results)
+        problems += verdict.judge_estimate(names, one.estimate, one.fit, reading, decides=decides)
+        problems += verdict.judge_models(name, one.models)
     if options.calibration.assumed:
         assumed = {"gain": 100.0 * options.calibration.gain}
         assumed["cross_talk"] = 100.0 * options.calibration.cross_talk

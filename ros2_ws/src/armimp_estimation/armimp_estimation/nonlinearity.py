@@ -357,6 +357,10 @@ def deviations(
     white = band.weights(inner)
     # What a linear arm leaves that isn't quite as it was fitted is in proportion to the torque.
     nearly = band.weights(inner, _LEFT * band.inner(torque))
+    left = band.of(rest)
+    weighed = [
+        (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, white, nearly)
+    ]
     found = {}
     for name, bend in _BENT.items():
         of_gain = name in _DOUBTED
@@ -366,11 +370,10 @@ def deviations(
         turns = 0.5 * (whole - bend(signals - 2.0 * known))
         turns = bend(known) + turns if of_gain else turns
         bent = np.stack([band.of(one) for one in (turns, whole)])
-        weights = white if of_gain else nearly if name in HIDDEN else equal
+        weights, remains = weighed[1 if of_gain else 2 if name in HIDDEN else 0]
         instrument, term = (band.signal(weights * one)[kept] for one in bent)
         instrument, term = linear.unlike(instrument), linear.removed(term)
-        left = linear.removed(band.signal(weights * band.of(rest))[kept])
-        slope, error, freedom = _slope(instrument, term, left)
+        slope, error, freedom = _slope(instrument, term, remains)
         shift, gain = np.zeros(3), 0.0
         if of_gain:
             share = _SLOPES[name] * slope / float(sizes[3, 0])

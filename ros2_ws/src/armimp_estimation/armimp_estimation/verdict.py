@@ -180,7 +180,12 @@ def judge_coherence(
 
 
 def judge_estimate(
-    names: Sequence[str], estimate: ImpedanceEstimate, fit: MBKFit, reading: TorqueReading
+    names: Sequence[str],
+    estimate: ImpedanceEstimate,
+    fit: MBKFit,
+    reading: TorqueReading,
+    *,
+    decides: bool,
 ) -> list[Problem]:
     """Problems with one estimate and its fit.
 
@@ -194,10 +199,13 @@ def judge_estimate(
         M, B and K.
     reading : TorqueReading
         When torques were read, as far as that was told.
+    decides : bool
+        Whether the verdict is about it. Beside others, what is known of its bias is known roughly,
+        and lack of fit says no more than that.
     """
     problems = judge_matrices(estimate.name, names, fit)
     for i, k in np.ndindex(fit.lack.shape):
-        if not fit.lack[i, k] <= fit.lack_limit:
+        if decides and not fit.lack[i, k] <= fit.lack_limit:
             problems.append(
                 Problem(
                     code=ProblemCode.LACK_OF_FIT,
