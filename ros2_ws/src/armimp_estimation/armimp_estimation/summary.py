@@ -10,16 +10,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, JsonValue, ValidationError, computed_field, model_validator
+from pydantic import Field, JsonValue, computed_field, model_validator
 from typing_extensions import Self
 
-from armimp_common.errors import DataError
 from armimp_estimation.alignment.assemble import StreamStatistics
 from armimp_estimation.arm_models import ModelFit, supported
-from armimp_estimation.atomic_write import read_bytes, write_atomically
+from armimp_estimation.atomic_write import write_atomically
 from armimp_estimation.fit import CommonDelay
 from armimp_estimation.identify import EstimatorResult, Identification, TrialScores
-from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, first_complaint
+from armimp_estimation.json_model import JsonModel, Matrix, Number, Vector, read_json
 from armimp_estimation.metadata import Timing, Truth
 from armimp_estimation.problems import Problem, Severity, Verdict
 from armimp_estimation.scores import NORMAL_95
@@ -289,9 +288,4 @@ def read_summary(path: Path) -> Summary:
     DataError
         If it cannot be read or is not a summary of schema 1; the message names file and place.
     """
-    try:
-        return Summary.model_validate_json(read_bytes(path))
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from error
-    except ValidationError as error:
-        raise DataError(f"{path}: not a summary: {first_complaint(error)}") from error
+    return read_json(path, Summary.model_validate_json, "a summary")

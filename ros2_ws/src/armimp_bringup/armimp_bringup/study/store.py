@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import TypeAdapter, ValidationError, model_validator
+from pydantic import TypeAdapter, model_validator
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_common.errors import DataError
-from armimp_estimation.atomic_write import read_bytes
 from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
 from armimp_estimation.identify import EstimatorResult
-from armimp_estimation.json_model import first_complaint
+from armimp_estimation.json_model import read_json
 from armimp_estimation.summary import Summary, write_summary
 
 
@@ -70,12 +68,7 @@ def read_study(path: Path) -> list[StudyEntry]:
     DataError
         If it can't be read, or is something else.
     """
-    try:
-        return _ENTRIES.validate_json(read_bytes(path))
-    except OSError as error:
-        raise DataError(f"{path}: {error.strerror}") from None
-    except ValidationError as error:
-        raise DataError(f"{path}: not a study: {first_complaint(error)}") from None
+    return read_json(path, _ENTRIES.validate_json, "a study")
 
 
 def save_result(directory: Path, result: ConditionResult) -> None:
