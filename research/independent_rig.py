@@ -104,13 +104,15 @@ class Mismatch:
     """Angle between the posture held and the arm's rest, rad."""
     calibrated: bool = True
     """Whether the transducers are declared exact."""
+    scale: float = 0.0
+    """Declared standard error of the encoders' scale."""
     readings: Callable[[Recording], Recording] | None = field(default=None, compare=False)
     """What is done to the arrays afterwards."""
 
     @property
     def simulated(self) -> Mismatch:
         """What of it is in the simulation."""
-        return replace(self, readings=None, calibrated=True)
+        return replace(self, readings=None, calibrated=True, scale=0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

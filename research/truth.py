@@ -442,11 +442,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         both = changed(position=shaky, torque=shaky)
         add(MUST, "instants jitter", (f"{share:g} periods", {"readings": both}))
     for size, poles in ((1e-3, 1.0), (5e-3, 1.0), (2e-4, 50.0), (1e-3, 50.0)):
-        add(
-            MUST,
-            "encoder not round",
-            (f"{size:g} rad, {poles:g}", {"readings": changed(position=_bent(size, poles))}),
-        )
+        eccentric: dict[str, Any] = {"readings": changed(position=_bent(size, poles))}
+        # Whoever knows the size of such errors, but not where they are, declares this.
+        eccentric["scale"] = size * poles / np.sqrt(2.0)
+        add(MUST, "encoder not round", (f"{size:g} rad, {poles:g}", eccentric))
     for factor in (0.8, 0.9, 1.1):
         add(RIGHT, "command gain", (f"{factor:g}", {"readings": changed(command=_times(factor))}))
         one_drive = changed(command=_row(1, factor))
@@ -559,10 +558,16 @@ def streams_of(recordings: list[Recording]) -> Streams:
     )
 
 
-def verdict_on(recordings: list[Recording], *, calibrated: bool = True) -> Result:
-    """What the estimator says of trials without trial status, and with exact transducers or not."""
+def verdict_on(
+    recordings: list[Recording], *, calibrated: bool = True, scale: float = 0.0
+) -> Result:
+    """What the estimator says of trials without trial status, and with exact transducers or not.
+
+    The standard error of the encoders' `scale` is declared.
+    """
     trials = assemble_trials(streams_of(recordings), ())
     metadata = dict.fromkeys(CALIBRATION_KEYS, "0") if calibrated else {}
+    metadata["angle_uncertainty"] = str(scale)
     names = NAMES[: len(recordings)]
     return conclude(trials, metadata=metadata, joint_names=names, estimators=("lpm_full",))
 
@@ -570,7 +575,8 @@ def verdict_on(recordings: list[Recording], *, calibrated: bool = True) -> Resul
 def outcome(mismatch: Mismatch, seed: int) -> Outcome:
     """Valid or not; worst error in standard errors, and in per cent; problems."""
     try:
-        summary = verdict_on(simulate(mismatch, seed), calibrated=mismatch.calibrated).summary
+        recordings, known = simulate(mismatch, seed), mismatch.calibrated
+        summary = verdict_on(recordings, calibrated=known, scale=mismatch.scale).summary
     except ArmimpError as error:
         return False, np.nan, np.nan, [str(error)]
     if "lpm_full" not in summary.estimators:

@@ -22,7 +22,7 @@ from armimp_control.trial_sequencer import TrialSequencer
 from armimp_estimation.estimators.lpm import LpmConfig
 from armimp_estimation.identify import EstimatorResult, identify
 from armimp_estimation.mbk import MBK
-from armimp_estimation.metadata import Metadata
+from armimp_estimation.metadata import CALIBRATION_KEYS, Metadata
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 from armimp_estimation.trial import TrialData
 from armimp_sim.simulator import SimulatedRig
@@ -265,7 +265,7 @@ def test_whoever_plants_a_wrong_calibration_does_not_declare_the_transducers_exa
     declared, wrong = (
         node_parameters(chosen(sensors), None).estimator.bag_metadata() for sensors in ({}, planted)
     )
-    assert set(declared) - set(wrong) == {"gain_uncertainty", "cross_talk_uncertainty"}
+    assert set(declared) - set(wrong) == set(CALIBRATION_KEYS)
 
 
 @pytest.mark.slow

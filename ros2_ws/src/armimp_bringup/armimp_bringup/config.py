@@ -193,6 +193,13 @@ class Declared(BaseModel):
         description="Standard error of the share of another joint's torque that each shows; by "
         "default as recorded with the bags, else 0.01.",
     )
+    angle_uncertainty: float | None = Field(
+        default=None,
+        ge=0.0,
+        le=1.0,
+        description="Standard error of the scale of each encoder at the posture, relative; by "
+        "default as recorded with the bags, else 0.",
+    )
     model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = Field(
         default=None,
         description="Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or "

@@ -66,7 +66,7 @@ class FitConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """How well the transducers of torque are known, all alike.
+    """How well the transducers of torque, and encoders, are known, all alike.
 
     Parameters
     ----------
@@ -74,8 +74,10 @@ class Calibration:
         Standard error of the gain of each, relative.
     cross_talk : float
         Standard error of the share of each other joint's torque that each shows.
+    angle : float
+        Standard error of the scale of each encoder where it is used, relative.
     assumed : bool
-        Whether nobody declared that.
+        Whether nobody declared that of torques.
 
     Raises
     ------
@@ -85,10 +87,11 @@ class Calibration:
 
     gain: float = 0.0
     cross_talk: float = 0.0
+    angle: float = 0.0
     assumed: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("gain", "cross_talk"):
+        for name in ("gain", "cross_talk", "angle"):
             if not 0.0 <= getattr(self, name) <= 1.0:
                 raise ConfigurationError(
                     f"uncertainty of {name} must be 0 to 1, got {getattr(self, name)!r}"
@@ -100,15 +103,15 @@ class Calibration:
         return cls(gain=0.01, cross_talk=0.01, assumed=True)
 
     def effects(self, Z: ComplexArray) -> tuple[ComplexArray, ...]:
-        """Standard errors ``g Z_ij`` and, for each other joint l, ``c Z_lj``; rows independent.
+        """Standard errors ``g Z_ij``, for each other joint l ``c Z_lj``, by column ``a Z_ij``.
 
-        No shape of Z over frequency could tell them, so they have no part in weights or lack of
-        fit.
+        Rows are independent. No shape of Z over frequency could tell them, so they have no part in
+        weights or lack of fit.
         """
         sizes = [self.gain] + [self.cross_talk] * (len(Z) - 1)
-        return tuple(
-            size * np.roll(Z, -apart, axis=0) for apart, size in enumerate(sizes) if size > 0.0
-        )
+        rows = [size * np.roll(Z, -l, axis=0) for l, size in enumerate(sizes) if size > 0.0]
+        columns = self.angle * Z * np.eye(len(Z))[:, None, :, None] if self.angle > 0.0 else ()
+        return (*rows, *columns)
 
 
 class CommonDelay(JsonModel):

@@ -35,8 +35,12 @@ from armimp_estimation.problems import Problem, ProblemCode, problem
 from armimp_estimation.spectra import WelchConfig
 from armimp_estimation.torque_timing import TorqueReading, TorqueTiming
 
-CALIBRATION_KEYS = {"gain_uncertainty": "gain", "cross_talk_uncertainty": "cross_talk"}
-"""Names in the metadata of what is declared of the transducers, by attribute of `Calibration`."""
+CALIBRATION_KEYS = {
+    "gain_uncertainty": "gain",
+    "cross_talk_uncertainty": "cross_talk",
+    "angle_uncertainty": "angle",
+}
+"""Names in the metadata of what is declared of the sensors, by attribute of `Calibration`."""
 READING_KEYS = {
     "torque_delay": "delay",
     "torque_cutoff": "cutoff",
@@ -159,7 +163,8 @@ class Metadata(BaseModel):
     """What else is known of the readings, see :class:`TorqueReading`."""
     gain_uncertainty: _Known = None
     cross_talk_uncertainty: _Known = None
-    """What is declared of the transducers, see :class:`Calibration`."""
+    angle_uncertainty: _Known = None
+    """What is declared of the sensors, see :class:`Calibration`."""
     sampling_rate: _Known = None
     """Rate that was declared, where it is an uncustomary one, Hz."""
     arm_model: Annotated[str, AfterValidator(require_model)] = AUTO
@@ -239,7 +244,7 @@ class Metadata(BaseModel):
         """What is declared of the transducers, else what is assumed of any."""
         known = {name: getattr(self, key) for key, name in CALIBRATION_KEYS.items()}
         given = {name: value for name, value in known.items() if value is not None}
-        assumed = len(given) < len(CALIBRATION_KEYS)
+        assumed = not given.keys() >= {"gain", "cross_talk"}
         return replace(Calibration.undeclared(), assumed=assumed, **given)
 
 

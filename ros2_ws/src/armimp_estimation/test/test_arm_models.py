@@ -121,19 +121,20 @@ def test_an_arm_that_no_model_describes_gets_none_offered() -> None:
     assert supported(fits_of(replace(estimate, Z=bent))) is None
 
 
-def test_uncertain_gains_and_cross_talk_widen_intervals_but_hide_no_lack_of_fit() -> None:
+def test_uncertain_calibrations_widen_intervals_but_hide_no_lack_of_fit() -> None:
     estimate = measured("mbk_delay", seed=1, noise=1e-3)
     _, exact = fit_impedance(estimate, FitConfig())
-    known = Calibration(gain=0.02, cross_talk=0.01)
+    known = Calibration(gain=0.02, cross_talk=0.01, angle=0.03)
     _, loose = fit_impedance(estimate, FitConfig(), known)
 
     K = exact.mbk.K
-    expected = np.sqrt(exact.K_se**2 + (0.02 * K) ** 2 + (0.01 * K[::-1]) ** 2)
+    of_scale = 0.02**2 + 0.03**2
+    expected = np.sqrt(exact.K_se**2 + of_scale * K**2 + (0.01 * K[::-1]) ** 2)
     assert loose.K_se == pytest.approx(expected, rel=0.01)
     assert np.sqrt(np.diag(loose.covariance))[8:] == pytest.approx(loose.K_se.ravel(), rel=1e-6)
     assert np.array_equal(loose.lack, exact.lack)
     assert np.array_equal(loose.mbk.K, exact.mbk.K)
     (sharp,), (blunt,) = fits_of(estimate, "mbk_delay"), fits_of(estimate, "mbk_delay", known)
     K = sharp.values["K"]
-    wider = np.sqrt(sharp.errors["K"] ** 2 + (0.02 * K) ** 2 + (0.01 * K[::-1]) ** 2)
+    wider = np.sqrt(sharp.errors["K"] ** 2 + of_scale * K**2 + (0.01 * K[::-1]) ** 2)
     assert blunt.errors["K"] == pytest.approx(wider, rel=0.05)
