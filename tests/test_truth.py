@@ -72,6 +72,10 @@ def test_stiffness_that_falls_while_a_person_pushes_is_in_the_intervals_or_refus
     judge("amplitude-dependent, voluntary 0.3 N·m 0.1", seed)
 
 
+def test_a_linear_arm_moved_by_all_lines_of_a_multisine_does_not_look_bent() -> None:
+    judge("multisine", seed=0)
+
+
 def test_what_coarse_encoders_miss_of_a_joint_that_friction_holds_is_in_the_intervals() -> None:
     judge("sticking 1 N·m, 0.0005 rad", seed=25)
 

@@ -97,6 +97,9 @@ _BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
 _LEFT = 0.01
 _LEAST = 10.0
+_TOLD = 0.01
+"""Share of an instrument below which the rest is chance and what begins and ends: between the lines
+of a periodic perturbation of all lines is nothing, and at them all is linear."""
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "amplitude": lambda signals: np.clip(signals[0], -REST, REST),
     "curvature": lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
@@ -371,9 +374,11 @@ def deviations(
         turns = bend(known) + turns if of_gain else turns
         bent = np.stack([band.of(one) for one in (turns, whole)])
         weights, remains = weighed[1 if of_gain else 2 if name in HIDDEN else 0]
-        instrument, term = (band.signal(weights * one)[kept] for one in bent)
-        instrument, term = linear.unlike(instrument), linear.removed(term)
-        slope, error, freedom = _slope(instrument, term, remains)
+        cause, term = (band.signal(weights * one)[kept] for one in bent)
+        instrument = linear.unlike(cause)
+        slope, error, freedom = _slope(instrument, linear.removed(term), remains)
+        if np.linalg.norm(instrument) < _TOLD * np.linalg.norm(cause):
+            error = np.inf
         shift, gain = np.zeros(3), 0.0
         if of_gain:
             share = _SLOPES[name] * slope / float(sizes[3, 0])
