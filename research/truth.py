@@ -412,11 +412,10 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for share in (0.03, 0.1, 0.3):
         uneven = {"readings": changed(torque=_uneven(share))}
         add(MUST, "torque larger in one direction", (f"{share:g}", uneven))
-        add(
-            MUST,
-            "torque compressed",
-            (f"{share:g}", {"readings": changed(torque=_yielding(share))}),
-        )
+        compressed: dict[str, Any] = {"readings": changed(torque=_yielding(share))}
+        add(MUST, "torque compressed", (f"{share:g}", compressed))
+        periodic = compressed | {"multisine": True}
+        add(MUST, "torque compressed, multisine", (f"{share:g}", periodic))
     for share in (0.02, 0.1):
         add(MUST, "gain that drifts", (f"{share:g}", {"readings": changed(torque=_waning(share))}))
     for share in (0.02, 0.05, 0.1):

@@ -72,8 +72,11 @@ def test_stiffness_that_falls_while_a_person_pushes_is_in_the_intervals_or_refus
     judge("amplitude-dependent, voluntary 0.3 N·m 0.1", seed)
 
 
-def test_a_linear_arm_moved_by_all_lines_of_a_multisine_does_not_look_bent() -> None:
-    judge("multisine", seed=0)
+@pytest.mark.parametrize("name", ["multisine", "torque compressed, multisine 0.03"])
+def test_all_lines_of_a_multisine_neither_make_an_arm_look_bent_nor_a_transducer_linear(
+    name: str,
+) -> None:
+    judge(name, seed=0)
 
 
 def test_what_coarse_encoders_miss_of_a_joint_that_friction_holds_is_in_the_intervals() -> None:

@@ -97,9 +97,12 @@ _BEYOND_CHANCE = 4.0
 _NEGLIGIBLE = 0.003
 _LEFT = 0.01
 _LEAST = 10.0
-_TOLD = 0.01
-"""Share of an instrument below which the rest is chance and what begins and ends: between the lines
-of a periodic perturbation of all lines is nothing, and at them all is linear."""
+_TOLD = 0.05
+"""Share of an instrument below which it tells nothing: what remains is chance, begin and end.
+
+So it is where a periodic perturbation has all lines: between them is nothing, and at them any
+motion is linear. A bent arm leaves a lack of fit there; gains are in doubt as of any transducer.
+"""
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "amplitude": lambda signals: np.clip(signals[0], -REST, REST),
     "curvature": lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
@@ -176,9 +179,12 @@ class Deviation:
         return self._odds(0.0)[1]
 
     def _odds(self, elsewhere: float) -> tuple[float, float]:
-        if self.name not in HIDDEN or not self._errors > 0.0:
+        likely, sizes = HIDDEN.get(self.name, (0.0, (0.0,)))
+        if self.name in _DOUBTED and self.error == np.inf:
+            return likely * float(np.mean(np.square(sizes))), 0.0
+        if not likely or not self._errors > 0.0:
             return 0.0, 0.0
-        told, (likely, sizes) = abs(self.share), HIDDEN[self.name]
+        told = abs(self.share)
         error = told / self._errors
         return hidden_square(told, error, likely, sizes=sizes, elsewhere=elsewhere)
 
