@@ -71,10 +71,6 @@ def _hum(size: float) -> Change:
     return add
 
 
-def _coarse(step: float) -> Change:
-    return lambda values: np.round(values / step) * step
-
-
 def _drift(slope: float) -> Change:
     return lambda torque: torque + slope * np.arange(torque.shape[1]) / 1000.0
 

@@ -428,11 +428,6 @@ KINDS: Final[dict[str, Callable[[Path], object]]] = {
 }
 
 
-def study(directory: Path) -> Arguments:
-    only = "friction=0,resolution=0,perturbation=3"
-    return "reproduce", "--no-figures", "--only", only, "--out", str(directory)
-
-
 def configured(file: Path) -> Arguments:
     return "run", "--config", str(file), "--out", str(file.parent / "out")
 
@@ -457,7 +452,6 @@ PLACES: Final[dict[str, tuple[str, Attack]]] = {
     "storage": ("bag.mcap", finished),
     "journal of a database": ("bag.db3-journal", with_database),
     "configuration": ("config.yaml", lambda directory: configured(directory / "config.yaml")),
-    "configuration of a study": ("config.json", study),
 }
 """Files by what they are, and what reads them."""
 
@@ -481,20 +475,6 @@ def storage_with_a_hole(directory: Path) -> Arguments:
     arguments = mcap(directory, head(), sound())
     os.truncate(directory / "bag.mcap", 1 << 40)
     return arguments
-
-
-@attack
-def lock_of_a_study_that_is_a_link(directory: Path) -> Arguments:
-    (directory / ".lock").symlink_to(directory.parent / WITNESS / "canary")
-    (directory / "config.json").write_text("{}")
-    return study(directory)
-
-
-@attack
-def results_of_a_study_that_are_elsewhere(directory: Path) -> Arguments:
-    (directory / "conditions").symlink_to(directory.parent / WITNESS)
-    (directory / "config.json").write_text("{}")
-    return study(directory)
 
 
 # --- directories ------------------------------------------------------------------------------
