@@ -25,6 +25,7 @@ from typer.exceptions import TyperException
 from armimp_bringup.config import CheckOptions, Declared, ExperimentConfig
 from armimp_bringup.terminal import Display, display, repair_streams, say
 from armimp_common.errors import ArmimpError, ConfigurationError, GraphError, InterruptionError
+from armimp_common.schema import descriptions
 
 _FunctionT = TypeVar("_FunctionT", bound=Callable[..., Any])
 _MOST_CHOICES = 10
@@ -88,8 +89,8 @@ def options_of(model: type[BaseModel], *names: str) -> Callable[[_FunctionT], _F
     The command gets None for what is not given, so that a configuration file prevails over a
     default.
     """
-    properties = model.model_json_schema()["properties"]
-    made = [_option(name, properties[name]) for name in names or properties]
+    properties, described = model.model_json_schema()["properties"], descriptions(model)
+    made = [_option(name, properties[name], described[name]) for name in names or properties]
 
     def decorate(function: _FunctionT) -> _FunctionT:
         signature = inspect.signature(function, eval_str=True)
@@ -107,8 +108,8 @@ def options_of(model: type[BaseModel], *names: str) -> Callable[[_FunctionT], _F
     return decorate
 
 
-def _option(name: str, schema: dict[str, Any]) -> inspect.Parameter | None:
-    described, default = schema.get("description", ""), schema.get("default")
+def _option(name: str, schema: dict[str, Any], described: str) -> inspect.Parameter | None:
+    default = schema.get("default")
     schema = {**schema, **next(iter(schema.get("anyOf", ())), {})}  # the first is not null
     kind: Any = _TYPES.get(schema["type"])
     if kind is None:

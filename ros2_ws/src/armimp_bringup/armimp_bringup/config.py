@@ -55,97 +55,58 @@ class ExperimentConfig(BaseModel):
 
     model_config = _FROZEN
 
-    joints: Literal[1, 2, 3, 4, 5, 6, 7] = Field(
-        default=2,
-        description="Joints of the preset arm, 1 to 7; 2 is the paper's arm of shoulder and elbow.",
-    )
-    friction: int = Field(
-        default=3,
-        ge=0,
-        le=3,
-        description="Level of joint friction: 0 none; 1, 2, 3 Coulomb friction of 0.4, 1, 2 N·m.",
-    )
-    resolution: int = Field(
-        default=3,
-        ge=0,
-        le=3,
-        description="Level of sensor resolution: 0 exact; 1, 2, 3 encoder steps of 360°/204800, "
-        "/102400, /51200 and torque steps of 5, 10, 20 mN·m.",
-    )
-    perturbation: int = Field(
-        default=3,
-        ge=1,
-        le=3,
-        description="Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder "
-        "and 1.8, 3.6, 5.4 N·m at the elbow.",
-    )
-    perturbation_kind: PerturbationKind = Field(
-        default="noise",
-        description="Kind of the perturbing torque: noise; multisine, periodic with the rms of "
-        "that noise and half its peak, which tells noise, distortion and change over time apart; "
-        "or optimal, a multisine with the peak of that noise at the frequencies that tell most.",
-    )
-    rig: Literal["paper", "realistic"] = Field(
-        default="paper",
-        description="Simulated rig: paper, or realistic, with drives, transducers, cuff and person "
-        "as a good rig has them.",
-    )
-    internal_model: Literal["observer", "tde"] = Field(
-        default="observer",
-        description="Internal model of the control law: observer, or tde, time-delay estimation "
-        "with raw differences of the encoders, whose torques no drive can follow.",
-    )
-    as_in_paper: bool = Field(
-        default=False,
-        description="Nothing that the paper does not have: time-delay estimation; locked joints "
-        "without approach, dither and stiffer target.",
-    )
-    duration: float = Field(
-        default=50.0, ge=2.0, le=9000.0, description="Length of each trial, s; 2 to 9000."
-    )
-    seed: int = Field(default=1, ge=0, lt=2**63, description="Seed of all random signals.")
-    mode: Literal["lockstep", "realtime"] = Field(
-        default="lockstep",
-        description="How time passes: lockstep (as fast as the machine, repeatable) or realtime "
-        "(1 kHz by the wall clock).",
-    )
-    processes: Literal["composed", "separate", "external"] = Field(
-        default="composed",
-        description="Where the nodes live: composed (in one process), separate (one for each, as "
-        "by default in realtime) or external (started by others).",
-    )
-    priority: int = Field(
-        default=0,
-        ge=0,
-        le=99,
-        description="SCHED_FIFO priority of rig and controller in realtime, 1 to 99; 0: ordinary.",
-    )
-    estimators: tuple[str, ...] = Field(
-        default=("welch_siso", "lpm_full"),
-        description=f"Estimator: {', '.join(ESTIMATOR_NAMES)}. May be given more than once.",
-    )
+    joints: Literal[1, 2, 3, 4, 5, 6, 7] = 2
+    """Joints of the preset arm, 1 to 7; 2 is the paper's arm of shoulder and elbow."""
+    friction: int = Field(default=3, ge=0, le=3)
+    """Level of joint friction: 0 none; 1, 2, 3 Coulomb friction of 0.4, 1, 2 N·m."""
+    resolution: int = Field(default=3, ge=0, le=3)
+    """Level of sensor resolution: 0 exact; 1, 2, 3 encoder steps of 360°/204800, /102400, /51200
+    and torque steps of 5, 10, 20 mN·m."""
+    perturbation: int = Field(default=3, ge=1, le=3)
+    """Level of the perturbing torque: 1, 2, 3 peaks of 3, 6, 9 N·m at the shoulder and 1.8, 3.6,
+    5.4 N·m at the elbow."""
+    perturbation_kind: PerturbationKind = "noise"
+    """Kind of the perturbing torque: noise; multisine, periodic with the rms of that noise and half
+    its peak, which tells noise, distortion and change over time apart; or optimal, a multisine with
+    the peak of that noise at the frequencies that tell most."""
+    rig: Literal["paper", "realistic"] = "paper"
+    """Simulated rig: paper, or realistic, with drives, transducers, cuff and person as a good rig
+    has them."""
+    internal_model: Literal["observer", "tde"] = "observer"
+    """Internal model of the control law: observer, or tde, time-delay estimation with raw
+    differences of the encoders, whose torques no drive can follow."""
+    as_in_paper: bool = False
+    """Nothing that the paper does not have: time-delay estimation; locked joints without approach,
+    dither and stiffer target."""
+    duration: float = Field(default=50.0, ge=2.0, le=9000.0)
+    """Length of each trial, s; 2 to 9000."""
+    seed: int = Field(default=1, ge=0, lt=2**63)
+    """Seed of all random signals."""
+    mode: Literal["lockstep", "realtime"] = "lockstep"
+    """How time passes: lockstep (as fast as the machine, repeatable) or realtime (1 kHz by the wall
+    clock)."""
+    processes: Literal["composed", "separate", "external"] = "composed"
+    """Where the nodes live: composed (in one process), separate (one for each, as by default in
+    realtime) or external (started by others)."""
+    priority: int = Field(default=0, ge=0, le=99)
+    """SCHED_FIFO priority of rig and controller in realtime, 1 to 99; 0: ordinary."""
+    estimators: tuple[str, ...] = ("welch_siso", "lpm_full")
+    """Estimator: welch_siso, welch_full, lpm_full, direct. May be given more than once."""
     target_error: Annotated[float, BeforeValidator(_share)] = Field(
         default=0.0,
         ge=0.0,
         lt=1.0,
-        json_schema_extra={"type": "string"},  # of the option: in words of its own
-        description="End a trial once the relative standard errors of M, B, K are below: 2% or "
-        "0.02; 0: never.",
+        json_schema_extra={"type": "string"},  # of the option
     )
-    torque_delay: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=0.1,
-        description="How late torque readings are, s, for the estimates to correct; by default as "
-        "simulated.",
-    )
-    arm_sim: Overrides = Field(default={}, description="Parameters of arm_sim to override.")
-    imbic_controller: Overrides = Field(
-        default={}, description="Parameters of imbic_controller to override."
-    )
-    impedance_estimator: Overrides = Field(
-        default={}, description="Parameters of impedance_estimator to override."
-    )
+    """End a trial once the relative standard errors of M, B, K are below: 2% or 0.02; 0: never."""
+    torque_delay: float | None = Field(default=None, ge=0.0, le=0.1)
+    """How late torque readings are, s, for the estimates to correct; by default as simulated."""
+    arm_sim: Overrides = {}
+    """Parameters of arm_sim to override."""
+    imbic_controller: Overrides = {}
+    """Parameters of imbic_controller to override."""
+    impedance_estimator: Overrides = {}
+    """Parameters of impedance_estimator to override."""
 
     @model_validator(mode="before")
     @classmethod
@@ -161,56 +122,28 @@ class Declared(BaseModel):
 
     model_config = _FROZEN
 
-    torque_timing: Literal["before", "after", "mid", "mean", "simultaneous"] | None = Field(
-        default=None,
-        description="When torques are read: before, after, mid, mean or simultaneous; by default "
-        "as recorded with the bags, else found.",
-    )
-    torque_delay: float | None = Field(
-        default=None,
-        ge=-0.1,
-        le=0.1,
-        description="How late torque readings are beyond their timing, s, negative if early; by "
-        "default as recorded with the bags, else fitted.",
-    )
-    torque_uncertainty: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=0.1,
-        description="Standard error of the timing of torque readings, s; by default 20 µs.",
-    )
-    gain_uncertainty: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=1.0,
-        description="Standard error of the gain of each torque transducer, relative; by default as "
-        "recorded with the bags, else 0.01.",
-    )
-    cross_talk_uncertainty: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=1.0,
-        description="Standard error of the share of another joint's torque that each shows; by "
-        "default as recorded with the bags, else 0.01.",
-    )
-    angle_uncertainty: float | None = Field(
-        default=None,
-        ge=0.0,
-        le=1.0,
-        description="Standard error of the scale of each encoder at the posture, relative; by "
-        "default as recorded with the bags, else 0.",
-    )
-    model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = Field(
-        default=None,
-        description="Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or "
-        "cuff; auto tries all where M, B and K don't fit.",
-    )
-    rate: float | None = Field(
-        default=None,
-        ge=200.0,
-        le=4000.0,
-        description="Sampling rate, Hz, if the recording has an unusual one.",
-    )
+    torque_timing: Literal["before", "after", "mid", "mean", "simultaneous"] | None = None
+    """When torques are read: before, after, mid, mean or simultaneous; by default as recorded with
+    the bags, else found."""
+    torque_delay: float | None = Field(default=None, ge=-0.1, le=0.1)
+    """How late torque readings are beyond their timing, s, negative if early; by default as
+    recorded with the bags, else fitted."""
+    torque_uncertainty: float | None = Field(default=None, ge=0.0, le=0.1)
+    """Standard error of the timing of torque readings, s; by default 20 µs."""
+    gain_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Standard error of the gain of each torque transducer, relative; by default as recorded with
+    the bags, else 0.01."""
+    cross_talk_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Standard error of the share of another joint's torque that each shows; by default as recorded
+    with the bags, else 0.01."""
+    angle_uncertainty: float | None = Field(default=None, ge=0.0, le=1.0)
+    """Standard error of the scale of each encoder at the posture, relative; by default as recorded
+    with the bags, else 0."""
+    model: Literal["auto", "mbk", "mbk_delay", "reflex", "cuff"] | None = None
+    """Model of the arm to fit beside M, B and K: auto, mbk, mbk_delay, reflex or cuff; auto tries
+    all where M, B and K don't fit."""
+    rate: float | None = Field(default=None, ge=200.0, le=4000.0)
+    """Sampling rate, Hz, if the recording has an unusual one."""
 
 
 class CheckOptions(BaseModel):
@@ -219,22 +152,19 @@ class CheckOptions(BaseModel):
     model_config = _FROZEN
 
     joints: tuple[str, ...]
-    node: str = Field(default=SIM_NODE, description="Name of the node.")
-    namespace: str = Field(default="", description="Namespace of the driver.")
-    duration: float = Field(
-        default=5.0, ge=1.0, le=3600.0, description="Length of the recording, s."
-    )
-    move: bool = Field(default=False, description="Command torque; nobody may be in the rig.")
+    node: str = SIM_NODE
+    """Name of the node."""
+    namespace: str = ""
+    """Namespace of the driver."""
+    duration: float = Field(default=5.0, ge=1.0, le=3600.0)
+    """Length of the recording, s."""
+    move: bool = False
+    """Command torque; nobody may be in the rig."""
     # A slip of the keyboard must not become a blow.
-    torque: float = Field(
-        default=1.0, gt=0.0, le=20.0, description="Torque of each push, N·m; at most 20."
-    )
-    most_motion: float = Field(
-        default=0.3,
-        gt=0.0,
-        le=1.0,
-        description="Motion of a joint beyond which torque is taken away, rad; at most 1.",
-    )
+    torque: float = Field(default=1.0, gt=0.0, le=20.0)
+    """Torque of each push, N·m; at most 20."""
+    most_motion: float = Field(default=0.3, gt=0.0, le=1.0)
+    """Motion of a joint beyond which torque is taken away, rad; at most 1."""
 
 
 def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:

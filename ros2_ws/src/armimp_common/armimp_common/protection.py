@@ -58,11 +58,12 @@ def _named(number: int) -> str:
 class ProtectionLimits(Schema):
     """Limits of the driver itself, wider than those of the controller."""
 
-    position: float = Field(default=2.0 * math.pi, gt=0.0, description="largest angle (rad)")
-    velocity: float = Field(
-        default=20.0, gt=0.0, description="largest velocity over 5 periods (rad/s)"
-    )
-    torque: float = Field(default=100.0, gt=0.0, description="largest command (N·m)")
+    position: float = Field(default=2.0 * math.pi, gt=0.0)
+    """Largest angle (rad)."""
+    velocity: float = Field(default=20.0, gt=0.0)
+    """Largest velocity over 5 periods (rad/s)."""
+    torque: float = Field(default=100.0, gt=0.0)
+    """Largest command (N·m)."""
 
 
 class TorqueLatch:

@@ -160,34 +160,21 @@ class TimingMeter:
 class TimingLimits(Schema):
     """Limits beyond which a run in real time is not valid."""
 
-    max_late_share: float = Field(
-        default=0.01, ge=0.0, le=1.0, description="largest share of samples sent late"
-    )
-    max_missed_share: float = Field(
-        default=0.01, ge=0.0, le=1.0, description="largest share of commands that missed their tick"
-    )
-    max_latency: float = Field(
-        default=0.001,
-        gt=0.0,
-        description="largest 99 % quantile of the time from sample to command (s)",
-    )
+    max_late_share: float = Field(default=0.01, ge=0.0, le=1.0)
+    """Largest share of samples sent late."""
+    max_missed_share: float = Field(default=0.01, ge=0.0, le=1.0)
+    """Largest share of commands that missed their tick."""
+    max_latency: float = Field(default=0.001, gt=0.0)
+    """Largest 99 % quantile of the time from sample to command (s)."""
 
 
 class SchedulingParameters(Schema):
     """What a process asks of the system while it works in real time."""
 
-    priority: int = Field(
-        default=0,
-        ge=0,
-        le=99,
-        description="SCHED_FIFO priority of the process in mode realtime; 0: ordinary scheduling",
-    )
-    cpu: int = Field(
-        default=-1,
-        ge=-1,
-        le=1023,
-        description="processor core that the process stays on in mode realtime; -1: any",
-    )
+    priority: int = Field(default=0, ge=0, le=99)
+    """SCHED_FIFO priority of the process in mode realtime; 0: ordinary scheduling."""
+    cpu: int = Field(default=-1, ge=-1, le=1023)
+    """Processor core that the process stays on in mode realtime; -1: any."""
 
 
 class RealtimeScheduling:

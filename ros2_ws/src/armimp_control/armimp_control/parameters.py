@@ -27,122 +27,80 @@ Vector = tuple[float, ...]
 class TargetParameters(Schema):
     """Target impedance Y_rd, diagonal (eq. 8); assumptions."""
 
-    posture: Vector = Field(description="target posture θ_rd of each joint (rad)")
-    inertia: Vector = Field(description="target inertia of each joint, diagonal of M_rd (kg·m²)")
-    damping: Vector = Field(
-        description="target damping B_rd of each joint while it is perturbed (N·m·s/rad)"
-    )
-    stiffness: Vector = Field(
-        description="target stiffness K_rd of each joint while it is perturbed (N·m/rad)"
-    )
-    lock_frequency: float = Field(
-        default=100.0,
-        ge=0.0,
-        le=1e4,
-        description="natural frequency of the target of joints locked by the law imbic (rad/s); "
-        "0: the target that they have while they are perturbed",
-    )
-    lock_damping_ratio: float = Field(
-        default=1.0,
-        gt=0.0,
-        description="damping ratio of the target of joints locked by the law imbic (–)",
-    )
-    lock_approach: float = Field(
-        default=0.05,
-        ge=0.0,
-        description="time constant with which the target of a joint that gets locked goes from "
-        "where the joint is to the target posture (s); 0: it is there at once",
-    )
-    lock_dither: float = Field(
-        default=0.0,
-        ge=0.0,
-        lt=0.01,
-        description="amplitude of each of two sines that locked joints make against the bias of "
-        "their encoders (rad)",
-    )
-    lock_dither_frequency: float = Field(
-        default=35.0,
-        gt=0.0,
-        lt=380.0,
-        description="frequency of the first of two sines that locked joints make, above the band "
-        "of the perturbation (Hz)",
-    )
+    posture: Vector
+    """Target posture θ_rd of each joint (rad)."""
+    inertia: Vector
+    """Target inertia of each joint, diagonal of M_rd (kg·m²)."""
+    damping: Vector
+    """Target damping B_rd of each joint while it is perturbed (N·m·s/rad)."""
+    stiffness: Vector
+    """Target stiffness K_rd of each joint while it is perturbed (N·m/rad)."""
+    lock_frequency: float = Field(default=100.0, ge=0.0, le=1e4)
+    """Natural frequency of the target of joints locked by the law imbic (rad/s); 0: the target that
+    they have while they are perturbed."""
+    lock_damping_ratio: float = Field(default=1.0, gt=0.0)
+    """Damping ratio of the target of joints locked by the law imbic (–)."""
+    lock_approach: float = Field(default=0.05, ge=0.0)
+    """Time constant with which the target of a joint that gets locked goes from where the joint is
+    to the target posture (s); 0: it is there at once."""
+    lock_dither: float = Field(default=0.0, ge=0.0, lt=0.01)
+    """Amplitude of each of two sines that locked joints make against the bias of their encoders
+    (rad)."""
+    lock_dither_frequency: float = Field(default=35.0, gt=0.0, lt=380.0)
+    """Frequency of the first of two sines that locked joints make, above the band of the
+    perturbation (Hz)."""
 
 
 class LawParameters(Schema):
     """Which law; internal model and ideal-velocity feedback of IMBIC; assumptions."""
 
-    kind: Literal["imbic", "pd"] = Field(
-        default="imbic",
-        description="control law: imbic, or pd, plain PD locking as the negative control",
-    )
-    internal_model: presets.InternalModel = Field(
-        default="observer",
-        description="internal model of imbic: observer, or tde, time-delay estimation with raw "
-        "differences of the encoders",
-    )
-    model_inertia: Vector = Field(
-        description="inertia M̄ of the internal model of imbic, n×n row by row (kg·m²)"
-    )
-    encoder_resolution: float = Field(
-        default=presets.FINEST,
-        ge=1e-6,
-        le=0.1,
-        description="rounding of the encoders that the observer expects (rad); a smaller one makes "
-        "it faster, and less patient with late commands",
-    )
-    perturbed_walk: Vector = Field(
-        default=(0.4,),
-        description="rms change within a control period of the unknown torque, mostly friction, "
-        "that the observer expects of a joint while it is perturbed (N·m); one value for all "
-        "joints or one for each",
-    )
-    locked_walk: Vector = Field(
-        default=(0.02,),
-        description="the same of a joint while it is locked (N·m); one value for all joints or "
-        "one for each",
-    )
-    gamma: float = Field(
-        default=100.0, gt=0.0, description="gain Γ of the ideal-velocity feedback of imbic (rad/s)"
-    )
-    pd_frequency: float = Field(
-        default=25.0, gt=0.0, description="natural frequency of joints locked by the law pd (rad/s)"
-    )
-    pd_damping_ratio: float = Field(
-        default=1.0, gt=0.0, description="damping ratio of joints locked by the law pd (–)"
-    )
+    kind: Literal["imbic", "pd"] = "imbic"
+    """Control law: imbic, or pd, plain PD locking as the negative control."""
+    internal_model: presets.InternalModel = "observer"
+    """Internal model of imbic: observer, or tde, time-delay estimation with raw differences of the
+    encoders."""
+    model_inertia: Vector
+    """Inertia M̄ of the internal model of imbic, n×n row by row (kg·m²)."""
+    encoder_resolution: float = Field(default=presets.FINEST, ge=1e-6, le=0.1)
+    """Rounding of the encoders that the observer expects (rad); a smaller one makes it faster, and
+    less patient with late commands."""
+    perturbed_walk: Vector = (0.4,)
+    """Rms change within a control period of the unknown torque, mostly friction, that the observer
+    expects of a joint while it is perturbed (N·m); one value for all joints or one for each."""
+    locked_walk: Vector = (0.02,)
+    """The same of a joint while it is locked (N·m); one value for all joints or one for each."""
+    gamma: float = Field(default=100.0, gt=0.0)
+    """Gain Γ of the ideal-velocity feedback of imbic (rad/s)."""
+    pd_frequency: float = Field(default=25.0, gt=0.0)
+    """Natural frequency of joints locked by the law pd (rad/s)."""
+    pd_damping_ratio: float = Field(default=1.0, gt=0.0)
+    """Damping ratio of joints locked by the law pd (–)."""
 
 
 class KnownParameters(RigDynamics):
     """What is known beforehand: for the stability check, gains of pd, and the perturbation."""
 
-    robot_inertia: Vector = Field(
-        description="inertia of the robot in the posture, M_r(θ_0), n×n row by row (kg·m²)"
-    )
-    arm_inertia: Vector = Field(
-        description="expected inertia of the arm, M_h, n×n row by row (kg·m²)"
-    )
-    arm_frequency: Vector = Field(
-        default=(8.0,),
-        description="expected natural frequency of the arm, sqrt(K_kk/M_kk), for optimal "
-        "perturbations and limits of the angle (rad/s); one value for all joints or one for each",
-    )
-    arm_damping_ratio: Vector = Field(
-        default=(0.3,),
-        description="expected damping ratio of the arm, B_kk/(2·sqrt(K_kk·M_kk)) (–); one value "
-        "for all joints or one for each",
-    )
+    robot_inertia: Vector
+    """Inertia of the robot in the posture, M_r(θ_0), n×n row by row (kg·m²)."""
+    arm_inertia: Vector
+    """Expected inertia of the arm, M_h, n×n row by row (kg·m²)."""
+    arm_frequency: Vector = (8.0,)
+    """Expected natural frequency of the arm, sqrt(K_kk/M_kk), for optimal perturbations and limits
+    of the angle (rad/s); one value for all joints or one for each."""
+    arm_damping_ratio: Vector = (0.3,)
+    """Expected damping ratio of the arm, B_kk/(2·sqrt(K_kk·M_kk)) (–); one value for all joints or
+    one for each."""
 
 
 class ControllerParameters(Schema):
     """All parameters of the node ``imbic_controller``."""
 
-    joints: tuple[str, ...] = Field(description="names of the joints, in the order of commands")
-    seed: int = Field(default=1, ge=0, description="seed of the perturbation")
-    mode: Literal["lockstep", "realtime"] = Field(
-        default="lockstep",
-        description="lockstep: time waits for commands; realtime: it does not, as on every rig",
-    )
+    joints: tuple[str, ...]
+    """Names of the joints, in the order of commands."""
+    seed: int = Field(default=1, ge=0)
+    """Seed of the perturbation."""
+    mode: Literal["lockstep", "realtime"] = "lockstep"
+    """lockstep: time waits for commands; realtime: it does not, as on every rig."""
     realtime: SchedulingParameters = SchedulingParameters()
     target: TargetParameters
     law: LawParameters

@@ -44,48 +44,29 @@ They show arms that are not of the form of M, B and K.
 class PerturbationParameters(Schema):
     """The perturbation τ_Δ: noise through a low-pass, or a multisine, flat or optimal."""
 
-    kind: PerturbationKind = Field(
-        default="noise",
-        description="kind of the perturbation: noise, uniform, through a Butterworth low-pass; or "
-        "multisine, odd harmonics with random phases and a low crest factor, of equal amplitudes "
-        "up to the cut-off frequency; or optimal, the same with the amplitudes that tell most of "
-        "M, B and K of the expected arm",
-    )
-    peak: tuple[float, ...] = Field(
-        description="largest perturbation torque of each joint while it is perturbed (N·m); a "
-        "multisine has the rms that noise with this peak has, and half the peak; an optimal one "
-        "has this peak if the angle allows it"
-    )
-    angle_limit: tuple[float, ...] = Field(
-        default=(0.0,),
-        description="largest rms angle that the perturbation may move each joint by, as far as the "
-        "expected arm tells (rad); what would move it more is made smaller; one value for all "
-        "joints or one for each; 0: no limit, or, of optimal, the angle of a multisine with this "
-        "peak",
-    )
-    disturbance_cutoff: float = Field(
-        default=2.0,
-        gt=0.0,
-        le=0.5 * _RATE,
-        description="frequency up to which a person is expected to move by intention (Hz); an "
-        "optimal perturbation keeps above it as far as it pays",
-    )
-    cutoff: float = Field(
-        default=15.0,
-        gt=0.0,
-        lt=0.5 * _RATE,
-        description="cut-off frequency of the perturbation (Hz)",
-    )
-    order: int = Field(
-        default=8, ge=1, le=20, description="order of the Butterworth low-pass of the noise"
-    )
-    period: float = Field(
-        default=8.192,
-        ge=_SHORTEST_PERIOD,
-        le=100.0,
-        description="longest period of the multisine (s); it is made shorter until a whole number "
-        "of them, four or more, fills the trial",
-    )
+    kind: PerturbationKind = "noise"
+    """Kind of the perturbation: noise, uniform, through a Butterworth low-pass; or multisine, odd
+    harmonics with random phases and a low crest factor, of equal amplitudes up to the cut-off
+    frequency; or optimal, the same with the amplitudes that tell most of M, B and K of the expected
+    arm."""
+    peak: tuple[float, ...]
+    """Largest perturbation torque of each joint while it is perturbed (N·m); a multisine has the
+    rms that noise with this peak has, and half the peak; an optimal one has this peak if the angle
+    allows it."""
+    angle_limit: tuple[float, ...] = (0.0,)
+    """Largest rms angle that the perturbation may move each joint by, as far as the expected arm
+    tells (rad); what would move it more is made smaller; one value for all joints or one for each;
+    0: no limit, or, of optimal, the angle of a multisine with this peak."""
+    disturbance_cutoff: float = Field(default=2.0, gt=0.0, le=0.5 * _RATE)
+    """Frequency up to which a person is expected to move by intention (Hz); an optimal perturbation
+    keeps above it as far as it pays."""
+    cutoff: float = Field(default=15.0, gt=0.0, lt=0.5 * _RATE)
+    """Cut-off frequency of the perturbation (Hz)."""
+    order: int = Field(default=8, ge=1, le=20)
+    """Order of the Butterworth low-pass of the noise."""
+    period: float = Field(default=8.192, ge=_SHORTEST_PERIOD, le=100.0)
+    """Longest period of the multisine (s); it is made shorter until a whole number of them, four or
+    more, fills the trial."""
 
     @field_validator("peak")
     @classmethod

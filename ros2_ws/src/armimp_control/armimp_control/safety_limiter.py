@@ -112,64 +112,35 @@ class Limit(str, Enum):
 class SafetyParameters(Schema):
     """Limits of commands, what is done beyond them, and the patience of the watchdog."""
 
-    position_limit: tuple[float, ...] = Field(
-        default=(0.5,),
-        description="largest distance of a joint from the target posture (rad); "
-        "one value for all joints or one for each",
-    )
-    position_action: Action = Field(
-        default=Action.STOP, description="what is done beyond the position limit: clip or stop"
-    )
-    velocity_limit: tuple[float, ...] = Field(
-        default=(4.0,),
-        description="largest speed of a joint over 5 ticks (rad/s); "
-        "one value for all joints or one for each",
-    )
-    velocity_action: Action = Field(
-        default=Action.STOP, description="what is done beyond the velocity limit: clip or stop"
-    )
-    torque_limit: float = Field(
-        default=80.0, gt=0.0, description="largest commanded torque of any joint (N·m)"
-    )
-    torque_action: Action = Field(
-        default=Action.CLIP, description="what is done beyond the torque limit: clip or stop"
-    )
-    rate_limit: float = Field(
-        default=150e3,
-        gt=0.0,
-        description="largest change of a command from tick to tick, per second (N·m/s)",
-    )
-    rate_action: Action = Field(
-        default=Action.CLIP, description="what is done beyond the rate limit: clip or stop"
-    )
-    power_limit: float = Field(
-        default=200.0,
-        gt=0.0,
-        description="largest power of a joint, commanded torque times velocity (W)",
-    )
-    power_action: Action = Field(
-        default=Action.CLIP, description="what is done beyond the power limit: clip or stop"
-    )
-    watchdog_ticks: int = Field(
-        default=5,
-        ge=1,
-        le=100,
-        description="control periods without a sample after which the torque is taken away",
-    )
-    slowest_tick: float = Field(
-        default=1.0,
-        gt=0.0,
-        le=10.0,
-        description="wall time that counts as one period of the watchdog in mode lockstep, which "
-        "has no pace (s); in mode realtime it is the control period",
-    )
-    ramp_time: float = Field(
-        default=0.01,
-        ge=0.0,
-        le=0.05,
-        description="time within which a stop brings the torque to zero (s); short, as the ramp "
-        "begins at the last command, which may be a peak of chatter",
-    )
+    position_limit: tuple[float, ...] = (0.5,)
+    """Largest distance of a joint from the target posture (rad); one value for all joints or one
+    for each."""
+    position_action: Action = Action.STOP
+    """What is done beyond the position limit: clip or stop."""
+    velocity_limit: tuple[float, ...] = (4.0,)
+    """Largest speed of a joint over 5 ticks (rad/s); one value for all joints or one for each."""
+    velocity_action: Action = Action.STOP
+    """What is done beyond the velocity limit: clip or stop."""
+    torque_limit: float = Field(default=80.0, gt=0.0)
+    """Largest commanded torque of any joint (N·m)."""
+    torque_action: Action = Action.CLIP
+    """What is done beyond the torque limit: clip or stop."""
+    rate_limit: float = Field(default=150e3, gt=0.0)
+    """Largest change of a command from tick to tick, per second (N·m/s)."""
+    rate_action: Action = Action.CLIP
+    """What is done beyond the rate limit: clip or stop."""
+    power_limit: float = Field(default=200.0, gt=0.0)
+    """Largest power of a joint, commanded torque times velocity (W)."""
+    power_action: Action = Action.CLIP
+    """What is done beyond the power limit: clip or stop."""
+    watchdog_ticks: int = Field(default=5, ge=1, le=100)
+    """Control periods without a sample after which the torque is taken away."""
+    slowest_tick: float = Field(default=1.0, gt=0.0, le=10.0)
+    """Wall time that counts as one period of the watchdog in mode lockstep, which has no pace (s);
+    in mode realtime it is the control period."""
+    ramp_time: float = Field(default=0.01, ge=0.0, le=0.05)
+    """Time within which a stop brings the torque to zero (s); short, as the ramp begins at the last
+    command, which may be a peak of chatter."""
 
     def ramp_ticks(self, period: float) -> int:
         """Ticks in which a stop brings the torque to zero, from the control period L, s."""

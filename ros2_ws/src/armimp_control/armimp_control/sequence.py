@@ -58,27 +58,14 @@ class TareParameters(Schema):
     drift is not followed within a trial.
     """
 
-    duration: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=60.0,
-        description="length of the readings for the tare before each trial, at least 0.4 (s); "
-        "0 for no tare",
-    )
-    wait: float = Field(
-        default=0.5,
-        ge=0.0,
-        le=60.0,
-        description="time before the readings for the tare, until the arm rests (s)",
-    )
-    limit: float = Field(
-        default=5.0, gt=0.0, description="largest tare of a joint that is accepted (N·m)"
-    )
-    noise: float = Field(
-        default=0.05,
-        gt=0.0,
-        description="largest standard error of a tare that is accepted (N·m)",
-    )
+    duration: float = Field(default=0.0, ge=0.0, le=60.0)
+    """Length of the readings for the tare before each trial, at least 0.4 (s); 0 for no tare."""
+    wait: float = Field(default=0.5, ge=0.0, le=60.0)
+    """Time before the readings for the tare, until the arm rests (s)."""
+    limit: float = Field(default=5.0, gt=0.0)
+    """Largest tare of a joint that is accepted (N·m)."""
+    noise: float = Field(default=0.05, gt=0.0)
+    """Largest standard error of a tare that is accepted (N·m)."""
 
     @model_validator(mode="after")
     def _long_enough(self) -> TareParameters:
@@ -116,19 +103,15 @@ class TareParameters(Schema):
 class SequenceParameters(Schema):
     """Lengths of the phases of every trial."""
 
-    duration: float = Field(
-        default=50.0, ge=PERIOD, description="length of the perturbation of each trial (s)"
-    )
+    duration: float = Field(default=50.0, ge=PERIOD)
+    """Length of the perturbation of each trial (s)."""
     # Recorders learn of a trial while it settles, and that it is over while it rests.
-    settle: float = Field(
-        default=0.5, ge=0.05, description="time before each perturbation, roles already taken (s)"
-    )
-    rest: float = Field(
-        default=0.5, ge=0.05, description="time after each perturbation, for motion to die down (s)"
-    )
-    may_end_early: bool = Field(
-        default=False, description="whether the estimator may end a trial before its planned end"
-    )
+    settle: float = Field(default=0.5, ge=0.05)
+    """Time before each perturbation, roles already taken (s)."""
+    rest: float = Field(default=0.5, ge=0.05)
+    """Time after each perturbation, for motion to die down (s)."""
+    may_end_early: bool = False
+    """Whether the estimator may end a trial before its planned end."""
 
 
 @dataclass(frozen=True, kw_only=True)

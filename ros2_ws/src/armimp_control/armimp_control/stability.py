@@ -39,32 +39,17 @@ _GROWTH = 1e-4
 class RigDynamics(Schema):
     """Between command and reading: late commands, slow drives, late torques; all joints alike."""
 
-    command_delay: int = Field(
-        default=0,
-        ge=0,
-        le=MOST_DELAY,
-        description="control periods by which commands act later than right after the sample that "
-        "they answer; the observer and the stability check take it into account",
-    )
-    actuator_lag: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.1,
-        description="time constant with which the torque of the drives follows commands (s); 0 "
-        "for at once",
-    )
-    torque_delay: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="delay of the readings of torque (s)"
-    )
-    torque_cutoff: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1e9,
-        description="cut-off frequency of the anti-alias low-pass of the torque (Hz); 0 for none",
-    )
-    torque_order: int = Field(
-        default=1, ge=1, le=4, description="order of the Butterworth low-pass of the torque"
-    )
+    command_delay: int = Field(default=0, ge=0, le=MOST_DELAY)
+    """Control periods by which commands act later than right after the sample that they answer; the
+    observer and the stability check take it into account."""
+    actuator_lag: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Time constant with which the torque of the drives follows commands (s); 0 for at once."""
+    torque_delay: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Delay of the readings of torque (s)."""
+    torque_cutoff: float = Field(default=0.0, ge=0.0, le=1e9)
+    """Cut-off frequency of the anti-alias low-pass of the torque (Hz); 0 for none."""
+    torque_order: int = Field(default=1, ge=1, le=4)
+    """Order of the Butterworth low-pass of the torque."""
 
     @model_validator(mode="after")
     def _computable(self) -> RigDynamics:

@@ -18,15 +18,14 @@ Kind = TypeVar("Kind")
 class SensorParameters(Schema):
     """Calibration of one kind of sensor; each value is one for all joints or one for each."""
 
-    resolution: tuple[float, ...] = Field(description="resolution of the sensor (rad or N·m)")
-    zero: tuple[int, ...] = Field(description="count of the sensor at zero")
-    sign: tuple[int, ...] = Field(
-        default=(1,),
-        description="-1 where the sensor counts the other way than the joint, else 1",
-    )
-    gear: tuple[float, ...] = Field(
-        default=(1.0,), description="what the sensor sees for 1 rad or 1 N·m of the joint"
-    )
+    resolution: tuple[float, ...]
+    """Resolution of the sensor (rad or N·m)."""
+    zero: tuple[int, ...]
+    """Count of the sensor at zero."""
+    sign: tuple[int, ...] = (1,)
+    """-1 where the sensor counts the other way than the joint, else 1."""
+    gear: tuple[float, ...] = (1.0,)
+    """What the sensor sees for 1 rad or 1 N·m of the joint."""
 
     def calibration(self, name: str, joints: int) -> tuple[Calibration, ...]:
         """The calibration of each joint.
@@ -42,13 +41,10 @@ class SensorParameters(Schema):
 class DriveParameters(Schema):
     """The drives; each value is one for all joints or one for each."""
 
-    sign: tuple[int, ...] = Field(
-        default=(1,),
-        description="-1 where the drive turns the other way than the joint, else 1",
-    )
-    gear: tuple[float, ...] = Field(
-        default=(1.0,), description="turns of the drive for one of the joint"
-    )
+    sign: tuple[int, ...] = (1,)
+    """-1 where the drive turns the other way than the joint, else 1."""
+    gear: tuple[float, ...] = (1.0,)
+    """Turns of the drive for one of the joint."""
 
     def drives(self, joints: int) -> tuple[Drive, ...]:
         """The drive of each joint; raises as :meth:`SensorParameters.calibration`."""
@@ -58,44 +54,37 @@ class DriveParameters(Schema):
 class MockParameters(Schema):
     """The mock in the place of a device."""
 
-    friction: int = Field(default=3, ge=0, le=3, description="friction level of the rig")
-    latency: int = Field(default=0, ge=0, le=100, description="periods by which commands act late")
-    dropout: float = Field(default=0.0, ge=0.0, lt=1.0, description="share of frames that are lost")
-    offset: tuple[float, ...] = Field(
-        default=(0.0,), description="offset of the transducers (N·m), one for all joints or each"
-    )
-    drift: tuple[float, ...] = Field(
-        default=(0.0,),
-        description="drift of the transducers (N·m/s), one for all joints or each",
-    )
-    delay: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="delay of the readings of torque (s)"
-    )
-    cutoff: float = Field(
-        default=0.0, ge=0.0, description="anti-alias low-pass of the torque (Hz); 0: none"
-    )
-    lag: float = Field(
-        default=0.0, ge=0.0, le=0.1, description="time constant of the drives (s); 0: none"
-    )
-    names: tuple[str, ...] = Field(
-        default=(),
-        description="names of the joints in the frames of the mock; empty: the same",
-    )
-    seed: int = Field(default=1, ge=0, description="seed of the frames that are lost")
+    friction: int = Field(default=3, ge=0, le=3)
+    """Friction level of the rig."""
+    latency: int = Field(default=0, ge=0, le=100)
+    """Periods by which commands act late."""
+    dropout: float = Field(default=0.0, ge=0.0, lt=1.0)
+    """Share of frames that are lost."""
+    offset: tuple[float, ...] = (0.0,)
+    """Offset of the transducers (N·m), one for all joints or each."""
+    drift: tuple[float, ...] = (0.0,)
+    """Drift of the transducers (N·m/s), one for all joints or each."""
+    delay: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Delay of the readings of torque (s)."""
+    cutoff: float = Field(default=0.0, ge=0.0)
+    """Anti-alias low-pass of the torque (Hz); 0: none."""
+    lag: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Time constant of the drives (s); 0: none."""
+    names: tuple[str, ...] = ()
+    """Names of the joints in the frames of the mock; empty: the same."""
+    seed: int = Field(default=1, ge=0)
+    """Seed of the frames that are lost."""
 
 
 class DriverParameters(Schema):
     """All parameters of the driver."""
 
-    joints: tuple[str, ...] = Field(
-        default=("shoulder", "elbow"), description="names of the joints, in the order of commands"
-    )
-    device_names: tuple[str, ...] = Field(
-        default=(), description="names of the same joints at the device; empty: the same names"
-    )
-    mode: Literal["lockstep", "realtime"] = Field(
-        default="realtime", description="lockstep: time waits for commands, with the mock only"
-    )
+    joints: tuple[str, ...] = ("shoulder", "elbow")
+    """Names of the joints, in the order of commands."""
+    device_names: tuple[str, ...] = ()
+    """Names of the same joints at the device; empty: the same names."""
+    mode: Literal["lockstep", "realtime"] = "realtime"
+    """lockstep: time waits for commands, with the mock only."""
     encoder: SensorParameters = SensorParameters(resolution=(2.0 * math.pi / 51200,), zero=(60000,))
     transducer: SensorParameters = SensorParameters(resolution=(0.02,), zero=(1250, -400))
     drive: DriveParameters = DriveParameters()

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
-
 from armimp_common.errors import ConfigurationError
 from armimp_common.protection import ProtectionLimits
 from armimp_common.realtime import SchedulingParameters
@@ -15,24 +13,16 @@ from armimp_common.schema import Schema
 class BridgeParameters(Schema):
     """All parameters of the bridge."""
 
-    joints: tuple[str, ...] = Field(
-        default=("shoulder", "elbow"), description="names of the joints, in the order of commands"
-    )
-    mode: Literal["realtime"] = Field(
-        default="realtime", description="ros2_control does not wait for commands"
-    )
-    names: tuple[str, ...] = Field(
-        default=(),
-        description="names of the joints in ros2_control, in the same order; empty: the same names",
-    )
-    directions: tuple[int, ...] = Field(
-        default=(),
-        description="1, or -1 for a joint that counts the other way in ros2_control",
-    )
-    torque_signs: tuple[int, ...] = Field(
-        default=(),
-        description="1, or -1 where the effort is the torque of the arm on the robot",
-    )
+    joints: tuple[str, ...] = ("shoulder", "elbow")
+    """Names of the joints, in the order of commands."""
+    mode: Literal["realtime"] = "realtime"
+    """ros2_control does not wait for commands."""
+    names: tuple[str, ...] = ()
+    """Names of the joints in ros2_control, in the same order; empty: the same names."""
+    directions: tuple[int, ...] = ()
+    """1, or -1 for a joint that counts the other way in ros2_control."""
+    torque_signs: tuple[int, ...] = ()
+    """1, or -1 where the effort is the torque of the arm on the robot."""
     limits: ProtectionLimits = ProtectionLimits()
     realtime: SchedulingParameters = SchedulingParameters()
 

@@ -28,74 +28,69 @@ Vector = tuple[float, ...]
 class ArmParameters(Schema):
     """The human arm; matrices row by row."""
 
-    posture: Vector = Field(
-        description="posture θ_0 of the arm, in which it has no elastic torque (rad)"
-    )
-    inertia: Vector = Field(description="inertia M_h of the arm, n×n row by row (kg·m²)")
-    damping: Vector = Field(description="damping B_h of the arm, n×n row by row (N·m·s/rad)")
-    stiffness: Vector = Field(description="stiffness K_h of the arm, n×n row by row (N·m/rad)")
+    posture: Vector
+    """Posture θ_0 of the arm, in which it has no elastic torque (rad)."""
+    inertia: Vector
+    """Inertia M_h of the arm, n×n row by row (kg·m²)."""
+    damping: Vector
+    """Damping B_h of the arm, n×n row by row (N·m·s/rad)."""
+    stiffness: Vector
+    """Stiffness K_h of the arm, n×n row by row (N·m/rad)."""
 
 
 class RobotParameters(Schema):
     """The exoskeleton, a planar chain (assumption)."""
 
-    lengths: Vector = Field(description="length of each link of the robot (m)")
-    moments: Vector = Field(
-        description="moment of inertia of each link of the robot about its own joint (kg·m²)"
-    )
-    masses: Vector = Field(description="mass of each link of the robot (kg)")
-    centres: Vector = Field(
-        description="distance from the joint to the centre of mass of each link of the robot (m)"
-    )
+    lengths: Vector
+    """Length of each link of the robot (m)."""
+    moments: Vector
+    """Moment of inertia of each link of the robot about its own joint (kg·m²)."""
+    masses: Vector
+    """Mass of each link of the robot (kg)."""
+    centres: Vector
+    """Distance from the joint to the centre of mass of each link of the robot (m)."""
 
 
 class FrictionParameters(Schema):
     """LuGre friction of every joint (assumption)."""
 
-    coulomb: Vector = Field(description="Coulomb friction Fc of each joint (N·m)")
-    static: Vector = Field(description="static friction Fs of each joint (N·m)")
-    sigma_0: Vector = Field(
-        description="bristle stiffness σ0 of the friction of each joint (N·m/rad)"
-    )
-    sigma_1: Vector = Field(
-        description="bristle damping σ1 of the friction of each joint (N·m·s/rad)"
-    )
-    sigma_2: Vector = Field(description="viscous friction σ2 of each joint (N·m·s/rad)")
-    stribeck_velocity: Vector = Field(description="Stribeck velocity vs of each joint (rad/s)")
+    coulomb: Vector
+    """Coulomb friction Fc of each joint (N·m)."""
+    static: Vector
+    """Static friction Fs of each joint (N·m)."""
+    sigma_0: Vector
+    """Bristle stiffness σ0 of the friction of each joint (N·m/rad)."""
+    sigma_1: Vector
+    """Bristle damping σ1 of the friction of each joint (N·m·s/rad)."""
+    sigma_2: Vector
+    """Viscous friction σ2 of each joint (N·m·s/rad)."""
+    stribeck_velocity: Vector
+    """Stribeck velocity vs of each joint (rad/s)."""
 
 
 class RealtimeParameters(SchedulingParameters):
     """What counts in mode realtime only."""
 
-    spin: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.001,
-        description="last part of each wait for a deadline in mode realtime in which the clock is "
-        "asked over and over (s)",
-    )
+    spin: float = Field(default=0.0, ge=0.0, le=0.001)
+    """Last part of each wait for a deadline in mode realtime in which the clock is asked over and
+    over (s)."""
 
 
 class SimulatorParameters(Schema):
     """All parameters of the node ``arm_sim``."""
 
-    joints: tuple[str, ...] = Field(description="names of the joints, from the shoulder outwards")
-    seed: int = Field(
-        default=1, ge=0, description="seed of voluntary torque, tremor, and noise of the sensors"
-    )
-    mode: Literal["lockstep", "realtime"] = Field(
-        default="lockstep",
-        description="lockstep: one step for each command received; realtime: one each millisecond",
-    )
+    joints: tuple[str, ...]
+    """Names of the joints, from the shoulder outwards."""
+    seed: int = Field(default=1, ge=0)
+    """Seed of voluntary torque, tremor, and noise of the sensors."""
+    mode: Literal["lockstep", "realtime"] = "lockstep"
+    """lockstep: one step for each command received; realtime: one each millisecond."""
     realtime: RealtimeParameters = RealtimeParameters()
-    watchdog_ticks: int = Field(
-        default=WATCHDOG_TICKS,
-        ge=1,
-        le=100,
-        description="control periods without a command, or by which commands are behind, after "
-        "which the drives take the torque away in mode realtime",
-    )
-    substeps: int = Field(default=100, ge=1, description="RK4 steps in one control period of 1 ms")
+    watchdog_ticks: int = Field(default=WATCHDOG_TICKS, ge=1, le=100)
+    """Control periods without a command, or by which commands are behind, after which the drives
+    take the torque away in mode realtime."""
+    substeps: int = Field(default=100, ge=1)
+    """RK4 steps in one control period of 1 ms."""
     arm: ArmParameters
     robot: RobotParameters
     friction: FrictionParameters

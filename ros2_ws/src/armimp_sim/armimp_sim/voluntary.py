@@ -25,21 +25,16 @@ class VoluntaryParameters(Schema):
     The band of physiological tremor is that of Novak & Newell (Neurosci. Lett. 641, 2017).
     """
 
-    rms: float = Field(
-        default=0.0, ge=0.0, description="rms of the voluntary torque of every joint (N·m)"
-    )
-    cutoff: float = Field(
-        default=2.0, gt=0.0, description="cut-off frequency of the voluntary torque (Hz)"
-    )
-    tremor: float = Field(
-        default=0.0, ge=0.0, description="rms of the torque of tremor of every joint (N·m)"
-    )
-    tremor_low: float = Field(
-        default=8.0, gt=0.0, description="lower end of the band of tremor (Hz)"
-    )
-    tremor_high: float = Field(
-        default=12.0, gt=0.0, description="upper end of the band of tremor (Hz)"
-    )
+    rms: float = Field(default=0.0, ge=0.0)
+    """Rms of the voluntary torque of every joint (N·m)."""
+    cutoff: float = Field(default=2.0, gt=0.0)
+    """Cut-off frequency of the voluntary torque (Hz)."""
+    tremor: float = Field(default=0.0, ge=0.0)
+    """Rms of the torque of tremor of every joint (N·m)."""
+    tremor_low: float = Field(default=8.0, gt=0.0)
+    """Lower end of the band of tremor (Hz)."""
+    tremor_high: float = Field(default=12.0, gt=0.0)
+    """Upper end of the band of tremor (Hz)."""
 
     def bands(self) -> list[tuple[float, tuple[float, ...], int]]:
         """Of all that the person does: rms, edges of a low-pass or band-pass, random stream."""

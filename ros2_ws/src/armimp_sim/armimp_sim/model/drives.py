@@ -18,43 +18,20 @@ class ActuatorParameters(Schema):
     the joint.
     """
 
-    bandwidth: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=1e5,
-        description="bandwidth of the current loop of the drives, of first order (Hz); 0 for no "
-        "lag at all",
-    )
-    delay: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.02,
-        description="delay with which commands act (s), rounded to steps of the integration",
-    )
-    limit: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="largest torque of a drive (N·m); 0 for no limit",
-    )
-    ripple: float = Field(
-        default=0.0,
-        ge=0.0,
-        lt=1.0,
-        description="amplitude of the torque ripple as a share of the torque of the drive (–)",
-    )
-    ripple_cycles: float = Field(
-        default=60.0,
-        gt=0.0,
-        description="periods of the torque ripple in a turn of the joint (–)",
-    )
-    cogging: float = Field(
-        default=0.0, ge=0.0, description="amplitude of the cogging torque of a drive (N·m)"
-    )
-    cogging_cycles: float = Field(
-        default=120.0,
-        gt=0.0,
-        description="periods of the cogging in a turn of the joint (–)",
-    )
+    bandwidth: float = Field(default=0.0, ge=0.0, le=1e5)
+    """Bandwidth of the current loop of the drives, of first order (Hz); 0 for no lag at all."""
+    delay: float = Field(default=0.0, ge=0.0, le=0.02)
+    """Delay with which commands act (s), rounded to steps of the integration."""
+    limit: float = Field(default=0.0, ge=0.0)
+    """Largest torque of a drive (N·m); 0 for no limit."""
+    ripple: float = Field(default=0.0, ge=0.0, lt=1.0)
+    """Amplitude of the torque ripple as a share of the torque of the drive (–)."""
+    ripple_cycles: float = Field(default=60.0, gt=0.0)
+    """Periods of the torque ripple in a turn of the joint (–)."""
+    cogging: float = Field(default=0.0, ge=0.0)
+    """Amplitude of the cogging torque of a drive (N·m)."""
+    cogging_cycles: float = Field(default=120.0, gt=0.0)
+    """Periods of the cogging in a turn of the joint (–)."""
 
     @field_validator("bandwidth")
     @classmethod

@@ -16,28 +16,18 @@ class ReflexParameters(Schema):
     44(6), 1997) for the ankle; the muscle's values are an assumption.
     """
 
-    velocity_gain: Vector = Field(
-        default=(0.0,),
-        description="torque of the stretch reflex for the velocity of the joint (N·m·s/rad); one "
-        "value or one for each joint",
-    )
-    stretch_gain: Vector = Field(
-        default=(0.0,),
-        description="torque of the stretch reflex for the angle from the posture (N·m/rad); one "
-        "value or one for each joint",
-    )
-    delay: float = Field(
-        default=0.04, ge=0.0, le=0.2, description="delay of the stretch reflex (s)"
-    )
-    muscle: float = Field(
-        default=50.0,
-        ge=1.0,
-        le=1000.0,
-        description="natural frequency of the muscle that the reflex drives (rad/s)",
-    )
-    damping_ratio: float = Field(
-        default=1.0, ge=0.1, le=10.0, description="damping ratio of that muscle (–)"
-    )
+    velocity_gain: Vector = (0.0,)
+    """Torque of the stretch reflex for the velocity of the joint (N·m·s/rad); one value or one for
+    each joint."""
+    stretch_gain: Vector = (0.0,)
+    """Torque of the stretch reflex for the angle from the posture (N·m/rad); one value or one for
+    each joint."""
+    delay: float = Field(default=0.04, ge=0.0, le=0.2)
+    """Delay of the stretch reflex (s)."""
+    muscle: float = Field(default=50.0, ge=1.0, le=1000.0)
+    """Natural frequency of the muscle that the reflex drives (rad/s)."""
+    damping_ratio: float = Field(default=1.0, ge=0.1, le=10.0)
+    """Damping ratio of that muscle (–)."""
 
     @property
     def none(self) -> bool:
@@ -53,28 +43,16 @@ class MuscleParameters(Schema):
     minutes. The shapes are the simplest ones that do so, an assumption.
     """
 
-    short_range_stiffness: Vector = Field(
-        default=(0.0,),
-        description="additional stiffness of a muscle within its short range (N·m/rad); one value "
-        "or one for each joint",
-    )
-    short_range: float = Field(
-        default=0.005,
-        gt=0.0,
-        description="angle on both sides at which the short-range stiffness yields, and follows "
-        "(rad)",
-    )
-    cubic: float = Field(
-        default=0.0,
-        description="relative change of the diagonal of the stiffness with the square of the angle "
-        "from the posture (1/rad²); the torque is K_ii · cubic · angle³, negative for an arm that "
-        "softens",
-    )
-    stiffening: float = Field(
-        default=0.0,
-        description="relative change of the stiffness K_h with time from the start of the "
-        "simulation on (1/s)",
-    )
+    short_range_stiffness: Vector = (0.0,)
+    """Additional stiffness of a muscle within its short range (N·m/rad); one value or one for each
+    joint."""
+    short_range: float = Field(default=0.005, gt=0.0)
+    """Angle on both sides at which the short-range stiffness yields, and follows (rad)."""
+    cubic: float = 0.0
+    """Relative change of the diagonal of the stiffness with the square of the angle from the
+    posture (1/rad²); the torque is K_ii · cubic · angle³, negative for an arm that softens."""
+    stiffening: float = 0.0
+    """Relative change of the stiffness K_h with time from the start of the simulation on (1/s)."""
 
     @property
     def none(self) -> bool:
@@ -89,11 +67,7 @@ class CuffParameters(Schema):
     down to 1 kN·m/rad.
     """
 
-    stiffness: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="stiffness of the cuff between robot and arm (N·m/rad); 0 for a rigid one",
-    )
-    damping: float = Field(
-        default=0.0, ge=0.0, description="damping of the cuff between robot and arm (N·m·s/rad)"
-    )
+    stiffness: float = Field(default=0.0, ge=0.0)
+    """Stiffness of the cuff between robot and arm (N·m/rad); 0 for a rigid one."""
+    damping: float = Field(default=0.0, ge=0.0)
+    """Damping of the cuff between robot and arm (N·m·s/rad)."""

@@ -33,61 +33,33 @@ class ReadingParameters(Schema):
     period, on the grid of the integration.
     """
 
-    resolution: float = Field(
-        default=0.0, ge=0.0, description="one count of the readings (rad, N·m); 0 for no rounding"
-    )
-    gain: Vector = Field(
-        default=(1.0,), description="factor on the readings (–); one value or one for each joint"
-    )
-    offset: Vector = Field(
-        default=(0.0,),
-        description="offset of the readings (rad, N·m); one value or one for each joint",
-    )
-    drift: Vector = Field(
-        default=(0.0,),
-        description="speed with which the offset of the readings grows from the start of the "
-        "simulation on (rad/s, N·m/s); one value or one for each joint",
-    )
-    delay: float = Field(
-        default=0.0,
-        ge=0.0,
-        le=0.1,
-        description="delay of the readings (s), rounded to steps of the integration",
-    )
-    cutoff: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="cut-off frequency of the low-pass before the readings (Hz); 0 for none",
-    )
-    order: int = Field(
-        default=1, ge=1, le=ORDERS, description="order of the Butterworth low-pass before them"
-    )
-    cross_talk: float = Field(
-        default=0.0,
-        ge=-0.5,
-        le=0.5,
-        description="share of the signal of every other joint that a reading shows (–)",
-    )
-    hysteresis: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="width by which the signal must turn back before the reading follows (rad, "
-        "N·m)",
-    )
-    noise: float = Field(
-        default=0.0, ge=0.0, description="rms of white noise on each reading (rad, N·m)"
-    )
-    hum: float = Field(
-        default=0.0, ge=0.0, description="amplitude of the hum of the mains on readings (rad, N·m)"
-    )
-    hum_frequency: float = Field(
-        default=50.0, gt=0.0, le=500.0, description="frequency of the hum (Hz)"
-    )
-    limit: float = Field(
-        default=0.0,
-        ge=0.0,
-        description="largest size of a reading, beyond which it is clipped (rad, N·m); 0 for none",
-    )
+    resolution: float = Field(default=0.0, ge=0.0)
+    """One count of the readings (rad, N·m); 0 for no rounding."""
+    gain: Vector = (1.0,)
+    """Factor on the readings (–); one value or one for each joint."""
+    offset: Vector = (0.0,)
+    """Offset of the readings (rad, N·m); one value or one for each joint."""
+    drift: Vector = (0.0,)
+    """Speed with which the offset of the readings grows from the start of the simulation on (rad/s,
+    N·m/s); one value or one for each joint."""
+    delay: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Delay of the readings (s), rounded to steps of the integration."""
+    cutoff: float = Field(default=0.0, ge=0.0)
+    """Cut-off frequency of the low-pass before the readings (Hz); 0 for none."""
+    order: int = Field(default=1, ge=1, le=ORDERS)
+    """Order of the Butterworth low-pass before them."""
+    cross_talk: float = Field(default=0.0, ge=-0.5, le=0.5)
+    """Share of the signal of every other joint that a reading shows (–)."""
+    hysteresis: float = Field(default=0.0, ge=0.0)
+    """Width by which the signal must turn back before the reading follows (rad, N·m)."""
+    noise: float = Field(default=0.0, ge=0.0)
+    """Rms of white noise on each reading (rad, N·m)."""
+    hum: float = Field(default=0.0, ge=0.0)
+    """Amplitude of the hum of the mains on readings (rad, N·m)."""
+    hum_frequency: float = Field(default=50.0, gt=0.0, le=500.0)
+    """Frequency of the hum (Hz)."""
+    limit: float = Field(default=0.0, ge=0.0)
+    """Largest size of a reading, beyond which it is clipped (rad, N·m); 0 for none."""
 
     @field_validator("gain")
     @classmethod
@@ -112,10 +84,8 @@ class ReadingParameters(Schema):
 class SensorParameters(Schema):
     """Sensors of the rig."""
 
-    sampling: Sampling = Field(
-        default=Sampling.BEFORE_UPDATE,
-        description="instant of the torque reading: before_update or interval_mean",
-    )
+    sampling: Sampling = Sampling.BEFORE_UPDATE
+    """Instant of the torque reading: before_update or interval_mean."""
     position: ReadingParameters = ReadingParameters()
     torque: ReadingParameters = ReadingParameters()
 
