@@ -12,8 +12,6 @@ import pytest
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.graph import external_domain
-from armimp_bringup.health import main as health
-from armimp_bringup.health import state_of
 from armimp_bringup.nodes import ExternalNodes
 from armimp_bringup.orchestrator import run_experiment
 from armimp_bringup.parameters import NodeParameters, node_parameters
@@ -21,7 +19,6 @@ from armimp_common.errors import ConfigurationError
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.status import Progress
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, SIM_NODE
-from support.graph import PATIENCE
 from support.runs import FinishedRun
 
 SOURCES = Path(__file__).resolve().parents[1] / "ros2_ws" / "src"
@@ -62,20 +59,6 @@ def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
     FinishedRun(directory=tmp_path / "first", summary=first).assert_same_streams(composed)
     assert all(process.poll() is None for process in started.values())
     assert os.environ["ROS_DOMAIN_ID"]
-
-
-@pytest.mark.slow
-def test_health_tells_who_answers_and_who_does_not(
-    started: Processes, capfd: pytest.CaptureFixture[str]
-) -> None:
-    assert {name: state_of(name, PATIENCE) for name in started} == dict.fromkeys(
-        started, "unconfigured"
-    )
-    assert health([SIM_NODE]) == 0
-    assert f"node {SIM_NODE} is unconfigured\n" in capfd.readouterr().out
-    assert health(["nobody"]) == 1
-    assert "node did not appear: nobody\n" in capfd.readouterr().err
-    assert health([]) == 2
 
 
 @pytest.mark.slow

@@ -49,7 +49,6 @@ WITH_ROS = {
     "armimp_bringup.driver_check.moves",
     "armimp_bringup.driver_check.probe",
     "armimp_bringup.graph",
-    "armimp_bringup.health",
     "armimp_bringup.orchestrator",
     "armimp_bringup.nodes",
     "armimp_bringup.replay",
