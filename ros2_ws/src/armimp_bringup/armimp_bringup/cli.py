@@ -36,7 +36,6 @@ _TYPES: dict[str, Any] = {
     "boolean": bool,
     "array": list[str],
 }
-_FLAGS = {"estimators": "--estimator"}
 _OPEN_FILES = 64
 """So many may be open at once in a process; a run of two joints has at most 26."""
 _INTERRUPTED = 130
@@ -117,13 +116,15 @@ def _option(name: str, schema: dict[str, Any], described: str) -> inspect.Parame
     choices = schema.get("enum", [])
     if kind is int and schema.get("maximum", 1e9) - schema.get("minimum", 0) <= _MOST_CHOICES:
         choices = range(schema["minimum"], schema["maximum"] + 1)
+    # A list takes one value each time that its option is given.
+    flag = name.removesuffix("s") if isinstance(default, list) else name
     shown: bool | str = False
     if isinstance(default, list):
         shown = " and ".join(default)
     elif default not in (None, "", False):
         shown = f"{default:g}" if isinstance(default, float) else str(default)
     option = typer.Option(
-        _FLAGS.get(name, f"--{name.replace('_', '-')}"),
+        f"--{flag.replace('_', '-')}",
         help=described,
         show_default=shown,
         autocompletion=lambda: [str(one) for one in choices],
@@ -349,31 +350,19 @@ def bench(
 
 
 @app.command()
-@options_of(CheckOptions, "node", "namespace", "duration", "move", "torque", "most_motion")
-@options_of(ExperimentConfig, "joints")
+@options_of(CheckOptions)
 def check_driver(
     domain_id: _DomainId = None,
-    joint: Annotated[
-        list[str] | None, typer.Option(help="Name of a joint, in the order of commands; repeat.")
-    ] = None,
     yes: Annotated[bool, typer.Option("--yes", help="Do not ask whether --move is safe.")] = False,
     json: _Json = False,
-    joints: int | None = None,
     **options: Any,
 ) -> int:
     """Judge a running driver, or the simulator, against the contract of docs/interfaces.md."""
     from armimp_bringup.config import checked
     from armimp_bringup.driver_check.command import check_driver as judge_driver
-    from armimp_bringup.driver_check.command import expected_joints
 
     given = {name: value for name, value in options.items() if value is not None}
-    names = expected_joints(joints, joint or ())
-    return judge_driver(
-        checked(CheckOptions, {"joints": names, **given}),
-        domain_id=domain_id,
-        yes=yes,
-        as_json=json,
-    )
+    return judge_driver(checked(CheckOptions, given), domain_id=domain_id, yes=yes, as_json=json)
 
 
 def main(

@@ -15,6 +15,7 @@ from pydantic import (
     Field,
     JsonValue,
     ValidationError,
+    field_validator,
     model_validator,
 )
 
@@ -151,7 +152,8 @@ class CheckOptions(BaseModel):
 
     model_config = _FROZEN
 
-    joints: tuple[str, ...]
+    joints: tuple[str, ...] = ("shoulder", "elbow")
+    """Name of a joint, in the order of commands; repeat."""
     node: str = SIM_NODE
     """Name of the node."""
     namespace: str = ""
@@ -165,6 +167,13 @@ class CheckOptions(BaseModel):
     """Torque of each push, N·m; at most 20."""
     most_motion: float = Field(default=0.3, gt=0.0, le=1.0)
     """Motion of a joint beyond which torque is taken away, rad; at most 1."""
+
+    @field_validator("joints")
+    @classmethod
+    def _distinct(cls, joints: tuple[str, ...]) -> tuple[str, ...]:
+        if len(set(joints)) < len(joints) or not all(joints):
+            raise ValueError("names are not distinct")
+        return joints
 
 
 def checked(model: type[ModelT], values: Mapping[str, Any]) -> ModelT:

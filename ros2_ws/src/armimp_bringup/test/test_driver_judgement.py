@@ -7,18 +7,19 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from armimp_bringup.driver_check.findings import Finding, Reason, Verdict, report, with_verdict
 from armimp_bringup.driver_check.record import (
     AFTER,
     REST,
     Call,
     Ending,
     Endpoint,
+    Finding,
     Message,
     Moves,
     Push,
     Record,
-    Stalls,
+    Verdict,
+    with_verdict,
 )
 from armimp_bringup.driver_check.rules import judge, letting
 from armimp_common import topics
@@ -175,7 +176,7 @@ def test_a_sound_driver_passes(sound: Record) -> None:
     findings = judge(sound)
     assert with_verdict(findings, Verdict.FAIL) == []
     assert with_verdict(findings, Verdict.NOT_CHECKED) == ["sample to command"]
-    assert report(findings)["passed"] is True
+    assert with_verdict(findings, Verdict.INCONCLUSIVE) == []
 
 
 def _held_up(message: Message) -> Message:
@@ -218,7 +219,6 @@ def _held_up(message: Message) -> Message:
             "stamps increase",
         ),
         (JOINT_STATES, lambda m: m._replace(stamp_ns=m.stamp_ns * 1001 // 1000), "clock"),
-        (JOINT_STATES, _held_up, "jitter"),
     ],
 )
 def test_each_defect_of_a_stream_is_named(
@@ -314,7 +314,7 @@ def test_when_torque_stays_after_stale_commands_or_a_stop_expect_both_named(
     push = bench.push(0, lambda torque: [(share * torque[0], share * torque[1])] * AFTER)
     record = moved(sound, stale=ending(push), stop=ending(push, told=None, stop=GRANTED))
     assert failed(record) == ["stale commands", "emergency stop", "emergency stop: told"]
-    assert found(record, "stale commands").reason is Reason.STAYS
+    assert "seems to stay" in found(record, "stale commands").figure
 
 
 def test_services_that_are_missing_or_silent_and_a_second_publisher_are_named(
@@ -372,73 +372,48 @@ def test_when_torque_acts_again_before_the_reset_expect_that_named_alone(sound: 
 
 
 @pytest.mark.parametrize(
-    ("reason", "values", "more", "named"),
+    ("told", "named"),
     [
-        (Reason.TOO_FAR, {"joint": "elbow", "moved": 0.31}, {}, ["torque: motion"]),
-        (Reason.UNREADABLE, {"error": "lacks joint 'elbow'"}, {}, ["torque: motion"]),
-        (Reason.STOPPED, {"fault": "arm_sim: no"}, {"fault": "arm_sim: no"}, ["torque: no stop"]),
+        ({"missing": "elbow went 0.31 rad", "astray": True}, ["torque: motion"]),
+        ({"missing": "the driver stopped", "fault": "arm_sim: no"}, ["torque: no stop"]),
         # The machine held up all attempts: no verdict on the driver.
-        (Reason.INTERRUPTIONS, {"attempts": 8, "gap": 12.0}, {"repeated": 8, "gap": 0.012}, []),
+        ({"missing": "commands were held up 8 times", "repeated": 8, "gap": 0.012}, []),
     ],
 )
 def test_why_moves_were_given_up_is_named_and_the_rest_is_inconclusive(
-    sound: Record, reason: Reason, values: dict[str, object], more: Any, named: list[str]
+    sound: Record, told: Any, named: list[str]
 ) -> None:
-    record = replace(sound, moves=Moves(missing=reason, values=values, moved=0.002, **more))
+    record = replace(sound, moves=Moves(moved=0.002, **told))
     assert failed(record) == named
     left = {"torque: joint and sign", "torque: delay", "stale commands", "emergency stop"}
     assert left <= unsure(record)
-    assert not report(judge(record))["passed"]
 
 
 def test_a_fault_at_rest_is_named_and_what_was_asked_for_in_vain_is_inconclusive(
     sound: Record,
 ) -> None:
     fault = "arm_sim: rig: emergency stop"
-    refused = Moves(missing=Reason.FAULT_AT_REST, values={"fault": fault})
+    refused = Moves(missing=f"there was a fault before: {fault}")
     record = replace(sound, faults=[fault], moves=refused)
     assert failed(record) == ["no fault at rest"]
     assert "torque: delay" in unsure(record)
     # Without --move nothing was asked for.
-    assert unsure(replace(record, moves=Moves(missing=Reason.NOT_ASKED))) == set()
+    assert unsure(replace(record, moves=Moves(asked=False, missing="not asked"))) == set()
 
 
-@pytest.mark.parametrize(
-    ("stall", "waited", "verdict"),
-    [
-        (0, None, Verdict.FAIL),
-        (0.005, 0.001, Verdict.FAIL),
-        (0.02, None, Verdict.INCONCLUSIVE),
-        (0, 0.05, Verdict.INCONCLUSIVE),
-    ],
-)
-def test_jitter_is_the_drivers_unless_it_or_the_checker_was_held_up_for_long(
-    sound: Record, stall: float, waited: float | None, verdict: Verdict
-) -> None:
+def test_jitter_is_the_drivers_or_that_of_a_busy_machine(sound: Record) -> None:
     record = edited(sound, JOINT_STATES, _held_up)
-    record = replace(record, stalls=Stalls(share=stall, longest=stall), waited=waited)
-    assert found(record, f"{JOINT_STATES}: jitter").verdict is verdict
+    assert (failed(record), unsure(record)) == ([], {f"{JOINT_STATES}: jitter"})
 
 
-@pytest.mark.parametrize(
-    ("slower", "stall", "verdict"),
-    [
-        (1.003, 0, Verdict.PASS),
-        (1.015, 0.001, Verdict.FAIL),
-        (1.015, 0.02, Verdict.INCONCLUSIVE),
-        (2.0, 0.02, Verdict.FAIL),
-    ],
-)
-def test_a_wrong_rate_is_the_drivers_unless_a_stall_of_the_checker_explains_it(
-    sound: Record, slower: float, stall: float, verdict: Verdict
-) -> None:
+@pytest.mark.parametrize(("slower", "good"), [(1.003, True), (1.015, False)])
+def test_a_wrong_rate_by_the_wall_clock_is_named(sound: Record, slower: float, good: bool) -> None:
     record = edited(
         sound,
         JOINT_STATES,
         lambda m: m._replace(arrival_ns=10**12 + round(slower * (m.arrival_ns - 10**12))),
     )
-    record = replace(record, stalls=Stalls(share=stall, longest=stall))
-    assert found(record, f"{JOINT_STATES}: rate").verdict is verdict
+    assert (f"{JOINT_STATES}: rate" not in failed(record)) is good
 
 
 def test_a_single_stall_at_the_end_of_a_recording_is_no_wrong_rate(sound: Record) -> None:

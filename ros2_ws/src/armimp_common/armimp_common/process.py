@@ -6,7 +6,6 @@ import signal
 import socket
 import threading
 import time
-from contextlib import suppress
 from enum import Enum
 from functools import cache
 from ipaddress import ip_address
@@ -74,25 +73,6 @@ def age() -> float:
         return time.clock_gettime(time.CLOCK_BOOTTIME) - started
     except (OSError, AttributeError):
         return math.nan
-
-
-def waited_ns(process: str) -> int | None:
-    """Return how long the threads of the process with this `identity` waited for a processor, ns.
-
-    That is the time since their start in which they could have run and others did; see
-    proc_pid_schedstat(5). None if it can't be told from here.
-    """
-    if not life_of(process).there:
-        return None
-    number = process.rpartition("] ")[2].partition(" ")[0]
-    total = 0
-    try:
-        for task in Path(f"/proc/{number}/task").iterdir():
-            with suppress(FileNotFoundError, ProcessLookupError):  # a thread that ended just now
-                total += int((task / "schedstat").read_text(encoding="ascii").split()[1])
-    except (OSError, ValueError, IndexError):
-        return None
-    return total
 
 
 @cache

@@ -18,7 +18,6 @@ from armimp_common.process import (
     identity,
     life_of,
     reachable_from_outside,
-    waited_ns,
 )
 
 TELL = "import time; from armimp_common.process import identity; print(identity(), flush=True)"
@@ -52,35 +51,10 @@ def test_another_process_with_the_same_number_is_not_taken_for_it() -> None:
     assert life_of(" ".join([*place, number, str(int(start) + 1)])) is Life.ENDED
 
 
-def test_of_two_processes_on_one_core_each_waits_for_the_other() -> None:
-    core = min(os.sched_getaffinity(0))
-    program = f"{TELL}; import os; os.sched_setaffinity(0, {{{core}}})\nwhile True: pass"
-    busy = [
-        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
-        for _ in range(2)
-    ]
-    try:
-        told = []
-        for process in busy:
-            assert process.stdout is not None
-            told.append(process.stdout.readline().strip())
-        before = [waited_ns(process) or 0 for process in told]
-        for one, first in zip(told, before, strict=True):
-            # Other work on this core makes it a matter of time, not of whether; a test has a limit.
-            while (waited_ns(one) or 0) - first < 100_000_000:
-                time.sleep(0.05)
-    finally:
-        for process in busy:
-            process.kill()
-            process.communicate()
-    assert waited_ns(told[0]) is None
-
-
 @pytest.mark.parametrize("process", ["", "rubbish", "boot pid:[1] 1 1", "] x y", "boot pid:[1]"])
 def test_of_a_process_elsewhere_nothing_is_known(process: str) -> None:
     assert life_of(process) is Life.UNKNOWN
     assert life_of(process).there is None
-    assert waited_ns(process) is None
 
 
 def test_age_is_the_time_since_the_process_was_started() -> None:

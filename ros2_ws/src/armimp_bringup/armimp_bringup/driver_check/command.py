@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -12,13 +14,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from armimp_bringup.config import CheckOptions
-from armimp_bringup.driver_check.findings import Finding, Verdict, report, with_verdict
 from armimp_bringup.driver_check.probe import probe
-from armimp_bringup.driver_check.record import Record
+from armimp_bringup.driver_check.record import Finding, Record, Verdict, with_verdict
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.graph import external_domain
 from armimp_common.errors import ConfigurationError
-from armimp_sim.presets import JOINT_NAMES
 
 _COLOURS = {
     Verdict.PASS: "green",
@@ -44,7 +44,7 @@ def check_driver(options: CheckOptions, *, domain_id: int | None, yes: bool, as_
     record = probe(options, domain)
     findings = judge(record)
     if as_json:
-        print(json.dumps(report(findings) | about(options, domain, record)))
+        print(json.dumps(report(findings, record, options, domain)))
     else:
         print_findings(findings)
     bad = with_verdict(findings, Verdict.FAIL) or with_verdict(findings, Verdict.INCONCLUSIVE)
@@ -76,48 +76,21 @@ def ask(options: CheckOptions, domain: int) -> None:
         raise ConfigurationError("--move: not without a yes")
 
 
-def about(options: CheckOptions, domain: int, record: Record) -> dict[str, object]:
-    """Return what ``--json`` prints of the driver and of how it was looked at."""
+def report(
+    findings: Sequence[Finding], record: Record, options: CheckOptions, domain: int
+) -> dict[str, Any]:
+    """Return what ``--json`` prints."""
+    count = {one.name.lower(): len(with_verdict(findings, one)) for one in Verdict}
     return {
-        "driver": {
-            "node": options.node,
-            "namespace": options.namespace,
-            "domain_id": domain,
-            "joints": list(options.joints),
-            "mode": "realtime" if record.paced else "lockstep",
-            "lifecycle": record.lifecycle,
-        },
-        "move": {"torque": options.torque, "most_motion": options.most_motion}
-        if options.move
-        else None,
-        "held_up": {
-            "share": record.stalls.share,
-            "longest": record.stalls.longest,
-            "driver": record.waited,
-        },
+        "schema": 1,
+        "passed": not count["fail"] and not count["inconclusive"],
+        **count,
+        "findings": [asdict(finding) for finding in findings],
+        "mode": "realtime" if record.paced else "lockstep",
+        "lifecycle": record.lifecycle,
+        "domain_id": domain,
+        "options": options.model_dump(mode="json"),
     }
-
-
-def expected_joints(joints: int | None, names: Sequence[str]) -> tuple[str, ...]:
-    """Return the names that are expected: the given ones, else those of a preset, by default two.
-
-    Raises
-    ------
-    ConfigurationError
-        If both are given, or a name is doubled, or there is no such preset.
-    """
-    if names:
-        if joints is not None:
-            raise ConfigurationError("--joints and --joint are two ways to say the same: give one")
-        if len(set(names)) < len(names) or not all(names):
-            raise ConfigurationError(f"--joint: names are not distinct: {', '.join(names)}")
-        return tuple(names)
-    count = 2 if joints is None else joints
-    if count not in JOINT_NAMES:
-        raise ConfigurationError(
-            f"--joints: {count} is not within {min(JOINT_NAMES)} to {max(JOINT_NAMES)}"
-        )
-    return JOINT_NAMES[count]
 
 
 def print_findings(findings: Sequence[Finding], console: Console | None = None) -> None:

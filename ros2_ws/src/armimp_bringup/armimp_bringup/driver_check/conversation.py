@@ -9,20 +9,19 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from copy import copy
 from functools import partial
 from typing import Any, NamedTuple, TypeAlias
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from armimp_bringup.driver_check.findings import Reason
 from armimp_bringup.driver_check.record import SENSOR_TOPICS, Call, Endpoint, Message
 from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
@@ -35,6 +34,7 @@ from armimp_common.topics import NS_PER_S
 
 _NODE = "armimp_check_driver"
 _FAREWELLS = 5
+_TAKEN = "torque taken away"
 Torque: TypeAlias = "tuple[float, ...]"
 Step: TypeAlias = "tuple[int, Torque | None]"
 """A number of samples, and the torque that answers each of them; None: no answer."""
@@ -63,29 +63,24 @@ class MotionGuard:
         self._decode = JointStateDecoder(joints, "position").decode
         self._first: tuple[float, ...] | None = None
         self.largest = 0.0  # rad, how far a joint has gone so far
-        self.reason: Reason | None = None  # why there must not be any torque any more
-        self.values: dict[str, object] = {}
+        self.objection = ""  # why there must not be any torque any more
 
     def allows(self, data: bytes) -> bool:
         """Check a message of ``joint_states``; return whether torque may be commanded."""
         try:
             _, angles = self._decode(data)
         except MalformedMessageError as error:
-            self._object(Reason.UNREADABLE, error=str(error))
+            self.objection = self.objection or f"an angle cannot be read: {error}: {_TAKEN}"
             return False
         self._first = self._first or angles
         for name, start, angle in zip(self._joints, self._first, angles, strict=True):
             moved = abs(angle - start)
             # Written so that NaN fails.
-            if not moved <= self._most:
-                self._object(Reason.TOO_FAR, joint=name, moved=moved)
-            else:
+            if moved <= self._most:
                 self.largest = max(self.largest, moved)
-        return self.reason is None
-
-    def _object(self, reason: Reason, **values: object) -> None:
-        if self.reason is None:
-            self.reason, self.values = reason, values
+            elif not self.objection:
+                self.objection = f"{name} went {moved:.3g} rad from where it was: {_TAKEN}"
+        return not self.objection
 
 
 class Answering:
@@ -141,7 +136,7 @@ class Answering:
             self.silent_since = self.last_sent or self.silent_since
             self.last_sent = 0.0
             return
-        if self.guard is not None and self.guard.reason:
+        if self.guard is not None and self.guard.objection:
             torque = self.zero
         self.answered += 1
         self._publish(torque)
@@ -209,7 +204,6 @@ class Conversation(Node, Answering):
         self._interrupted: Callable[[], bool] | None = interrupted
         self.errors: list[Error] = []
         self.timing: TimingFigures | None = None
-        self.process = ""  # identity of the driver's process, as its heartbeat has it
         self._sensors: list[Subscription] = []
         self._triggers = {
             name: self.create_client(Trigger, name)
@@ -218,7 +212,6 @@ class Conversation(Node, Answering):
         self.create_subscription(
             DiagnosticArray, topics.DIAGNOSTICS, self._on_diagnostics, qos.DIAGNOSTICS
         )
-        self.create_subscription(String, topics.alive(topics.SIM_NODE), self._on_alive, qos.LATCHED)
         self.spinner = Spinner([self], context=graph.context)
 
     def listen(self) -> None:
@@ -228,15 +221,10 @@ class Conversation(Node, Answering):
         for topic in SENSOR_TOPICS:
             offered = self.get_publishers_info_by_topic(str(self.resolve_topic_name(topic)))
             kinds = {info.qos_profile.reliability for info in offered}
+            profile = copy(qos.SAMPLE)
             # A reader that asks for more than is offered hears nothing at all.
-            best_effort = ReliabilityPolicy.BEST_EFFORT in kinds
-            profile = QoSProfile(
-                history=qos.SAMPLE.history,
-                depth=qos.SAMPLE.depth,
-                reliability=ReliabilityPolicy.BEST_EFFORT
-                if best_effort
-                else ReliabilityPolicy.RELIABLE,
-            )
+            if ReliabilityPolicy.BEST_EFFORT in kinds:
+                profile.reliability = ReliabilityPolicy.BEST_EFFORT
             self._sensors.append(
                 subscribe_raw(self, topic, JointState, partial(self.hear, topic), profile=profile)
             )
@@ -315,9 +303,6 @@ class Conversation(Node, Answering):
 
     def _command(self, torque: Torque) -> None:
         self._commands.publish(torque)
-
-    def _on_alive(self, message: String) -> None:
-        self.process = message.data
 
     def _on_diagnostics(self, array: DiagnosticArray) -> None:
         for status in array.status:

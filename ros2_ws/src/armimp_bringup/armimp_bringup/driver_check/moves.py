@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, Step, Torque
-from armimp_bringup.driver_check.findings import Reason
 from armimp_bringup.driver_check.record import AFTER, REST, Call, Ending, Moves, Push
 from armimp_common import topics
 from armimp_common.cdr import JointStateDecoder
@@ -38,10 +37,6 @@ _T = TypeVar("_T")
 
 class _GivenUpError(Exception):
     """No torque may be commanded any more."""
-
-    def __init__(self, reason: Reason, **values: object) -> None:
-        super().__init__(reason.name)
-        self.reason, self.values = reason, values
 
 
 class Mover:
@@ -73,12 +68,12 @@ class Mover:
         try:
             self._make()
         except _GivenUpError as error:
-            moves.missing, moves.values = error.reason, error.values
+            moves.missing, moves.astray = str(error), bool(guard.objection)
         finally:
             # However this ends, even by Ctrl-C, no torque that was commanded may stay.
             self._node.let_go()
             self._node.guard = None
-        if guard.reason:
+        if guard.objection:
             # Zero torque may not be enough where a driver does something else than it is told.
             self._node.call(topics.SIM_STOP_SERVICE, TOLD)
         elif moves.missing:
@@ -142,7 +137,7 @@ class Mover:
             start = node.samples
             node.play([*script, (_STOPPING, torque)])
             end = start + REST + HOLD
-            self._wait(lambda: node.samples > end or self._guard.reason is not None)
+            self._wait(lambda: node.samples > end or bool(self._guard.objection))
         else:
             start = self._play(script)
         self._require_calm()
@@ -189,15 +184,17 @@ class Mover:
             gap, fault = max(node.gap, before), str(news[0])
             if gap <= _REGULAR or not self._paced:
                 moves.fault = fault
-                raise _GivenUpError(Reason.STOPPED, fault=fault)
+                raise _GivenUpError(f"the driver stopped: {fault}")
             moves.repeated += 1
             moves.gap = max(moves.gap, gap)
             self._play([(_SETTLE, node.zero)])
             if not self._reset().success:
-                raise _GivenUpError(Reason.NO_RESET, fault=fault)
+                raise _GivenUpError(f"the driver stopped, and no reset was granted: {fault}")
             # Reports that are still on their way are none of the next attempt.
             self._play([(_SETTLE, node.zero)])
-        raise _GivenUpError(Reason.INTERRUPTIONS, attempts=_ATTEMPTS, gap=1e3 * moves.gap)
+        raise _GivenUpError(
+            f"commands were held up {_ATTEMPTS} times, by up to {1e3 * moves.gap:.3g} ms"
+        )
 
     def _reset(self) -> Call:
         return self._node.call(topics.SIM_RESET_SERVICE, TOLD)
@@ -235,8 +232,8 @@ class Mover:
             node.wait(condition, _SILENCE)
 
     def _require_calm(self) -> None:
-        if self._guard.reason:
-            raise _GivenUpError(self._guard.reason, **self._guard.values)
+        if self._guard.objection:
+            raise _GivenUpError(self._guard.objection)
 
     def _still(self) -> bool:
         try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,14 +11,12 @@ import numpy as np
 
 from armimp_bringup.config import CheckOptions
 from armimp_bringup.driver_check.conversation import Conversation, Error
-from armimp_bringup.driver_check.findings import Reason
 from armimp_bringup.driver_check.moves import Mover
 from armimp_bringup.driver_check.record import (
     SENSOR_TOPICS,
     Message,
     Moves,
     Record,
-    Stalls,
     readings,
 )
 from armimp_bringup.graph import GraphContext
@@ -27,49 +24,10 @@ from armimp_common import topics
 from armimp_common.errors import GraphError
 from armimp_common.executor import stop_on_signals
 from armimp_common.lifecycle import LifecycleManager
-from armimp_common.process import waited_ns
-from armimp_common.realtime import LATE_NS, Pacer, wake_up_exactly
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 
 _PATIENCE, _LONG = 10.0, 60.0
 _LISTEN, _LATER, _SILENCE = 0.5, 0.2, 3.0
-
-
-class StallWitness:
-    """A thread that is to wake up each millisecond, and notes when it did not."""
-
-    def __init__(self) -> None:
-        self._found: list[int] = []
-        self._ended = threading.Event()
-        self._pacer = Pacer(PERIOD_NS)
-        self._begin_ns = self._pacer.now()
-        self._thread = threading.Thread(target=self._run, name="stall witness", daemon=True)
-        self._thread.start()
-
-    def _run(self) -> None:
-        wake_up_exactly()
-        pacer, tick = self._pacer, 0
-        pacer.start()
-        while not self._ended.is_set():
-            tick += 1
-            due_ns = pacer.deadline_ns(tick)
-            pacer.wait(tick)
-            now_ns = pacer.now()
-            if now_ns - due_ns > LATE_NS:
-                self._found.append(now_ns - due_ns)
-                # Deadlines that passed meanwhile belong to the same stall.
-                tick += (now_ns - due_ns) // PERIOD_NS
-
-    def stalls(self) -> Stalls:
-        """Return what was noted so far."""
-        found = list(self._found)
-        share = sum(found) / max(self._pacer.now() - self._begin_ns, 1)
-        return Stalls(share, max(found, default=0) / NS_PER_S)
-
-    def close(self) -> None:
-        """End the thread."""
-        self._ended.set()
-        self._thread.join()
 
 
 def probe(options: CheckOptions, domain_id: int | None) -> Record:
@@ -87,19 +45,17 @@ def probe(options: CheckOptions, domain_id: int | None) -> Record:
         # A collection at the wrong moment would keep commands back.
         collecting = gc.isenabled()
         gc.disable()
-        witness = StallWitness()
         try:
-            return _Probe(options, node, witness).record()
+            return _Probe(options, node).record()
         finally:
-            witness.close()
             if collecting:
                 gc.enable()
             node.close()
 
 
 class _Probe:
-    def __init__(self, options: CheckOptions, node: Conversation, witness: StallWitness) -> None:
-        self._options, self._node, self._witness = options, node, witness
+    def __init__(self, options: CheckOptions, node: Conversation) -> None:
+        self._options, self._node = options, node
         self._manager = LifecycleManager(
             node,
             [options.node],
@@ -114,9 +70,7 @@ class _Probe:
         state = self._find()
         with self._active(state):
             self._paced = self._listen()
-            before = waited_ns(node.process)
             first = self._record_at_rest()
-            after = waited_ns(node.process)
             kept, malformed = node.recorded()
             answers, faults = node.answered, list(node.errors)
             streams = {topic: messages[first:] for topic, messages in kept.items()}
@@ -124,7 +78,7 @@ class _Probe:
             mover = Mover(node, options, None if self._paced else self._lead, known)
             begin: dict[str, int] = {}
             trouble = self._trouble(streams, malformed, faults)
-            if options.move and trouble is None:
+            if options.move and not trouble:
                 self._begin_to_answer(state)
                 begin = {topic: node.messages(topic) for topic in kept}
                 moves = mover.move()
@@ -133,9 +87,8 @@ class _Probe:
             else:
                 stops = topics.SIM_STOP_SERVICE in node.safety_services()
                 moves = mover.stop_at_rest() if stops else Moves()
-                moves.missing = Reason.NOT_ASKED
-                if options.move and trouble is not None:
-                    moves.missing, moves.values = trouble
+                moves.asked = options.move
+                moves.missing = trouble if options.move else "not without --move"
             endpoints, services = node.endpoints(), node.safety_services()
         everything, malformed = node.recorded()
         mover.readings |= {
@@ -154,8 +107,6 @@ class _Probe:
             lifecycle=state,
             most=options.most_motion,
             faults=[str(error) for error in faults],
-            stalls=self._witness.stalls(),
-            waited=None if before is None or after is None else (after - before) / NS_PER_S,
             moves=moves,
             timing=moves.timing or node.timing,
         )
@@ -272,12 +223,12 @@ class _Probe:
         streams: Mapping[str, Sequence[Message]],
         malformed: Mapping[str, int],
         faults: Sequence[Error],
-    ) -> tuple[Reason, dict[str, object]] | None:
-        """Return why no torque may be commanded; None if nothing speaks against it."""
+    ) -> str:
+        """Return why no torque may be commanded; empty if nothing speaks against it."""
         for topic, kept in streams.items():
             values = readings(self._options.joints, topic, kept)
             if malformed[topic] or not kept or values.shape[1] != len(kept):
-                return Reason.UNSOUND, {"topic": topic}
+                return f"{topic} is not sound enough to command torque"
             if not np.all(np.isfinite(values)):
-                return Reason.NOT_FINITE, {"topic": topic}
-        return (Reason.FAULT_AT_REST, {"fault": str(faults[0])}) if faults else None
+                return f"{topic} is not finite: no torque is commanded"
+        return f"there was a fault before: {faults[0]}" if faults else ""

@@ -1,21 +1,49 @@
-"""What was recorded of a driver, without ROS: messages, endpoints, and answers to torque."""
+"""What was recorded of a driver, and what a check found, without ROS."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from enum import Enum
 from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.driver_check.findings import Reason
 from armimp_common.status import TimingFigures
 from armimp_common.topics import JOINT_STATES, TORQUE_SENSORS, VALUE_FIELD
 
 SENSOR_TOPICS = (JOINT_STATES, TORQUE_SENSORS)
 REST, AFTER = 200, 250
 """Samples at rest before a push, and those after it that are looked at."""
+
+
+class Verdict(str, Enum):
+    """How one check ended.
+
+    A check is not made where it does not apply, or was not asked for. It is inconclusive where it
+    was asked for and could not be finished, or where the machine may be to blame.
+    """
+
+    PASS = "pass"
+    FAIL = "fail"
+    INCONCLUSIVE = "inconclusive"
+    NOT_CHECKED = "not checked"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Outcome of one check."""
+
+    check: str  # such as ``joint_states: rate``
+    verdict: Verdict
+    figure: str  # what was found, or why nothing could be
+    limit: str  # what is asked for
+
+
+def with_verdict(findings: Iterable[Finding], verdict: Verdict) -> list[str]:
+    """Return the names of the checks with this verdict, in their order."""
+    return [finding.check for finding in findings if finding.verdict is verdict]
 
 
 class Message(NamedTuple):
@@ -90,20 +118,14 @@ class Moves:
     stale: Ending | None = None  # commands that stopped under torque
     stop: Ending | None = None  # the emergency stop
     second: Ending | None = None  # a second publisher of commands
-    missing: Reason | None = None  # why the moves, or the rest of them, were not made
-    values: Mapping[str, object] = field(default_factory=dict)  # of that reason
+    asked: bool = True  # whether torque was to be commanded
+    missing: str = ""  # why the moves, or the rest of them, were not made
+    astray: bool = False  # whether that is motion beyond its limit, or which cannot be read
     fault: str = ""  # what the driver said when it stopped under regular commands
     repeated: int = 0  # moves that were made anew, as commands had been held up
     gap: float = 0.0  # s, longest time between two commands of those
     moved: float | None = None  # rad, how far a joint went; None if there was no torque
     timing: TimingFigures | None = None  # as reported before commands stayed away
-
-
-class Stalls(NamedTuple):
-    """Times in which this process was held up."""
-
-    share: float = 0.0  # of the time in which this was looked at
-    longest: float = 0.0  # s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,8 +143,6 @@ class Record:
     lifecycle: str | None = None  # how it was found; None if it is no lifecycle node
     most: float = 0.0  # rad, how far a joint was allowed to go
     faults: Sequence[str] = ()  # of level ERROR before anything was commanded
-    stalls: Stalls = field(default_factory=Stalls)  # of this process
-    waited: float | None = None  # s, that the driver's process waited for a processor, if known
     moves: Moves = field(default_factory=Moves)
     timing: TimingFigures | None = None  # as the driver reports it
 

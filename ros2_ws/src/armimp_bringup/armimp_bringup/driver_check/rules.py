@@ -9,26 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.driver_check.findings import (
-    Finding,
-    Reason,
-    Rule,
-    inconclusive,
-    judged,
-    not_checked,
-)
 from armimp_bringup.driver_check.record import (
     SENSOR_TOPICS,
     Call,
     Ending,
+    Finding,
     Message,
     Push,
     Record,
+    Verdict,
     readings,
 )
 from armimp_common import topics
@@ -37,9 +31,6 @@ from armimp_common.topics import COMMANDS, JOINT_STATES, NS_PER_S, PERIOD_NS, VA
 
 # Limits that the interfaces page does not state are chosen.
 _LEAST = 100  # samples without which nothing is judged
-_BOUNDS = {"position": 4.0 * math.pi, "effort": 500.0}  # rad, two turns; N·m: chosen
-_UNITS = {"position": "rad", "effort": "N·m"}
-_COARSEST = {"position": 2.0 * math.pi / 51200, "effort": 0.02}  # of the study
 _JUMP = 0.1  # rad in one period, so 100 rad/s: chosen
 _CLOCK = 2e-4  # relative error of the mean step of stamps, which the estimator allows
 _RATE = 0.005  # relative error of the rate by the wall clock: chosen
@@ -57,14 +48,36 @@ _ENDING = 5 * _PERIOD + 0.05  # s; until torque that is to go has gone
 _REACTION = 3  # periods from a command to its first effect: chosen
 _ANSWER = 0.5  # s; for the answer of a service: chosen
 _TOLD = 1.5  # s; until a fault is on /diagnostics, where it is repeated every second
-_ENDING_LIMIT = {"bound": 1e3 * _ENDING, "blur": 1e3 * _BLUR}
-_TOLD_LIMIT = {"topic": topics.DIAGNOSTICS, "bound": _TOLD}
+_END_LIMIT = f"torque gone within {1e3 * _ENDING:g} ms (± {1e3 * _BLUR:g} ms)"
+_LARGER = "try a larger --torque"
+_WAYS_LIMIT = "each joint turns the way of its torque"
+_SIGN_LIMIT = "the reading of torque goes the way of the joint"
+_DELAY_LIMIT = f"≤ {_REACTION} periods from command to effect"
 
 _BASELINE = 50  # samples at rest
 _WINDOW = 120  # samples after the end that are looked at, of which there must be _LEAST
 _OVERLAP = 30  # samples of the window that lie after the end, wherever it is
 _RAMPS = (1, 5, 10, 15, 20, 30, 40, 50, 60, 80)  # tried lengths of the way to zero, samples
 _SIGMAS = 5.0
+
+
+class _Kind(NamedTuple):
+    """What readings of a stream may be."""
+
+    unit: str
+    largest: float  # two turns; 500 N·m: chosen
+    hint: str  # what they are if they are larger
+    coarsest: float  # resolution of the study
+    still: str  # what to do if they do not change
+
+
+_KINDS = {
+    "position": _Kind(
+        *("rad", 4.0 * math.pi, "degrees?", 2.0 * math.pi / 51200),
+        "readings do not change: move the arm, or --move",
+    ),
+    "effort": _Kind("N·m", 500.0, "N·mm?", 0.02, "readings do not change"),
+}
 
 
 def judge(record: Record) -> list[Finding]:
@@ -77,50 +90,47 @@ def judge(record: Record) -> list[Finding]:
     ]
 
 
+def _judged(check: str, good: bool, figure: str, limit: str) -> Finding:
+    return Finding(check, Verdict.PASS if good else Verdict.FAIL, figure, limit)
+
+
 def _judge_contract(record: Record) -> Iterator[Finding]:
     for topic in SENSOR_TOPICS:
         yield from _judge_topic(record, topic, "publisher")
     yield from _judge_topic(record, COMMANDS, "subscriber")
     for service in (topics.SIM_STOP_SERVICE, topics.SIM_RESET_SERVICE):
         there = service in record.services
-        state = "there" if there else "missing"
-        yield judged(Rule.SERVICE, there, f"service {service}", state=state)
+        yield _judged(f"service {service}", there, "there" if there else "missing", "there")
+    limit = "lifecycle services, for armimp run --processes external"
     if record.lifecycle is None:
-        yield not_checked(Rule.LIFECYCLE, Reason.NO_LIFECYCLE)
+        figure = "none: nobody can lead this node through its life"
+        yield Finding("lifecycle", Verdict.NOT_CHECKED, figure, limit)
     else:
-        yield judged(Rule.LIFECYCLE, True, state=record.lifecycle)
+        yield _judged("lifecycle", True, f"was {record.lifecycle}", limit)
     # Whoever says so: armimp run takes it for a problem of the run.
     fault = record.faults[0] if record.faults else "none"
-    yield judged(Rule.NO_FAULT, not record.faults, fault=fault, topic=topics.DIAGNOSTICS)
+    limit = f"no status ERROR on {topics.DIAGNOSTICS}"
+    yield _judged("no fault at rest", not record.faults, fault, limit)
 
 
 def _judge_topic(record: Record, topic: str, role: str) -> Iterator[Finding]:
     found = [end for end in record.endpoints if end.topic == topic and end.role == role]
     kind = topics.MESSAGE_TYPES[topic]
-    types = sorted({end.type for end in found})
+    types, nodes = (sorted({getattr(end, of) for end in found}) for of in ("type", "node"))
     good = types == [kind] and (len(found) == 1 or role == "subscriber")
-    yield judged(
-        Rule.TYPE,
-        good,
-        topic,
-        why=None if found else Reason.NO_ENDPOINT,
-        types=", ".join(types),
-        nodes=", ".join(sorted(end.node for end in found)),
-        role=role,
-        kind=kind,
-    )
+    figure = f"{', '.join(types)} from {', '.join(nodes)}" if found else f"no {role}"
+    yield _judged(f"{topic}: type", good, figure, f"one {role} of {kind}")
     if not found:
         return
     reliable = all(end.reliable for end in found)
     transient = any(end.transient for end in found)
-    yield judged(
-        Rule.QUALITY,
+    yield _judged(
+        f"{topic}: quality of service",
         # A reader that asks for more than volatile refuses the publishers of this project.
         reliable and not (role == "subscriber" and transient),
-        topic,
-        quality=f"{'reliable' if reliable else 'best effort'}, "
+        f"{'reliable' if reliable else 'best effort'}, "
         f"{'transient local' if transient else 'volatile'}",
-        wanted="reliable" + (", volatile" if role == "subscriber" else ""),
+        "reliable" + (", volatile" if role == "subscriber" else ""),
     )
 
 
@@ -129,68 +139,54 @@ def _judge_content(record: Record, topic: str) -> Iterator[Finding]:
     messages, malformed = record.streams.get(topic, ()), record.malformed.get(topic, 0)
     count = len(messages)
     enough = count >= _LEAST and not malformed
-    yield judged(Rule.MESSAGES, enough, topic, count=count, malformed=malformed, least=_LEAST)
+    figure = f"{count}, and {malformed} that cannot be decoded"
+    yield _judged(f"{topic}: messages", enough, figure, f"≥ {_LEAST}, and none")
     if not messages:
         return
     orders = sorted({message.names for message in messages})
     right = all(sorted(names) == sorted(record.joints) for names in orders)
-    shown = " / ".join(", ".join(names) or "none" for names in orders[:3])
-    expected = ", ".join(record.joints)
-    yield judged(Rule.JOINT_NAMES, right, topic, names=shown, expected=expected)
+    figure = " / ".join(", ".join(names) or "none" for names in orders[:3])
+    limit = f"{', '.join(record.joints)}, each once"
+    yield _judged(f"{topic}: joint names", right, figure, limit)
     field, n = VALUE_FIELD[topic], len(record.joints)
     lengths = sorted({len(getattr(message, field)) for message in messages})
-    told = ", ".join(map(str, lengths[:3]))
-    yield judged(Rule.FIELD, lengths == [n], topic, lengths=told, field=field, expected=n)
+    figure = f"{', '.join(map(str, lengths[:3]))} values in {field}"
+    yield _judged(f"{topic}: field", lengths == [n], figure, f"{n} in {field}")
     yield from _judge_values(record, topic, messages)
 
 
 def _judge_values(record: Record, topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
-    field = VALUE_FIELD[topic]
-    angles, unit, bound = topic == JOINT_STATES, _UNITS[field], _BOUNDS[field]
+    kind = _KINDS[VALUE_FIELD[topic]]
     still = readings(record.joints, topic, messages)
     moving = readings(record.joints, topic, record.moving.get(topic, ()))
     # Of numbers in the wrong place at least that can be said.
     misplaced = [] if still.size else [v for m in messages for v in (*m.position, *m.effort)]
     numbers = np.hstack([still.ravel(), misplaced, moving.ravel()])
     bad = int(np.sum(~np.isfinite(numbers)))
-    yield judged(Rule.FINITE, bad == 0, topic, bad=bad, count=numbers.size)
+    figure = f"{bad} of {numbers.size} are not"
+    yield _judged(f"{topic}: finite", bad == 0, figure, "no NaN, no infinity")
+    limit = f"|value| ≤ {kind.largest:.4g} {kind.unit}"
     if not still.size:
-        yield not_checked(Rule.RANGE, Reason.NOT_WHOLE, topic, bound=bound, unit=unit)
+        yield Finding(f"{topic}: range", Verdict.NOT_CHECKED, "no whole message", limit)
         return
     parts = [np.where(np.isfinite(part), part, 0.0) for part in (still, moving)]
     largest = float(max(np.max(np.abs(part), initial=0.0) for part in parts))
-    why = Reason.DEGREES if angles else Reason.MILLIMETRES
-    good = largest <= bound
-    yield judged(Rule.RANGE, good, topic, why=why, largest=largest, bound=bound, unit=unit)
-    if angles:
+    good = largest <= kind.largest
+    figure = f"{largest:.4g} {kind.unit}" + ("" if good else f" ({kind.hint})")
+    yield _judged(f"{topic}: range", good, figure, limit)
+    if topic == JOINT_STATES:
         # Between the two parts of the recording samples are missing.
         jump = float(max(np.max(np.abs(np.diff(part)), initial=0.0) for part in parts))
-        yield judged(Rule.JUMPS, jump <= _JUMP, topic, jump=jump, bound=_JUMP)
-    coarsest: dict[str, Any] = {"bound": _COARSEST[field], "unit": unit}
-    found = resolution(np.hstack(parts))
-    if found is None:
-        reason = Reason.STILL_ANGLES if angles else Reason.STILL_TORQUES
-        yield not_checked(Rule.RESOLUTION, reason, topic, **coarsest)
-        return
-    step, certain = found
-    fine = step <= 1.01 * _COARSEST[field]
-    if fine or certain:
-        yield judged(Rule.RESOLUTION, fine, topic, step=step, **coarsest)
-    else:
-        yield not_checked(Rule.RESOLUTION, Reason.FEW_LEVELS, topic, **coarsest)
+        limit = f"≤ {_JUMP:g} rad from one sample to the next"
+        yield _judged(f"{topic}: jumps", jump <= _JUMP, f"{jump:.3g} rad", limit)
+    yield _judge_resolution(topic, np.hstack(parts), kind)
 
 
-def resolution(values: NDArray[np.float64]) -> tuple[float, bool] | None:
-    """Smallest step between readings (n, N) of the joint with the largest one, None if none moves.
+def _judge_resolution(topic: str, values: NDArray[np.float64], kind: _Kind) -> Finding:
+    """Judge the smallest step between readings (n, N) of the joint with the largest one.
 
-    Readings that are rounded lie on a grid, whose step this is as soon as neighbours occur.
-
-    Returns
-    -------
-    step : float
-        It is no smaller than the step of the grid.
-    certain : bool
-        Whether all readings lie on a grid of this step.
+    Readings that are rounded lie on a grid, whose step this is as soon as neighbours occur; that
+    they do is certain only if all readings lie on a grid of this step.
     """
     steps: list[tuple[float, bool]] = []
     for row in values:
@@ -199,10 +195,18 @@ def resolution(values: NDArray[np.float64]) -> tuple[float, bool] | None:
         # Levels of one grid differ in the last bits.
         gaps = gaps[gaps > 1e-9 * max(float(np.max(np.abs(levels))), 1e-3)]
         if gaps.size:
-            step = float(np.min(gaps))
-            ratios = gaps / step
-            steps.append((step, float(np.max(np.abs(ratios - np.rint(ratios)))) < 0.1))
-    return max(steps, default=None)
+            ratios = gaps / np.min(gaps)
+            on_grid = float(np.max(np.abs(ratios - np.rint(ratios)))) < 0.1
+            steps.append((float(np.min(gaps)), on_grid))
+    check = f"{topic}: resolution"
+    limit = f"≤ {kind.coarsest:.4g} {kind.unit}, the study's coarsest"
+    if not steps:
+        return Finding(check, Verdict.NOT_CHECKED, kind.still, limit)
+    step, certain = max(steps)
+    fine = step <= 1.01 * kind.coarsest
+    if not (fine or certain):
+        return Finding(check, Verdict.NOT_CHECKED, "too few readings that differ", limit)
+    return _judged(check, fine, f"{step:.4g} {kind.unit}", limit)
 
 
 def _judge_timing(record: Record) -> Iterator[Finding]:
@@ -212,105 +216,79 @@ def _judge_timing(record: Record) -> Iterator[Finding]:
             continue
         yield from _judge_stamps(topic, messages)
         if record.paced:
-            yield from _judge_pace(record, topic, messages)
+            yield from _judge_pace(topic, messages)
             continue
-        count = len(messages)
-        good = 0 <= count - record.answered <= 1
-        yield judged(Rule.ANSWERS, good, topic, count=count, commands=record.answered)
-        yield not_checked(Rule.JITTER, Reason.NO_CLOCK, topic, **_late_limits())
+        figure = f"{len(messages)} for {record.answered} commands"
+        good = 0 <= len(messages) - record.answered <= 1
+        yield _judged(f"{topic}: rate", good, figure, "one for each command, and the first")
     yield _judge_pairs(record)
+    limit = f"99 % ≤ {1e3 * _LATENCY:g} ms, as arm_sim: timing reports it"
     if record.timing is None or not record.timing.latency_p99 > 0.0:
-        yield not_checked(Rule.LATENCY, Reason.NOT_REPORTED, bound=1e3 * _LATENCY)
-        return
-    latency = record.timing.latency_p99
-    values = {"latency": 1e3 * latency, "bound": 1e3 * _LATENCY}
-    # Part of the way is the checker's own.
-    yield _unless_busy(record, Rule.LATENCY, latency <= _LATENCY, "", values)
+        figure = "the driver does not report it"
+        yield Finding("sample to command", Verdict.NOT_CHECKED, figure, limit)
+    else:
+        latency = record.timing.latency_p99
+        # Part of the way is the checker's own.
+        good, figure = latency <= _LATENCY, f"99 %: {1e3 * latency:.3g} ms"
+        yield _unless_busy("sample to command", good, figure, limit)
 
 
-def _unless_busy(
-    record: Record, rule: Rule, good: bool, of: str, values: dict[str, Any]
-) -> Finding:
-    """Judge what a busy machine spoils: it is inconclusive where a process was held up for long."""
-    found = judged(rule, good, of, **values)
-    if good or max(record.stalls.share, (record.waited or 0.0) / _length(record)) <= _LATE_SHARE:
-        return found
-    return _held_up(record, found)
-
-
-def _held_up(record: Record, found: Finding) -> Finding:
-    stall, waited = 1e3 * record.stalls.longest, 1e3 * (record.waited or 0.0)
-    values = {**found.values, "shown": found.figure, "stall": stall, "waited": waited}
-    return inconclusive(found.rule, Reason.HELD_UP, found.of, **values)
+def _unless_busy(check: str, good: bool, figure: str, limit: str) -> Finding:
+    """Judge what other work on this machine spoils as well as a driver does."""
+    if good:
+        return _judged(check, True, figure, limit)
+    figure = f"{figure}; or this machine is busy"
+    return Finding(check, Verdict.INCONCLUSIVE, figure, limit)
 
 
 def _judge_stamps(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
     stamps = np.array([message.stamp_ns for message in messages], dtype=np.int64)
     steps = np.diff(stamps)
     still, back = int(np.sum(steps == 0)), int(np.sum(steps < 0))
-    yield judged(Rule.INCREASE, still == back == 0, topic, still=still, back=back)
+    figure = f"{still} repeat, {back} go back"
+    yield _judged(
+        f"{topic}: stamps increase", still == back == 0, figure, "none repeats, goes back"
+    )
     off, longest = int(np.sum(np.rint(steps / PERIOD_NS) != 1)), float(np.max(np.abs(steps))) / 1e6
-    yield judged(Rule.STEPS, off == 0, topic, off=off, count=steps.size, longest=longest)
+    figure = f"{off} of {steps.size} are not; longest {longest:.4g} ms"
+    yield _judged(f"{topic}: stamps 1 ms apart", off == 0, figure, "all, within half of that")
     mean = float(stamps[-1] - stamps[0]) / steps.size / PERIOD_NS
-    good = abs(mean - 1.0) <= _CLOCK
-    yield judged(Rule.CLOCK, good, topic, mean=mean, tolerance=100 * _CLOCK)
+    good, limit = abs(mean - 1.0) <= _CLOCK, f"1 ms ± {100 * _CLOCK:g} %"
+    yield _judged(f"{topic}: clock", good, f"{mean:.6f} ms", limit)
 
 
-def _judge_pace(record: Record, topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
-    arrivals = np.array([message.arrival_ns for message in messages], dtype=np.int64)
-    period = _beat(arrivals)
-    rate = 1.0 / period if period > 0.0 else 0.0
-    error = abs(rate / _NOMINAL - 1.0)
-    values: dict[str, Any] = {"rate": rate, "nominal": _NOMINAL, "tolerance": 100 * _RATE}
-    found = judged(Rule.RATE, error <= _RATE, topic, **values)
-    # So much can stalls at both ends of the recording make of it.
-    doubt = 2.0 * record.stalls.longest / max(period * arrivals.size, _LATE)
-    yield _held_up(record, found) if _RATE < error <= _RATE + doubt else found
-    delay = _lateness(arrivals)
-    share = float(np.mean(delay > _LATE))
-    values = {"late": 100 * share, "worst": 1e3 * float(np.max(delay)), **_late_limits()}
-    yield _unless_busy(record, Rule.JITTER, share <= _LATE_SHARE, topic, values)
+def _judge_pace(topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
+    """Judge arrivals against a regular beat with their own mean rate.
 
-
-def _late_limits() -> dict[str, float]:
-    return {"share": 100 * _LATE_SHARE, "bound": 1e3 * _LATE}
-
-
-def _length(record: Record) -> float:
-    """Length of the recording at rest, s."""
-    kept = record.streams.get(JOINT_STATES, ())
-    return max(kept[-1].arrival_ns - kept[0].arrival_ns, PERIOD_NS) / NS_PER_S if kept else 1.0
-
-
-def _beat(arrivals_ns: NDArray[np.int64]) -> float:
-    """Mean period, s, between the medians of the first and of the last tenth of arrivals."""
-    part = max(arrivals_ns.size // 10, 1)
-    since = arrivals_ns - arrivals_ns[0]
-    length = float(np.median(since[-part:]) - np.median(since[:part]))
-    return length / NS_PER_S / max(arrivals_ns.size - part, 1)
-
-
-def _lateness(arrivals_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Delay (N,) of each arrival, s, against a regular beat with their own mean rate.
-
-    The beat is laid through the median, so that half of the arrivals are late, by little if all is
-    well. A message that was held up does not move it.
+    Its period is that between the medians of the first and of the last tenth of arrivals, and it is
+    laid through the median of all, so that a message that was held up does not move it.
     """
-    seconds = (arrivals_ns - arrivals_ns[0]) / NS_PER_S
-    offset = seconds - _beat(arrivals_ns) * np.arange(seconds.size)
-    delay: NDArray[np.float64] = offset - np.median(offset)
-    return delay
+    arrivals_ns = np.array([message.arrival_ns for message in messages], dtype=np.int64)
+    since = (arrivals_ns - arrivals_ns[0]) / NS_PER_S
+    part = max(since.size // 10, 1)
+    length = float(np.median(since[-part:]) - np.median(since[:part]))
+    period = length / max(since.size - part, 1)
+    rate = 1.0 / period if period > 0.0 else 0.0
+    good, limit = abs(rate / _NOMINAL - 1.0) <= _RATE, f"{_NOMINAL:g} Hz ± {100 * _RATE:g} %"
+    yield _judged(f"{topic}: rate", good, f"{rate:.1f} Hz", limit)
+    offset = since - period * np.arange(since.size)
+    delay = offset - np.median(offset)
+    share = float(np.mean(delay > _LATE))
+    figure = f"{100 * share:.3g} %; worst {1e3 * float(np.max(delay)):.3g} ms"
+    limit = f"≤ {100 * _LATE_SHARE:g} % arrive more than {1e3 * _LATE:g} ms late"
+    yield _unless_busy(f"{topic}: jitter", share <= _LATE_SHARE, figure, limit)
 
 
 def _judge_pairs(record: Record) -> Finding:
+    limit = "both streams have the same stamps"
     sets = [{m.stamp_ns for m in record.streams.get(topic, ())} for topic in SENSOR_TOPICS]
     if not all(sets):
-        return judged(Rule.PAIRS, False, why=Reason.MISSING_STREAM)
+        return _judged("pairs", False, "a stream is missing", limit)
     # A recording may begin and end between the two messages of a sample.
     first, last = max(map(min, sets)), min(map(max, sets))
     within = [{stamp for stamp in stamps if first <= stamp <= last} for stamps in sets]
     alone = len(within[0] ^ within[1]) if all(within) else len(sets[0] | sets[1])
-    return judged(Rule.PAIRS, alone == 0, alone=alone)
+    return _judged("pairs", alone == 0, f"{alone} readings without a partner", limit)
 
 
 # --- under torque --------------------------------------------------------------------------------
@@ -319,87 +297,75 @@ def _judge_pairs(record: Record) -> Finding:
 def _judge_moves(record: Record) -> Iterator[Finding]:
     """Judge the answers to torque, to its absence, and to the emergency stop."""
     moves = record.moves
-    yield _judge_motion(record)
-    yield _judge_obedience(record)
+    limit = f"≤ {record.most:g} rad from where each joint was"
+    if moves.moved is None:
+        yield _missing(record, "torque: motion", limit)
+    else:
+        figure = moves.missing if moves.astray else f"{moves.moved:.3g} rad"
+        yield _judged("torque: motion", not moves.astray, figure, limit)
+    limit = "no fault while commands come as they should"
+    if moves.moved is None or (moves.missing and not moves.fault):
+        yield _missing(record, "torque: no stop", limit)
+    else:
+        again = f"{moves.repeated} repeated, commands up to {1e3 * moves.gap:.3g} ms apart"
+        figure = f"{moves.fault or 'none'}; {again}"
+        yield _judged("torque: no stop", not moves.fault, figure, limit)
     yield from _judge_pushes(record)
     if moves.stale is not None:
         yield from _judge_end(_STALE, record, moves.stale)
         yield _judge_latch(moves.stale)
-    elif not record.paced:
-        yield not_checked(Rule.GONE, Reason.STANDS_STILL, _STALE, **_ENDING_LIMIT)
-    else:
-        yield _missing(record, Rule.GONE, _STALE, **_ENDING_LIMIT)
+    elif record.paced:
+        yield _missing(record, _STALE, _END_LIMIT)
     if moves.stop is None:
-        yield _missing(record, Rule.GONE, _STOP, **_ENDING_LIMIT)
+        yield _missing(record, _STOP, _END_LIMIT)
     else:
         yield from _judge_stop(record, moves.stop)
     if moves.second is None:
-        yield _missing(record, Rule.TOLD, _SECOND, **_TOLD_LIMIT)
+        yield _missing(record, f"{_SECOND}: told", _told_limit())
     else:
         yield from _judge_told(_SECOND, record, moves.second)
 
 
-def _missing(record: Record, rule: Rule, of: str = "", **values: object) -> Finding:
+def _missing(record: Record, check: str, limit: str) -> Finding:
     """Return the finding for something that was not done: why, and whether it was asked for."""
-    reason = record.moves.missing or Reason.NOT_TRIED
-    make = not_checked if reason in (Reason.NOT_TRIED, Reason.NOT_ASKED) else inconclusive
-    return make(rule, reason, of, **{**record.moves.values, **values})
-
-
-def _judge_motion(record: Record) -> Finding:
     moves = record.moves
-    if moves.moved is None:
-        return _missing(record, Rule.MOTION, "torque", most=record.most)
-    lost = moves.missing in (Reason.TOO_FAR, Reason.UNREADABLE)
-    values = {"moved": moves.moved, **moves.values, "most": record.most}
-    return judged(Rule.MOTION, not lost, "torque", why=moves.missing, **values)
-
-
-def _judge_obedience(record: Record) -> Finding:
-    moves = record.moves
-    if moves.moved is None or (moves.missing and not moves.fault):
-        return _missing(record, Rule.NO_STOP, "torque")
-    return judged(
-        Rule.NO_STOP,
-        not moves.fault,
-        "torque",
-        fault=moves.fault or "none",
-        repeated=moves.repeated,
-        gap=1e3 * moves.gap,
-    )
+    in_vain = moves.asked and moves.missing
+    verdict = Verdict.INCONCLUSIVE if in_vain else Verdict.NOT_CHECKED
+    return Finding(check, verdict, moves.missing or "not tried", limit)
 
 
 def _judge_pushes(record: Record) -> Iterator[Finding]:
     pushes, names = record.moves.pushes, record.joints
+    ways, sign, delay = "torque: joint and sign", "torque_sensors: sign", "torque: delay"
     if not pushes:
-        yield _missing(record, Rule.WAYS, "torque")
-        yield _missing(record, Rule.SENSOR_SIGN, "torque_sensors")
-        yield _missing(record, Rule.DELAY, "torque", bound=_REACTION)
+        yield _missing(record, ways, _WAYS_LIMIT)
+        yield _missing(record, sign, _SIGN_LIMIT)
+        yield _missing(record, delay, _DELAY_LIMIT)
         return
-    ways = _ways(record)
-    yield _judge_ways(record, ways)
+    found = _ways(record)
+    yield _judge_ways(ways, record, found)
     effects = [first_effect(push) for push in pushes]
     seen = [effect for effect in effects if effect is not None]
-    reason = Reason.MIXED if ways.mixed else Reason.DEAF
-    if ways.mixed or len(seen) < len(effects):
-        yield inconclusive(Rule.SENSOR_SIGN, reason, "torque_sensors")
+    why = f"readings of torque do not answer: {_LARGER}"
+    if found.mixed:
+        why = "torque acts on another joint"
+    if found.mixed or len(seen) < len(effects):
+        yield Finding(sign, Verdict.INCONCLUSIVE, why, _SIGN_LIMIT)
     else:
         changes = [
-            effect.change * sign * float(np.sign(push.torque))
-            for effect, sign, push in zip(seen, ways.signs, pushes, strict=True)
+            effect.change * way * float(np.sign(push.torque))
+            for effect, way, push in zip(seen, found.signs, pushes, strict=True)
         ]
         told = (
             f"{names[push.joint]} {change:+.3g} N·m"
             for push, change in zip(pushes, changes, strict=True)
         )
-        yield judged(
-            Rule.SENSOR_SIGN, min(changes) > 0.0, "torque_sensors", changes=", ".join(told)
-        )
-    if ways.mixed or not seen:
-        yield inconclusive(Rule.DELAY, reason, "torque", bound=_REACTION)
+        yield _judged(sign, min(changes) > 0.0, ", ".join(told), _SIGN_LIMIT)
+    if found.mixed or not seen:
+        yield Finding(delay, Verdict.INCONCLUSIVE, why, _DELAY_LIMIT)
     else:
         worst = max(effect.samples for effect in seen)
-        yield judged(Rule.DELAY, worst <= _REACTION, "torque", periods=worst, bound=_REACTION)
+        yield _judged(delay, worst <= _REACTION, f"{worst} periods", _DELAY_LIMIT)
 
 
 class _Ways(NamedTuple):
@@ -438,7 +404,7 @@ def _ways(record: Record) -> _Ways:
     return _Ways(angles, signs.tolist(), still, mixed)
 
 
-def _judge_ways(record: Record, ways: _Ways) -> Finding:
+def _judge_ways(check: str, record: Record, ways: _Ways) -> Finding:
     pushes = record.moves.pushes
     names = [record.joints[push.joint] for push in pushes]
     turned = [
@@ -447,77 +413,78 @@ def _judge_ways(record: Record, ways: _Ways) -> Finding:
         if sign < 0.0
     ]
     if wrong := ways.mixed or turned:
-        return judged(Rule.WAYS, False, "torque", ways="; ".join(wrong))
+        return _judged(check, False, "; ".join(wrong), _WAYS_LIMIT)
     if ways.still:
-        joints = " and ".join(ways.still)
-        return inconclusive(Rule.WAYS, Reason.NO_MOTION, "torque", joints=joints)
+        figure = f"{' and '.join(ways.still)} did not move: {_LARGER}"
+        return Finding(check, Verdict.INCONCLUSIVE, figure, _WAYS_LIMIT)
     told = (
         f"{name} {angle:+.3g} rad at {push.torque:+g} N·m"
         for name, angle, push in zip(names, ways.angles, pushes, strict=True)
     )
-    return judged(Rule.WAYS, True, "torque", ways=", ".join(told))
+    return _judged(check, True, ", ".join(told), _WAYS_LIMIT)
 
 
 def _judge_latch(ending: Ending) -> Finding:
-    again, push = ending.again, ending.push
+    again, push, check = ending.again, ending.push, f"{_STALE}: latched"
+    limit = "no torque before the reset, whatever is commanded"
     if again is None or push is None:
-        return not_checked(Rule.LATCHED, Reason.NOT_TRIED, _STALE)
+        return Finding(check, Verdict.NOT_CHECKED, "not tried", limit)
     usual = float(np.abs(displacement(push)[again.joint]))
     if usual <= threshold(push.position, push.on)[again.joint]:
-        return inconclusive(Rule.LATCHED, Reason.NO_EFFECT, _STALE)
+        return Finding(check, Verdict.INCONCLUSIVE, f"no effect: {_LARGER}", limit)
     share = float(np.abs(displacement(again)[again.joint])) / usual
-    return judged(Rule.LATCHED, share <= _USUAL, _STALE, share=100 * share)
+    return _judged(check, share <= _USUAL, f"{100 * share:.0f} % of the usual motion", limit)
 
 
 def _judge_stop(record: Record, ending: Ending) -> Iterator[Finding]:
-    call = ending.stop
+    call, check, limit = ending.stop, f"{_STOP}: answer", f"success within {_ANSWER:g} s"
     if call is None or call.success is None:
-        yield judged(Rule.ANSWER, False, _STOP, why=Reason.NO_ANSWER, bound=_ANSWER)
+        yield _judged(check, False, "no answer", limit)
         return
-    good = call.success and call.seconds <= _ANSWER
     answer = "success" if call.success else f"refused: {call.message}"
-    yield judged(Rule.ANSWER, good, _STOP, answer=answer, seconds=call.seconds, bound=_ANSWER)
+    good = call.success and call.seconds <= _ANSWER
+    yield _judged(check, good, f"{answer}, {call.seconds:.3f} s", limit)
     yield from _judge_end(_STOP, record, ending)
 
 
 def _judge_end(of: str, record: Record, ending: Ending) -> Iterator[Finding]:
     moves = record.moves
-    if ending.push is None or moves.released is None or moves.held is None:
-        asked = moves.missing not in (None, Reason.NOT_ASKED)
-        if asked:
-            yield _missing(record, Rule.GONE, of, **_ENDING_LIMIT)
-        else:
-            yield not_checked(Rule.GONE, Reason.NO_TORQUE, of, **_ENDING_LIMIT)
-    else:
+    if ending.push is not None and moves.released is not None and moves.held is not None:
         yield _judge_letting(of, letting(ending.push, moves.released, moves.held))
+    elif moves.asked and moves.missing:
+        yield _missing(record, of, _END_LIMIT)
+    else:
+        yield Finding(of, Verdict.NOT_CHECKED, "no torque was there: --move", _END_LIMIT)
     yield from _judge_told(of, record, ending)
 
 
 def _judge_letting(of: str, found: Letting | None) -> Finding:
     if found is None:
-        return inconclusive(Rule.GONE, Reason.NO_EFFECT, of, **_ENDING_LIMIT)
-    delay, stays = found.delay * _PERIOD, 100 * max(1 - found.share, 0)
-    gone = found.share >= _GONE
-    good, why = gone and delay <= _ENDING + _BLUR, None if gone else Reason.STAYS
-    values = {"delay": 1e3 * delay, "stays": stays, **_ENDING_LIMIT}
-    return judged(Rule.GONE, good, of, why=why, **values)
+        return Finding(of, Verdict.INCONCLUSIVE, f"no effect: {_LARGER}", _END_LIMIT)
+    delay = found.delay * _PERIOD
+    if found.share < _GONE:
+        stays = f"{100 * max(1 - found.share, 0):.0f} % of the torque seems to stay"
+        return _judged(of, False, stays, _END_LIMIT)
+    return _judged(of, delay <= _ENDING + _BLUR, f"after about {1e3 * delay:.0f} ms", _END_LIMIT)
+
+
+def _told_limit() -> str:
+    return f"status ERROR on {topics.DIAGNOSTICS} within {_TOLD:g} s"
 
 
 def _judge_told(of: str, record: Record, ending: Ending) -> Iterator[Finding]:
-    told = ending.told
+    told, check = ending.told, f"{of}: told"
     if told is None and record.faults:
         # That would go on, whatever the driver has to say.
-        fault = record.faults[0]
-        yield inconclusive(Rule.TOLD, Reason.FAULT_AT_REST, of, fault=fault, **_TOLD_LIMIT)
+        figure = f"there was a fault before: {record.faults[0]}"
+        yield Finding(check, Verdict.INCONCLUSIVE, figure, _told_limit())
     else:
-        good, why = told is not None and told <= _TOLD, Reason.NEVER if told is None else None
-        yield judged(Rule.TOLD, good, of, why=why, told=told, **_TOLD_LIMIT)
+        figure = "none" if told is None else f"after {told:.3f} s"
+        yield _judged(check, told is not None and told <= _TOLD, figure, _told_limit())
     reset = ending.reset or Call(success=None)
-    if reset.success is None:
-        yield judged(Rule.RESET, False, of, why=Reason.NO_ANSWER)
-    else:
-        answer = "granted" if reset.success else f"refused: {reset.message}"
-        yield judged(Rule.RESET, reset.success, of, answer=answer)
+    refused = "no answer" if reset.success is None else f"refused: {reset.message}"
+    granted = "granted" if reset.success else refused
+    yield _judged(f"{of}: reset", bool(reset.success), granted, "granted under zero torque")
 
 
 def displacement(push: Push) -> NDArray[np.float64]:
