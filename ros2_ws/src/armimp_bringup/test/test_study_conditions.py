@@ -65,23 +65,18 @@ def test_selections_make_their_union_and_every_seed_comes_with_each(
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    "text",
     [
-        ("friction=4", "friction has the levels 0, 1, 2, 3, not '4'"),
-        ("perturbation=0", "perturbation has the levels 1, 2, 3, not '0'"),
-        ("resolution=1+", "not ''"),
-        ("friction=²", "not '²'"),
-        ("noise=1", "'noise=1' is not friction, resolution, perturbation = levels"),
-        ("friction", "'friction' is not"),
-        ("", "'' is not"),
-        ("friction=1,friction=2", "friction is there twice"),
+        *("friction=4", "perturbation=0", "resolution=1+", "friction=²", "noise=1", "friction", ""),
+        "friction=1,friction=2",
     ],
 )
-def test_selection_that_makes_no_sense_is_refused_with_its_text(text: str, complaint: str) -> None:
+def test_selection_that_makes_no_sense_is_refused_with_its_text(text: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         select_conditions([text], "0")
-    assert str(caught.value).startswith(f"--only {text!r}: ")
-    assert complaint in str(caught.value)
+    assert str(caught.value).startswith(
+        f"--only {text!r}: {text.rsplit(',', maxsplit=1)[-1]!r} is not one of"
+    )
 
 
 def test_numbers_and_ranges_of_seeds_may_be_joined() -> None:
@@ -90,25 +85,22 @@ def test_numbers_and_ranges_of_seeds_may_be_joined() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "complaint"),
+    "text",
     [
-        ("", "'' is neither a number nor a range"),
-        ("-1", "'-1' is neither"),
-        ("0:10:2", "'0:10:2' is neither"),
-        ("0:", "'0:' is neither"),
-        ("3:3", "there is no number in '3:3'"),
-        ("0:5,4", "4 is there twice"),
-        (str(2**63), "is too large"),
-        ("99999999999999999999", "is neither"),
-        ("0:9223372036854775807", "seeds are too many"),
-        (f"0:{MOST_SEEDS},{MOST_SEEDS}", "seeds are too many"),
+        *("", "-1", "0:10:2", "0:", "3:3", str(2**63), "9" * 20, "0:9223372036854775807"),
+        f"{MOST_SEEDS},0:{MOST_SEEDS}",
     ],
 )
-def test_seeds_that_make_no_sense_are_refused_with_their_text(text: str, complaint: str) -> None:
+def test_seeds_that_make_no_sense_are_refused_with_their_text(text: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         parse_seeds(text)
-    assert str(caught.value).startswith(f"--seeds {text!r}: ")
-    assert complaint in str(caught.value)
+    part = text.rsplit(",", maxsplit=1)[-1]
+    assert str(caught.value).startswith(f"--seeds {text!r}: {part!r} is neither a seed nor a range")
+
+
+def test_a_seed_that_is_there_twice_is_refused() -> None:
+    with pytest.raises(ConfigurationError, match="--seeds '0:5,4': a seed is there twice"):
+        parse_seeds("0:5,4")
 
 
 @given(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -21,7 +20,7 @@ LEVELS: Final[Mapping[str, tuple[int, ...]]] = {
 """The factors of the study with all their levels."""
 
 MOST_SEEDS: Final = 10_000
-_LARGEST_SEED: Final = 2**63 - 1
+_MOST_SEED: Final = 2**63 - 1
 
 
 @dataclass(frozen=True, kw_only=True, order=True)
@@ -84,19 +83,16 @@ def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
 def _parse_only(text: str) -> dict[str, tuple[int, ...]]:
     found: dict[str, tuple[int, ...]] = {}
     for part in text.split(","):
-        factor, equals, values = part.partition("=")
-        factor = factor.strip()
-        if not equals or factor not in LEVELS:
+        factor, _, values = (one.strip() for one in part.partition("="))
+        known = LEVELS.get(factor, ())
+        levels = [value.strip() for value in values.split("+")]
+        if factor in found or not {*levels} <= {*map(str, known)}:
             raise ConfigurationError(
-                f"--only {text!r}: {part.strip()!r} is not {', '.join(LEVELS)} = levels, as in "
-                "friction=0+3,resolution=0"
+                f"--only {text!r}: {part.strip()!r} is not one of {', '.join(LEVELS)}, once, with "
+                "its levels, as in friction=0+3,resolution=0"
             )
-        if factor in found:
-            raise ConfigurationError(
-                f"--only {text!r}: {factor} is there twice; several levels are joined by +"
-            )
-        found[factor] = tuple(_level(text, factor, value.strip()) for value in values.split("+"))
-    return {factor: found.get(factor, levels) for factor, levels in LEVELS.items()}
+        found[factor] = tuple(map(int, levels))
+    return {**LEVELS, **found}
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -107,34 +103,17 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     ConfigurationError
         If it is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
     """
-
-    def refusal(words: str) -> ConfigurationError:
-        return ConfigurationError(f"--seeds {text!r}: {words}")
-
     found: list[int] = []
     for part in text.split(","):
         numbers = re.fullmatch(r"\s*([0-9]{1,19})\s*(?::\s*([0-9]{1,19})\s*)?", part)
-        if numbers is None:
-            raise refusal(f"{part!r} is neither a number nor a range such as 0:10")
-        first = int(numbers[1])
-        end = int(numbers[2]) if numbers[2] else first + 1
-        if end <= first:
-            raise refusal(f"there is no number in {part!r}")
-        if end - 1 > _LARGEST_SEED:
-            raise refusal(f"{end - 1} is too large, {_LARGEST_SEED} is the largest seed")
-        if (many := end - first + len(found)) > MOST_SEEDS:
-            raise refusal(f"{many} seeds are too many, {MOST_SEEDS} are allowed")
+        first = int(numbers[1]) if numbers else 0
+        end = int(numbers[2] or first + 1) if numbers else 0
+        if not first < end <= _MOST_SEED + 1 or end - first + len(found) > MOST_SEEDS:
+            raise ConfigurationError(
+                f"--seeds {text!r}: {part!r} is neither a seed nor a range such as 0:10, of "
+                f"at most {MOST_SEEDS} seeds"
+            )
         found += range(first, end)
-    repeated = [seed for seed, times in Counter(found).items() if times > 1]
-    if repeated:
-        raise refusal(f"{repeated[0]} is there twice")
+    if len(set(found)) < len(found):
+        raise ConfigurationError(f"--seeds {text!r}: a seed is there twice")
     return tuple(found)
-
-
-def _level(text: str, factor: str, value: str) -> int:
-    if not re.fullmatch("[0-9]", value) or int(value) not in LEVELS[factor]:
-        raise ConfigurationError(
-            f"--only {text!r}: {factor} has the levels {', '.join(map(str, LEVELS[factor]))}, "
-            f"not {value!r}"
-        )
-    return int(value)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import importlib
 import itertools
 import json
@@ -99,16 +98,7 @@ def condition_config(base: ExperimentConfig, condition: Condition) -> Experiment
 def estimate_condition(
     batch: Batch, condition: Condition, experiment: SimulatedExperiment
 ) -> ConditionResult:
-    """Identify the impedance in one condition.
-
-    Parameters
-    ----------
-    batch : Batch
-        What the condition belongs to.
-    condition : Condition
-        Levels and seed.
-    experiment : SimulatedExperiment
-        Its trials.
+    """Identify the impedance in one condition of a batch, from its trials.
 
     Raises
     ------
@@ -182,7 +172,7 @@ class Threads:
 
 
 class Dask:
-    """The workers of a running dask cluster, which is connected to when it is needed.
+    """The workers of a running dask cluster.
 
     Parameters
     ----------
@@ -192,7 +182,9 @@ class Dask:
     Raises
     ------
     ConfigurationError
-        If dask.distributed is not installed here.
+        If dask.distributed is not installed here, or the address makes no sense.
+    DataError
+        If nothing answers there, or the cluster has no workers.
     """
 
     def __init__(self, address: str) -> None:
@@ -203,50 +195,27 @@ class Dask:
                 "--scheduler needs the package distributed, which is not installed: "
                 "pip install distributed"
             ) from None
-        self._address = address
-
-    @property
-    def workers(self) -> int:
-        """Number of threads of all workers.
-
-        Raises
-        ------
-        ConfigurationError
-            If the address makes no sense.
-        DataError
-            If nothing answers there, or the cluster has no workers.
-        """
-        threads = sum(self._client.nthreads().values())
-        if not threads:
+        try:
+            self._client = self._distributed.Client(address, timeout=_CONNECT_TIMEOUT)
+        except (ValueError, OSError) as error:
+            kind = ConfigurationError if isinstance(error, ValueError) else DataError
+            raise kind(f"--scheduler {address}: {' '.join(str(error).split())}") from None
+        self.workers = sum(self._client.nthreads().values())
+        if not self.workers:
             self._client.close()
-            raise DataError(f"--scheduler {self._address}: the cluster has no workers")
-        return int(threads)
+            raise DataError(f"--scheduler {address}: the cluster has no workers")
 
     def run(self, batches: Sequence[Batch]) -> Iterator[Results]:
         """As `Threads.run`."""
-        futures = [self._client.submit(run_batch, batch, pure=False) for batch in batches]
+        futures = self._client.map(run_batch, batches, pure=False)
         try:
             for future in self._distributed.as_completed(futures):
-                try:
-                    yield future.result()
-                except (self._distributed.KilledWorker, self._distributed.CancelledError) as error:
-                    raise DataError(f"a worker of the cluster died: {_line(error)}") from None
+                yield future.result()
+        except (self._distributed.KilledWorker, self._distributed.CancelledError) as error:
+            raise DataError(f"a worker of the cluster died: {error}") from None
         finally:
             self._client.cancel(futures)
             self._client.close()
 
-    @functools.cached_property
-    def _client(self) -> Any:
-        try:
-            return self._distributed.Client(self._address, timeout=_CONNECT_TIMEOUT)
-        except ValueError as error:
-            raise ConfigurationError(f"--scheduler {self._address}: {_line(error)}") from None
-        except OSError as error:
-            raise DataError(f"--scheduler {self._address}: no answer: {_line(error)}") from None
-
 
 Backend: TypeAlias = Threads | Dask
-
-
-def _line(error: Exception) -> str:
-    return " ".join(str(error).split())

@@ -10,11 +10,10 @@ from typing import Any, Final
 import numpy as np
 
 from armimp_bringup.study.conditions import LEVELS, Condition
-from armimp_bringup.study.report_plots import levels_chart, overlay_plot
+from armimp_bringup.study.figures import levels_chart, overlay_plot
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
-    LETTERS,
     MOST_JOINTS,
     SCORES,
     Score,
@@ -27,12 +26,9 @@ from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import (
     NONE,
-    code,
     mark,
-    number,
     setting,
     symbol,
-    written,
 )
 from armimp_estimation.report.look import LEVEL_DASHES, estimator_tag
 from armimp_estimation.report.page import Content, Section, Table, box, render_page
@@ -43,11 +39,8 @@ from armimp_estimation.report.settings import (
     assumptions_content,
     configuration,
     identity,
-    marked_origin,
 )
-from armimp_estimation.scores import NORMAL_95
 from armimp_estimation.summary import OriginSummary
-from armimp_estimation.verdict import Limits
 
 Curves = Callable[[Condition], Mapping[str, ImpedanceCurve]]
 _COUNTS: Final = ("", "one", "two", "three", "four", "five", "six", "seven")
@@ -55,12 +48,6 @@ _MOST_PROBLEMS: Final = 10
 _BUDGET: Final = 2_000_000  # bytes for all curves of a page
 _BYTES: Final = 2 * 4 * 4 / 3  # of a point of a line: two numbers of single precision in base64
 _POINTS: Final = (40, 160)
-_LEVELLED: Final[Mapping[str, tuple[str, tuple[str, ...]]]] = {
-    "friction": ("arm_sim", ("friction.",)),
-    "resolution": ("arm_sim", ("sensors.position.resolution", "sensors.torque.resolution")),
-    "perturbation": ("imbic_controller", ("perturbation.peak",)),
-}
-"""Node and beginnings of the parameters that each factor sets."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,7 +93,6 @@ class StudyReport:
         found: list[tuple[str, str, str, Content | None]] = [
             ("verdict", "Verdict", "study/verdict", self._verdict()),
             ("conditions", "Conditions", "study/conditions", self._conditions()),
-            ("accuracy", "Elements", "study/accuracy", self._accuracy()),
             ("impedance", "Impedance (Fig. 2)", "study/impedance", self._impedance()),
             (
                 "scores",
@@ -120,8 +106,6 @@ class StudyReport:
                 "study/levels",
                 self._by_level("coherence", coherence, COHERENCE_SCORES),
             ),
-            ("locking", "Locking", "study/locking", self._locking()),
-            ("levels", "Levels", "study/meaning", self._meaning()),
             ("settings", "Settings", "report/settings", self._settings()),
             (
                 "assumptions",
@@ -176,20 +160,14 @@ class StudyReport:
                 invalid = f"{len(verdict.problems)} of {verdict.conditions} conditions not valid"
                 parts.append(invalid)
             title = ", ".join(parts)
-        worst = {
-            name: [one for one in verdict.worst if one.estimator == name]
-            for name in self._estimators
-        }
-        seeds = len(self._seeds) > 1
         groups = [
-            (name, [_worst_row(one, seeds=seeds) for one in worst[name]])
+            (name, [self._worst_row(one) for one in verdict.worst if one.estimator == name])
             for name in self._estimators
         ]
         columns = ["quantity", "worst", "target", "verdict", "element", "condition"]
         return {
             "title": title,
             "met": verdict.met,
-            "joints": verdict.joints,
             "missed": [str(one) for one in missed],
             "unresolved": f"{100.0 * verdict.unresolved:.1f}" if verdict.unresolved else None,
             "problems": advised(verdict.problems[:_MOST_PROBLEMS]),
@@ -197,34 +175,18 @@ class StudyReport:
             "worst": Table(
                 caption="Worst values and targets", columns=columns, groups=groups, words=(3, 4, 5)
             ),
-            "seeds": self._spread(worst) if seeds else None,
         }
 
-    def _spread(self, worst: Mapping[str, Sequence[WorstValue]]) -> Table:
-        """How the worst values differ between seeds."""
-        groups = []
-        for name in self._estimators:
-            rows, table = [], self._of(name)
-            for one in worst[name]:
-                score = one.score
-                values, _ = score.worst(table, judged=one.limit is not None)
-                seeds = table["seed"][:, 0, 0]
-                of_each = (values[seeds == seed] for seed in self._seeds)
-                of_seeds = np.array([one[np.argmax(score.badness(one))] for one in of_each])
-                of_seeds = of_seeds[np.argsort(score.badness(of_seeds))]
-                met = NONE
-                if (limit := one.limit) is not None:
-                    within = sum(score.meets(float(value), limit) for value in of_seeds)
-                    met = f"{within} of {len(of_seeds)}"
-                shown = of_seeds[-1], np.median(of_seeds), of_seeds[0]
-                rows.append([_named(score), *map(score.format, shown), met])
-            groups.append((name, rows))
-        columns = ["worst value of a seed", "worst seed", "median seed", "best seed"]
-        return Table(
-            caption=f"Spread over {len(self._seeds)} seeds",
-            columns=[*columns, "seeds in target"],
-            groups=groups,
-        )
+    def _worst_row(self, one: WorstValue) -> list[object]:
+        place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
+        return [
+            one.quantity,
+            _shown(one.score, one.worst),
+            one.target,
+            "not judged" if one.met is None else mark(one.met),
+            symbol(one.element[0], one.element[1:]),
+            f"{place}, seed {one.seed}" if len(self._seeds) > 1 else place,
+        ]
 
     # --- conditions ----------------------------------------------------------------------------
 
@@ -242,7 +204,7 @@ class StudyReport:
             groups.append((name, rows))
         table = Table(
             caption="Worst value in each condition",
-            columns=["condition", *map(_named, SCORES)],
+            columns=["condition", *(score.name for score in SCORES)],
             groups=groups,
         )
         return {"seeds": len(self._seeds), "table": table}
@@ -254,53 +216,6 @@ class StudyReport:
             key = one.friction, one.resolution, one.perturbation
             groups.setdefault(key, []).append(place)
         return dict(sorted(groups.items()))
-
-    def _locking(self) -> Content | None:
-        """How still the held joints were in the worst trial; None where none is held."""
-        n, limits = self.entries[0].joints, Limits()
-        if n == 1:
-            return None
-        held = np.where(np.eye(n, dtype=np.bool_), 0.0, self.table["lock_ratio"][:, 0])
-        worst = [
-            f"{what}: at most {100.0 * float(values.max()):.3f} % (limit {100.0 * limit:g} %)"
-            for what, limit, values in (
-                ("motion of held joints", limits.lock_ratio, held),
-                ("bias that it may cause", limits.bias_bound, self.table["bias_bound"][:, 0]),
-            )
-        ]
-        return {"worst": "; ".join(worst).capitalize()}
-
-    # --- elements ------------------------------------------------------------------------------
-
-    def _accuracy(self) -> Content:
-        """Largest errors of each element over all conditions."""
-        groups = [
-            (name, [self._error_row(self._of(name), letter) for letter in LETTERS])
-            for name in self._estimators
-        ]
-        columns = ["matrix", "allowed with two joints"]
-        columns += ["within", "worst", "element"] * 2 + ["within 1.96 s.e."]
-        spans = [("", 2), ("relative error", 3), ("scaled error", 3), ("", 1)]
-        caption = "Largest errors of M, B and K"
-        return {"table": Table(caption=caption, columns=columns, groups=groups, spans=spans)}
-
-    def _error_row(self, table: Results, letter: str) -> list[object]:
-        """Allowed and largest errors of a matrix by one estimator, and how many are covered."""
-        name = "B error" if letter == "B" else "M, K error"
-        score = next(one for one in SCORES if one.name == name)
-        allowed = score.limit(2, table["estimator"].flat[0])
-        row: list[object] = [symbol(letter), NONE if allowed is None else f"{allowed:g} %"]
-        for kind in ("error", "scaled_error"):
-            worst = np.abs(table[f"{letter}_{kind}_percent"]).max(axis=0)
-            i, k = np.unravel_index(int(np.argmax(worst)), worst.shape)
-            within = NONE if allowed is None else f"{(worst <= allowed).sum()} of {worst.size}"
-            place = symbol(letter, f"{i + 1}{k + 1}")
-            # Three digits, without an exponent.
-            spec = ".0f" if worst[i, k] >= 100.0 else ".3g"
-            row += [within, number(float(worst[i, k]), spec, "%"), place]
-        off = np.abs(table[letter] - getattr(self._truth, letter))
-        covered = float(np.mean(off <= NORMAL_95 * table[f"{letter}_se"]))
-        return [*row, number(100.0 * covered, ".0f", "%")]
 
     # --- curves and levels ---------------------------------------------------------------------
 
@@ -360,47 +275,11 @@ class StudyReport:
 
     # --- settings ------------------------------------------------------------------------------
 
-    def _meaning(self) -> Content | None:
-        """What the levels of each factor mean; None if the configuration does not tell."""
-        tables = [
-            self._parameters(factor, *of_factor)
-            for factor, of_factor in _LEVELLED.items()
-            if isinstance(setting(self.entries[0].config, of_factor[0]), Mapping)
-        ]
-        return {"tables": tables} if tables else None
-
-    def _parameters(self, factor: str, node: str, beginnings: tuple[str, ...]) -> Table:
-        first = self.entries[0].config
-        by_level = {getattr(entry, factor): entry.config for entry in reversed(self.entries)}
-        levels = sorted(by_level)
-        rows: list[list[object]] = [
-            [
-                code(name),
-                *(written(setting(by_level[level], node, name)) for level in levels),
-                marked_origin(first, node, name),
-            ]
-            for name in setting(first, node)
-            if name.startswith(beginnings)
-        ]
-        return Table(
-            caption=factor.capitalize(),
-            columns=["parameter", *(f"level {level}" for level in levels), "where from"],
-            groups=[(None, rows)],
-            words=(len(levels) + 1,),
-        )
-
     def _settings(self) -> Content:
         """Software, seeds, and the configuration but for what the levels set."""
         config: dict[str, Any] = dict(self.entries[0].config)
-        runs: list[list[int]] = []
-        for seed in self._seeds:
-            if runs and seed == runs[-1][1] + 1:
-                runs[-1][1] = seed
-            else:
-                runs.append([seed, seed])
-        words = (f"{first} to {last}" if last > first else f"{first}" for first, last in runs)
         return {
-            "identity": identity(config, ", ".join(words)),
+            "identity": identity(config, ", ".join(map(str, self._seeds))),
             "reading": None,
             "conditions": True,
             "tables": configuration(config),
@@ -417,22 +296,6 @@ def _present(entries: Sequence[StudyEntry], factor: str) -> str:
 
 def _shown(score: Score, value: float) -> str:
     return NONE if math.isnan(value) else score.format(value)
-
-
-def _named(score: Score) -> str:
-    return score.name.replace("scaled", "error, scaled")
-
-
-def _worst_row(one: WorstValue, *, seeds: bool) -> list[object]:
-    place = f"F{one.friction} R{one.resolution} P{one.perturbation}"
-    return [
-        _named(one.score),
-        _shown(one.score, one.worst),
-        one.target,
-        "not judged" if one.met is None else mark(one.met),
-        symbol(one.element[0], one.element[1:]),
-        f"{place}, seed {one.seed}" if seeds else place,
-    ]
 
 
 def _thinned(curve: ImpedanceCurve, points: int) -> ImpedanceCurve:

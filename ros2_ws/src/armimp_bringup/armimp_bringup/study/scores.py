@@ -32,7 +32,7 @@ MOST_JOINTS: Final = 3
 """With more joints, figures draw the elements of a row together; there would be too many marks."""
 _LEVELS: Final = ("friction", "resolution", "perturbation", "seed")
 _SCORES: Final = ("r2", "coherence_derived", "coherence_torque", "coherence_motion")
-_ERRORS: Final = ("", "_se", "_error_percent", "_scaled_error_percent")
+_ERRORS: Final = ("", "_se", "_error_percent")
 _TYPE: Final = np.dtype(
     [
         *((name, np.int64) for name in _LEVELS),
@@ -53,9 +53,7 @@ _TYPE: Final = np.dtype(
 def results_table(entries: Sequence[StudyEntry]) -> Table:
     """Table of the results of a study.
 
-    Relative errors are those of an element of M, B or K against its true value. The scaled error of
-    ``X_ik`` is relative to ``sqrt(|X_ii X_kk|)`` of the truth: what is tiny beside its diagonal may
-    be wrong by far more than its own size, and still not matter.
+    Errors are those of an element of M, B or K relative to its true value.
 
     Parameters
     ----------
@@ -90,17 +88,10 @@ def results_table(entries: Sequence[StudyEntry]) -> Table:
                 rows[letter] = getattr(result, letter)
                 rows[f"{letter}_se"] = getattr(result, f"{letter}_se")
                 true = getattr(truth, letter)
-                off = 100.0 * (rows[letter] - true)
-                rows[f"{letter}_error_percent"] = _over(off, np.abs(true))
-                diagonal = np.abs(np.diag(true))
-                size = np.sqrt(np.outer(diagonal, diagonal))
-                rows[f"{letter}_scaled_error_percent"] = _over(off, size)
+                off, error = 100.0 * (rows[letter] - true), rows[f"{letter}_error_percent"]
+                error[:] = np.nan  # where the true value is zero
+                np.divide(off, np.abs(true), out=error, where=true != 0.0)
     return table
-
-
-def _over(values: FloatArray, size: FloatArray) -> FloatArray:
-    """Quotient; NaN where the size is zero."""
-    return np.divide(values, size, out=np.full_like(values, np.nan), where=size != 0.0)
 
 
 def torque_in_counts(entry: StudyEntry, truth: MBK, f: FloatArray) -> FloatArray | None:
@@ -255,8 +246,8 @@ class Score:
         }
 
 
-def _error(name: str, letters: str, kind: str = "error", **limits: float) -> Score:
-    fields = tuple(f"{letter}_{kind}_percent" for letter in letters)
+def _error(name: str, letters: str, **limits: float) -> Score:
+    fields = tuple(f"{letter}_error_percent" for letter in letters)
     return Score(name=name, fields=fields, unit=" %", floor=False, digits=2, limits=limits)
 
 
@@ -281,10 +272,8 @@ SCORES: Final = (
     _DERIVED,
     _error("M, K error", "MK", welch_siso=3.0, lpm_full=0.5),
     _error("B error", "B", welch_siso=8.0, lpm_full=0.5),
-    _error("M, K scaled", "MK", "scaled_error"),
-    _error("B scaled", "B", "scaled_error"),
 )
-"""What the verdict looks at. Scaled errors have no targets."""
+"""What the verdict looks at."""
 FIT_SCORES: Final = (_VAF, _R2)
 """Those of Figure 3 of the paper."""
 COHERENCE_SCORES: Final = (
