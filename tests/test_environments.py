@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from support.runs import FinishedRun
+
 PATIENCE = 120.0
 RUN = ["run", "--duration", "2"]
 ESTIMATE = ["estimate"]
@@ -36,23 +38,18 @@ def armimp(
 
 
 @pytest.fixture(scope="module")
-def bags(request: pytest.FixtureRequest) -> list[str]:
-    composed = request.getfixturevalue("composed")
-    return [str(path) for path in sorted((composed.directory / "bags").iterdir())]
+def bags(composed: FinishedRun) -> list[str]:
+    return [str(path) for path in composed.bags]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variables",
     [
         {"PYTHONIOENCODING": "ascii"},
-        pytest.param({"PYTHONIOENCODING": "latin-1"}, marks=pytest.mark.slow),
-        pytest.param(
-            {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}, marks=pytest.mark.slow
-        ),
-        pytest.param(
-            {"LC_ALL": "xx_YY.none", "TERM": "dumb", "TMPDIR": "/does/not/exist"},
-            marks=pytest.mark.slow,
-        ),
+        {"PYTHONIOENCODING": "latin-1"},
+        {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+        {"LC_ALL": "xx_YY.none", "TERM": "dumb", "TMPDIR": "/does/not/exist"},
     ],
     ids=["ascii", "latin-1", "C", "unknown"],
 )
@@ -65,13 +62,14 @@ def test_letters_that_the_terminal_does_not_have_cost_no_result(
     assert armimp([*ESTIMATE, "--json", *bags], variables).stdout.isascii()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shell", "status", "said"),
     [
-        pytest.param('"$@" >&-', 0, b"", marks=pytest.mark.slow),
-        pytest.param('"$@" <&- >&- 2>&-', 0, b"", marks=pytest.mark.slow),
+        ('"$@" >&-', 0, b""),
+        ('"$@" <&- >&- 2>&-', 0, b""),
         ('"$@" >/dev/full', 1, b"armimp: No space left on device"),
-        pytest.param('"$@" | head -0; exit ${PIPESTATUS[0]}', 1, b"", marks=pytest.mark.slow),
+        ('"$@" | head -0; exit ${PIPESTATUS[0]}', 1, b""),
     ],
     ids=["closed", "all closed", "full", "reader gone"],
 )
@@ -94,6 +92,7 @@ def test_no_home_is_needed(tmp_path: Path, home: str | None) -> None:
     assert all(line.startswith(b"trial ") for line in done.stderr.splitlines()), done.stderr
 
 
+@pytest.mark.slow
 def test_a_directory_that_cannot_be_written_is_one_line() -> None:
     done = armimp([*RUN], cwd=Path("/proc"))
     assert done.returncode == 2

@@ -77,6 +77,7 @@ def test_graph_and_its_bags_give_the_same_results(composed: FinishedRun) -> None
     assert summary == composed.summary
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_perturbation_and_motion(
     composed: FinishedRun, other_seed: FinishedRun
 ) -> None:
@@ -116,6 +117,7 @@ def test_trials_perturb_one_joint_after_the_other(composed: FinishedRun) -> None
         assert [status.joint_name for status in trial.statuses] == [names[k]] * 3
 
 
+@pytest.mark.slow
 def test_an_optimal_multisine_goes_the_same_way(run: Run) -> None:
     options: dict[str, Any] = {"perturbation_kind": "optimal", "duration": 5.0}
     finished = run(**options)

@@ -51,14 +51,22 @@ def test_nodes_of_others_run_one_experiment_after_another_with_the_usual_result(
     started: Processes, tmp_path: Path, composed: FinishedRun
 ) -> None:
     first = run_experiment(config(), tmp_path / "first").summary
-    second = run_experiment(config(joints=1, seed=2), tmp_path / "second").summary
+    second = run_experiment(config(seed=2), tmp_path / "second").summary
 
     assert first.problems == composed.summary.problems
-    assert [trial.lost for trial in (*first.trials, *second.trials)] == [0] * 3
-    assert (first.joints, second.joints) == (2, 1)
+    assert [trial.lost for trial in (*first.trials, *second.trials)] == [0] * 4
+    assert (first.seed, second.seed) == (1, 2)
     FinishedRun(directory=tmp_path / "first", summary=first).assert_same_streams(composed)
     assert all(process.poll() is None for process in started.values())
     assert os.environ["ROS_DOMAIN_ID"]
+
+
+@pytest.mark.slow
+def test_the_next_experiment_may_have_other_joints(started: Processes, tmp_path: Path) -> None:
+    numbers = (2, 1, 3)
+    runs = [run_experiment(config(joints=one), tmp_path / f"{one}").summary for one in numbers]
+    assert [one.joints for one in runs] == list(numbers)
+    assert [trial.lost for one in runs for trial in one.trials] == [0] * 6
 
 
 @pytest.mark.slow

@@ -39,7 +39,7 @@ from armimp_sim.realtime_simulator import RealtimeSimulator
 from armimp_sim.simulator import SimulatedRig
 from support.priority import permitted_priority
 from support.processes import processes_of
-from support.runs import FinishedRun, Run
+from support.runs import FinishedRun
 
 SECONDS = 2.0
 PATIENCE = 100
@@ -54,8 +54,7 @@ def config(**options: Any) -> ExperimentConfig:
     return ExperimentConfig.model_validate(
         {
             "mode": "realtime",
-            "joints": 1,
-            "imbic_controller": {"sequence.duration": SECONDS},
+            "duration": SECONDS,
             **options,
         }
     )
@@ -161,9 +160,9 @@ def test_when_every_command_is_in_time_expect_a_valid_result_with_its_timing(
 
 
 def test_when_every_command_is_in_time_expect_the_bits_of_lockstep(
-    in_time: FinishedRun, shared_run: Run
+    in_time: FinishedRun, composed: FinishedRun
 ) -> None:
-    in_time.assert_same_streams(shared_run(joints=1))
+    in_time.assert_same_streams(composed)
 
 
 def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -> None:
@@ -181,6 +180,7 @@ def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -
         assert summary.timing.max_latency == live.timing.max_latency
 
 
+@pytest.mark.slow
 def test_when_commands_come_after_the_next_sample_expect_each_counted_and_no_valid_result(
     tmp_path: Path,
 ) -> None:
@@ -194,6 +194,7 @@ def test_when_commands_come_after_the_next_sample_expect_each_counted_and_no_val
     assert_verdict_fits(summary)
 
 
+@pytest.mark.slow
 def test_when_commands_fall_six_periods_behind_expect_the_rig_to_end_the_run(
     tmp_path: Path,
 ) -> None:
@@ -216,7 +217,7 @@ def patient() -> ExperimentConfig:
     return config(
         priority=permitted_priority(),
         arm_sim={"watchdog_ticks": PATIENCE},
-        imbic_controller={"sequence.duration": SECONDS, "safety.watchdog_ticks": PATIENCE},
+        imbic_controller={"safety.watchdog_ticks": PATIENCE},
     )
 
 

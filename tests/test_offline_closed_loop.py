@@ -94,6 +94,7 @@ def _shown(
     return complex(net / theta), complex(target)
 
 
+@pytest.mark.slow
 def test_score_of_the_realisation_is_what_sines_show_of_the_robot() -> None:
     pd: dict[str, JsonValue] = {"law": {"kind": "pd"}}
     configs = [
@@ -141,6 +142,7 @@ def test_after_the_perturbation_all_joints_return_to_the_posture(friction: int) 
     assert np.max(np.abs(position[:, 3500:])) < 5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("friction", "level"), [(0, 3), (3, 1), (3, 3)])
 def test_with_an_observer_drives_can_follow_and_the_arm_feels_little(
     friction: int, level: int

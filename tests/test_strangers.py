@@ -17,7 +17,7 @@ from support.graph import PATIENCE
 from support.strangers import BASE, Case, cases, disturbed, judged
 
 SEED = 1
-pytestmark = pytest.mark.usefixtures("environment")
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("environment")]
 
 
 def after(kind: str, directory: Path, moment: str = "during", **options: Any) -> Summary:
@@ -30,11 +30,11 @@ def after(kind: str, directory: Path, moment: str = "during", **options: Any) ->
 @pytest.mark.parametrize(
     ("kind", "processes", "who"),
     [
-        pytest.param("zero command", "composed", "/stranger", marks=pytest.mark.slow),
-        pytest.param("zero command", "separate", "/stranger", marks=pytest.mark.slow),
+        ("zero command", "composed", "/stranger"),
+        ("zero command", "separate", "/stranger"),
         ("zero command, leaves", "composed", "/imbic_controller"),
         ("wrong numbers", "composed", "/stranger"),
-        pytest.param("wrong numbers", "separate", "/stranger", marks=pytest.mark.slow),
+        ("wrong numbers", "separate", "/stranger"),
     ],
 )
 def test_one_command_of_somebody_else_is_a_fault_with_who_and_when(
@@ -81,7 +81,6 @@ def test_a_parameter_that_somebody_else_has_set_is_named_and_no_trial_begins(
     assert active["arm_sim"]["ros__parameters"]["sensors.torque.gain"] == [1.3, 1.3]
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("options", [{}, {"processes": "separate"}], ids=["composed", "separate"])
 def test_whatever_a_stranger_does_a_valid_result_is_that_of_the_undisturbed_run(

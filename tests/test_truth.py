@@ -15,25 +15,30 @@ from research.independent_rig import Mismatch, arm_of, changed, simulate, write_
 from research.truth import NOISE, cases, outcome
 
 CASES = cases()
-QUICK = (
-    "ideal",
-    "after",
-    "command late 0.5 ms",
-    "torque sign",
-    "torque gain of joint 2 0.9",
-    "torque larger in one direction 0.1",
-    "torque compressed 0.03",
-    "gain that grows 0.02",
-    "short-range stiffness 1",
-    "amplitude-dependent 0.1",
-    "friction 2 N·m",
-    "reflex 0.3, 40 ms",
-    "voluntary 0.3 N·m",
-    "sticking, voluntary 0.7 N·m",
+QUICK = {("ideal", 11), ("torque gain of joint 2 0.9", 11), ("voluntary 0.3 N·m", 11)}
+ONCE_WRONG = {
+    # Noise hides the cuff in some elements; the intervals of all must hold it.
+    ("cuff, voluntary 0.3 N·m 100 kN·m/rad", 5),
+    # Stiffness falls while a person pushes.
+    ("amplitude-dependent, voluntary 0.3 N·m 0.1", 0),
+    ("amplitude-dependent, voluntary 0.3 N·m 0.1", 3),
+    # All lines of a multisine make neither an arm look bent nor a transducer linear.
+    ("multisine", 0),
+    ("torque compressed, multisine 0.03", 0),
+    # Coarse encoders miss motion of a joint that friction holds.
+    ("sticking 1 N·m, 0.0005 rad", 25),
+    # What a person does neither hides a bent transducer nor looks like friction.
+    ("torque larger in one direction, voluntary 0.3 N·m", 1),
+    ("voluntary and tremor 1 N·m", 1),
+}
+SLOW = sorted(ONCE_WRONG | {(name, 0) for name in CASES})
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [*sorted(QUICK), *(pytest.param(*one, marks=pytest.mark.slow) for one in SLOW)],
 )
-
-
-def judge(name: str, seed: int) -> None:
+def test_what_is_valid_is_right_and_noise_is_valid(name: str, seed: int) -> None:
     kind, mismatch = CASES[name]
     valid, worst, _, problems = outcome(mismatch, seed)
     assert not valid or worst <= 3.5, (worst, problems)
@@ -42,17 +47,7 @@ def judge(name: str, seed: int) -> None:
     assert valid or problems
 
 
-@pytest.mark.parametrize("name", QUICK)
-def test_what_is_valid_is_right_and_noise_is_valid(name: str) -> None:
-    judge(name, seed=11)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(set(CASES) - set(QUICK)))
-def test_what_is_valid_is_right_in_each_class(name: str) -> None:
-    judge(name, seed=0)
-
-
 @pytest.mark.parametrize("name", ["torque gain of joint 2 0.95", "cross-talk 2 %"])
 def test_what_the_balance_leaves_of_a_gain_is_in_the_intervals(name: str) -> None:
     valid, worst, percent, _ = outcome(CASES[name][1], seed=0)
@@ -61,38 +56,7 @@ def test_what_the_balance_leaves_of_a_gain_is_in_the_intervals(name: str) -> Non
     assert percent > 3.5, "one per cent, as assumed of any transducer, would not hold it"
 
 
-def test_a_soft_cuff_that_noise_hides_in_some_elements_is_in_the_intervals_of_all() -> None:
-    judge("cuff, voluntary 0.3 N·m 100 kN·m/rad", seed=5)
-
-
-@pytest.mark.parametrize("seed", [0, 3])
-def test_stiffness_that_falls_while_a_person_pushes_is_in_the_intervals_or_refused(
-    seed: int,
-) -> None:
-    judge("amplitude-dependent, voluntary 0.3 N·m 0.1", seed)
-
-
-@pytest.mark.parametrize("name", ["multisine", "torque compressed, multisine 0.03"])
-def test_all_lines_of_a_multisine_neither_make_an_arm_look_bent_nor_a_transducer_linear(
-    name: str,
-) -> None:
-    judge(name, seed=0)
-
-
-def test_what_coarse_encoders_miss_of_a_joint_that_friction_holds_is_in_the_intervals() -> None:
-    judge("sticking 1 N·m, 0.0005 rad", seed=25)
-
-
-@pytest.mark.parametrize(
-    "name", ["torque larger in one direction, voluntary 0.3 N·m", "voluntary and tremor 1 N·m"]
-)
-def test_what_a_person_does_neither_hides_a_bent_transducer_nor_looks_like_friction(
-    name: str,
-) -> None:
-    judge(name, seed=1)
-
-
-@pytest.mark.parametrize("level", [0.5, 1.0])
+@pytest.mark.parametrize("level", [0.5, pytest.param(1.0, marks=pytest.mark.slow)])
 def test_one_torque_that_is_read_for_both_joints_is_refused(level: float) -> None:
     twice = changed(torque=lambda torque: np.repeat(torque[:1], 2, axis=0))
     valid, _, _, problems = outcome(Mismatch(duration=10.0, level=level, readings=twice), seed=0)
@@ -105,13 +69,13 @@ READINGS: dict[str, dict[str, bool]] = {
     "after": {"after": True},
     "mean": {"mean": True},
 }
-QUICK_BAGS = {(800.0, "mean", False), (500.0, "before", True)}
+QUICK_BAG = (800.0, "mean", False)
 
 
 @pytest.mark.parametrize(
     ("rate", "reading", "commands"),
     [
-        pytest.param(*one, marks=() if one in QUICK_BAGS else pytest.mark.slow)
+        pytest.param(*one, marks=() if one == QUICK_BAG else pytest.mark.slow)
         for one in itertools.product((500.0, 800.0, 1000.0, 2000.0), READINGS, (True, False))
     ],
 )

@@ -69,7 +69,7 @@ def _controller(config: SafetyParameters) -> Controller | None:
         return None  # the ramp does not fit the rate
 
 
-@settings(deadline=None, max_examples=100)
+@settings(deadline=None, max_examples=50)
 @given(
     configs(),
     st.lists(st.lists(SENSIBLE | ANY, min_size=6, max_size=6), min_size=1, max_size=12),
@@ -275,19 +275,14 @@ def campaign(sequences: int, seed: int) -> tuple[dict[str, int], list[int]]:
     return dict(zip(PROMISES, broken.tolist(), strict=True)), counts.tolist()
 
 
-def test_three_hundred_random_sequences_break_no_promise() -> None:
-    violations, (faults, poisoned, clipped) = campaign(300, seed=2026)
-    assert violations == dict.fromkeys(PROMISES, 0)
-    # It was no walk in the park.
-    assert min(faults, poisoned) > 150
-    assert clipped > 3000
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_million_random_sequences_break_no_promise(figures: Figures) -> None:
-    violations, (faults, *_) = campaign(1_000_000, seed=1)
+    violations, (faults, poisoned, clipped) = campaign(1_000_000, seed=1)
     assert violations == dict.fromkeys(PROMISES, 0)
+    # It was no walk in the park.
+    assert min(faults, poisoned) > 500_000
+    assert clipped > 10_000_000
     figures.add(
         "safety limiter fed a random sequence of 80 ticks",
         1_000_000,

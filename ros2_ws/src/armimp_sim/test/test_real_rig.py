@@ -18,6 +18,7 @@ from armimp_sim.model.arm import HumanArm
 from armimp_sim.model.drives import ActuatorParameters
 from armimp_sim.model.friction import LuGre
 from armimp_sim.model.muscle import CuffParameters, MuscleParameters, ReflexParameters
+from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, PlantConfig
@@ -203,15 +204,26 @@ def test_a_vector_that_does_not_fit_the_joints_is_refused() -> None:
         config(drift=(1.0, 2.0, 3.0))
 
 
+SINGLE = presets.human_arm(1)
 ONE = PlantConfig(
-    arm=presets.human_arm(1),
-    robot=presets.robot(1),
-    friction=(LuGre.none(),),
+    arm=HumanArm(
+        posture=np.repeat(SINGLE.posture, 2),
+        inertia=SINGLE.inertia * np.eye(2),
+        damping=SINGLE.damping * np.eye(2),
+        stiffness=SINGLE.stiffness * np.eye(2),
+    ),
+    robot=PlanarChain(
+        lengths=np.zeros(2),
+        moments=np.append(presets.robot(1).moments, 1e-12),
+        masses=np.zeros(2),
+        centres=np.zeros(2),
+    ),
+    friction=(LuGre.none(),) * 2,
     sensors=SensorParameters(),
     substeps=SUBSTEPS,
 )
-"""One joint without friction, which is linear: all of it has closed forms."""
-PUSHES = np.repeat(np.random.default_rng(7).uniform(-4.0, 4.0, (30, 1)), 10, axis=0)
+"""One joint without friction, which is linear: all of it has closed forms. The other one rests."""
+PUSHES = np.repeat(np.random.default_rng(7).uniform(-4.0, 4.0, (30, 1)), 10, axis=0) * [1.0, 0.0]
 
 
 def torques(plant: PlantConfig) -> tuple[Array, Array, Array, Array]:
@@ -220,7 +232,7 @@ def torques(plant: PlantConfig) -> tuple[Array, Array, Array, Array]:
     Of one joint at each tick, from states and readings by the equations of motion.
     """
     states, load = run(plant, PUSHES)
-    q, v = states[:, 0, -1] - plant.arm.posture[0], states[:, 1, -1]
+    q, v = states[:, 0, 0] - plant.arm.posture[0], states[:, 1, 0]
     M, B, K = (
         float(one[0, 0]) for one in (plant.arm.inertia, plant.arm.damping, plant.arm.stiffness)
     )
@@ -235,9 +247,16 @@ def torques(plant: PlantConfig) -> tuple[Array, Array, Array, Array]:
 
 def test_behind_a_cuff_the_transducers_feel_arm_and_cuff_in_series() -> None:
     k, b = 1e4, 20.0
-    soft = replace(ONE, cuff=CuffParameters(stiffness=k, damping=b))
-    M, B, K = (float(one[0, 0]) for one in (ONE.arm.inertia, ONE.arm.damping, ONE.arm.stiffness))
-    robot = ONE.robot.moments[0]
+    soft = PlantConfig(
+        arm=SINGLE,
+        robot=presets.robot(1),
+        friction=(LuGre.none(),),
+        sensors=SensorParameters(),
+        substeps=SUBSTEPS,
+        cuff=CuffParameters(stiffness=k, damping=b),
+    )
+    M, B, K = (float(one[0, 0]) for one in (SINGLE.inertia, SINGLE.damping, SINGLE.stiffness))
+    robot = soft.robot.moments[0]
     system = [
         [0.0, 1.0, 0.0, 0.0],
         [-k / robot, -b / robot, k / robot, b / robot],
@@ -252,10 +271,10 @@ def test_behind_a_cuff_the_transducers_feel_arm_and_cuff_in_series() -> None:
         np.zeros((2, 1)),
     )
     discrete = signal.dlti(*signal.cont2discrete(given, 1e-3)[:4], dt=1e-3)
-    _, expected, _ = signal.dlsim(discrete, np.append(PUSHES, [[0.0]], axis=0))
+    _, expected, _ = signal.dlsim(discrete, np.append(PUSHES[:, :1], [[0.0]], axis=0))
 
-    states, load = run(soft, PUSHES)
-    assert states[:, 0, 0] - ONE.arm.posture[0] == pytest.approx(expected[1:, 0], abs=1e-8)
+    states, load = run(soft, PUSHES[:, :1])
+    assert states[:, 0, 0] - SINGLE.posture[0] == pytest.approx(expected[1:, 0], abs=1e-8)
     assert load[:, 0] == pytest.approx(expected[1:, 1], abs=1e-5)
     assert np.max(np.abs(states[:, 0, 0] - states[:, 0, 1])) > 1e-4
 
