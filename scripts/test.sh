@@ -1,5 +1,6 @@
 #!/bin/sh
-# Run the tests: side by side on all processors, then those one by one that nothing may disturb.
+# Run the tests side by side on all processors; with --all also slow ones, and at last those one by
+# one that nothing may disturb.
 #
 # Usage: scripts/test.sh [--all] [ARGUMENT...], which pytest gets in both parts.
 set -eu
@@ -21,7 +22,10 @@ run() {
     fi
 }
 
-# One more than there are processors, as tests of the graph wait for one another now and then.
-run --numprocesses "$(($(nproc) + 1))" --dist loadfile -m "($chosen) and not alone" "$@"
-run -m "($chosen) and alone" "$@"
+# One more than there are processors, as tests of the graph wait for one another now and then. They
+# come first, so that what is left at the end is short.
+run --numprocesses "$(($(nproc) + 1))" --dist loadfile --no-loadscope-reorder \
+    -m "($chosen) and not alone" "$@"
+# None of the quick ones is alone.
+[ "$chosen" = 'not slow' ] || run -m alone "$@"
 exit "$worst"

@@ -181,7 +181,7 @@ EXPERIMENTS = st.one_of(
     ),
 )
 QUICK = settings(
-    max_examples=60,
+    max_examples=30,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )

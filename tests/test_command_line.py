@@ -1,15 +1,22 @@
-"""The command ``armimp`` as a user meets it: results, one clear line for errors, exit status."""
+"""The command ``armimp`` as a user meets it: in a terminal, results, errors, exit status."""
 
+import fcntl
 import json
+import os
+import pty
 import re
 import signal
+import struct
 import subprocess
 import sys
+import termios
 import time
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyte
 import pytest
 
 from armimp_bringup.cli import main
@@ -20,15 +27,76 @@ from armimp_estimation.bags import BagWriter, read_bag
 from support.bag_files import iterate_messages
 from support.processes import processes_of
 
+ROWS = 24
+PROGRAM = """
+import sys, pytest
+from armimp_bringup.cli import main
+from armimp_bringup.terminal import Display
+from support.telling import tell_by_samples
+
+def drawn(display, snapshot, show=Display.show):
+    show(display, snapshot)
+    display._refresh()
+
+with pytest.MonkeyPatch.context() as patch:
+    tell_by_samples(patch)
+    patch.setattr(Display, "show", drawn)
+    sys.exit(main(sys.argv[1:]))
+"""
+"""The command, which draws all of its progress rather than what there is once a second."""
 SHORT = ["run", "--duration", "2", "--seed", "5"]
 
 
+@dataclass(frozen=True, kw_only=True)
+class Seen:
+    """A finished short experiment, and the screen after each piece of output."""
+
+    directory: Path
+    screens: list[list[str]]
+
+
+def screens(command: list[str], columns: int) -> list[list[str]]:
+    """Run a command in a terminal, and return its screen after each piece of output."""
+    screen = pyte.Screen(columns, ROWS)
+    stream = pyte.ByteStream(screen)
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", ROWS, columns, 0, 0))
+    shared = str(Path(__file__).parent)
+    environment = {**os.environ, "TERM": "xterm-256color", "PYTHONPATH": shared}
+    for name in ("COLUMNS", "LINES", "NO_COLOR"):
+        environment.pop(name, None)
+    seen: list[list[str]] = []
+    with subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, env=environment
+    ) as process:
+        os.close(theirs)
+        while True:
+            try:
+                piece = os.read(ours, 1 << 16)
+            except OSError:  # so Linux tells that nobody is at the other end any more
+                break
+            # However much comes at once: what is drawn begins at the first column.
+            for part in re.split(rb"(?=\r)", piece):
+                stream.feed(part)
+                seen.append([line.rstrip() for line in screen.display])
+        assert process.wait() == 0
+    os.close(ours)
+    return seen
+
+
+def ran(directory: Path, columns: int) -> Seen:
+    command = [sys.executable, "-c", PROGRAM, *SHORT, "--out", str(directory)]
+    return Seen(directory=directory, screens=screens(command, columns))
+
+
 @pytest.fixture(scope="module")
-def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished short experiment."""
-    directory = tmp_path_factory.mktemp("experiment") / "A"
-    assert main([*SHORT, "--out", str(directory)]) == 0
-    return directory
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+    return ran(tmp_path_factory.mktemp("experiment") / "A", 80)
+
+
+@pytest.fixture(scope="module")
+def experiment(seen: Seen) -> Path:
+    return seen.directory
 
 
 def bags(directory: Path) -> list[str]:
@@ -219,3 +287,37 @@ def test_when_interrupted_expect_closed_bags_exit_status_1_and_no_process_left(
     assert summary["valid"] is False
     assert read_bag(bag).trials[0].record is not None
     assert not processes_of(out)
+
+
+def assert_shown(seen: Seen) -> None:
+    """The trials, the verdict, the place, and no progress any more."""
+    last = [line for line in seen.screens[-1] if line]
+    assert [line for line in last if "bags/trial_2_joint_2" in line]
+    assert "valid" in last
+    text = "".join(last)  # a long path goes over several lines
+    assert f"results in {seen.directory}" in text
+    assert "left" not in text
+    assert "drawing" not in text
+
+    bars = {line for screen in seen.screens for line in screen if "left" in line}
+    assert bars
+    for line in bars:
+        assert line.startswith("trial ")
+        assert "━" in line
+        assert line.endswith(" left")
+    phases = {
+        line.split(",")[0] for screen in seen.screens for line in screen if line.endswith(" s")
+    }
+    assert {"starting", "estimating", "drawing figures and report"} <= phases
+
+
+def test_the_last_screen_has_the_trials_the_verdict_and_the_place_and_no_progress(
+    seen: Seen,
+) -> None:
+    assert_shown(seen)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("columns", [100, 120])
+def test_a_wider_terminal_shows_the_same(columns: int, tmp_path: Path) -> None:
+    assert_shown(ran(tmp_path / "out", columns))

@@ -36,11 +36,8 @@ def names(findings: dict[str, Finding]) -> list[str]:
     return with_verdict(findings.values(), Verdict.FAIL)
 
 
-@pytest.mark.parametrize(
-    "driver",
-    [SIMULATOR, pytest.param(TEMPLATE, marks=pytest.mark.slow)],
-    ids=["simulator", "template"],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("driver", [SIMULATOR, TEMPLATE], ids=["simulator", "template"])
 def test_simulator_and_template_pass_every_check_that_lockstep_allows(
     start: Start, check: Check, driver: list[str]
 ) -> None:

@@ -29,8 +29,6 @@ from support.fault_figures import Figures
 from support.processes import processes_of
 from support.stalls import StallWitness
 
-pytestmark = pytest.mark.alone
-
 LIMIT = 0.2
 """Seconds after a death in which the others reach a safe state (safety requirement)."""
 LOST = 100
@@ -279,7 +277,7 @@ def assert_recorded(done: Kill) -> None:
 def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_orchestrator(
     tmp_path: Path, victim: str
 ) -> None:
-    done = kill(tmp_path, "perturb 1", victim, delay=1.0, blind=1.0, duration=100)
+    done = kill(tmp_path, "perturb 1", victim, delay=0.5, blind=5.0, duration=100)
 
     assert done.seen.torques
     assert_told(done)
@@ -290,7 +288,7 @@ def test_when_a_node_is_killed_in_a_trial_expect_the_others_safe_even_without_or
 
 
 def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(tmp_path: Path) -> None:
-    done = kill(tmp_path, "perturb 1", SUPERVISOR_NODE, delay=1.0, duration=100)
+    done = kill(tmp_path, "perturb 1", SUPERVISOR_NODE, delay=0.5, duration=100)
 
     assert done.seen.torques
     assert_told(done)
@@ -299,6 +297,7 @@ def test_when_the_orchestrator_is_killed_expect_the_nodes_safe_and_gone(tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 @pytest.mark.parametrize(
     ("phase", "victim"),
     [("start", SIM_NODE), ("configure", CONTROLLER_NODE), ("activate", ESTIMATOR_NODE)],
@@ -321,6 +320,7 @@ LENGTH_OF_OTHERS = 0.1
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 @pytest.mark.parametrize("moment", range(MOMENTS))
 @pytest.mark.parametrize("victim", [*NODES, SUPERVISOR_NODE])
 @pytest.mark.parametrize(

@@ -183,6 +183,7 @@ def test_node_and_study_take_the_same_tare_and_give_the_same_bits() -> None:
     assert tares[1][0] - tares[0][0] == pytest.approx(0.4 * 1.75, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_tare_beyond_its_limit_ends_the_study_as_it_ends_the_experiment() -> None:
     case = node_parameters(chosen({"offset": [7.0, 0.0]}, duration=10.0), None)
     with pytest.raises(DataError, match=r"the torque of shoulder reads 7 N·m at rest, tare\.limit"):
@@ -248,7 +249,7 @@ def test_of_the_realistic_rig_the_nodes_are_told_what_its_builder_knows() -> Non
     assert "arm_model" not in paper.estimator.bag_metadata()
 
 
-@pytest.mark.parametrize("joints", [1, 3, 7])
+@pytest.mark.parametrize("joints", [1, pytest.param(7, marks=pytest.mark.slow)])
 def test_the_realistic_rig_can_be_simulated_and_controlled_with_any_number_of_joints(
     joints: int,
 ) -> None:

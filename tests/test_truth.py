@@ -15,7 +15,7 @@ from research.independent_rig import Mismatch, arm_of, changed, simulate, write_
 from research.truth import NOISE, cases, outcome
 
 CASES = cases()
-QUICK = {("ideal", 11), ("torque gain of joint 2 0.9", 11), ("voluntary 0.3 N·m", 11)}
+QUICK = {("torque gain of joint 2 0.9", 11), ("voluntary 0.3 N·m", 11)}
 ONCE_WRONG = {
     # Noise hides the cuff in some elements; the intervals of all must hold it.
     ("cuff, voluntary 0.3 N·m 100 kN·m/rad", 5),

@@ -36,6 +36,7 @@ def recording(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_ten_lines_of_the_readme_identify_an_arm_from_arrays(recording: Path) -> None:
     program = lines()
     assert len(program.strip().splitlines()) <= 10

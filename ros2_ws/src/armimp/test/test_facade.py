@@ -17,14 +17,19 @@ def recording() -> armimp.Recording:
     return armimp.simulate(duration=20.0, seed=1)
 
 
+@pytest.fixture(scope="module")
+def result(recording: armimp.Recording) -> armimp.Result:
+    return armimp.identify(recording)
+
+
 def arrays_of(recording: armimp.Recording) -> tuple[list[np.ndarray], ...]:
     names = ("perturbation", "position", "torque")
     return tuple([getattr(one, name) for one in recording.trials] for name in names)
 
 
-def test_intervals_hold_the_arm_that_was_simulated(recording: armimp.Recording) -> None:
-    result = armimp.identify(recording)
-
+def test_intervals_hold_the_arm_that_was_simulated(
+    recording: armimp.Recording, result: armimp.Result
+) -> None:
     assert result.valid, result.problems
     assert recording.truth is not None
     held = 0
@@ -37,6 +42,7 @@ def test_intervals_hold_the_arm_that_was_simulated(recording: armimp.Recording) 
     assert result.Z.shape == result.Z_variance.shape == (2, 2, result.f.size)
 
 
+@pytest.mark.slow
 def test_transducers_that_show_nothing_of_locked_joints_are_refused(
     recording: armimp.Recording,
 ) -> None:
@@ -49,6 +55,7 @@ def test_transducers_that_show_nothing_of_locked_joints_are_refused(
     assert sum("0 counts of its resolution" in one for one in result.problems) == 2
 
 
+@pytest.mark.slow
 def test_an_encoder_that_begins_another_turn_is_named(recording: armimp.Recording) -> None:
     perturbation, position, torque = arrays_of(recording)
     position[0] = (position[0] - position[0].mean(axis=1, keepdims=True)) % (2.0 * np.pi)
@@ -59,9 +66,8 @@ def test_an_encoder_that_begins_another_turn_is_named(recording: armimp.Recordin
 
 
 def test_a_wider_level_makes_a_wider_interval_of_a_normal_distribution(
-    recording: armimp.Recording,
+    result: armimp.Result,
 ) -> None:
-    result = armimp.identify(recording)
     low, high = result.interval("K")
     assert np.allclose(high - low, 2 * 1.959964 * result.K_se)
     wide = result.interval("K", 0.99)
@@ -72,7 +78,7 @@ def test_a_wider_level_makes_a_wider_interval_of_a_normal_distribution(
 
 
 def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_found(
-    recording: armimp.Recording,
+    recording: armimp.Recording, result: armimp.Result
 ) -> None:
     perturbation, position, torque = arrays_of(recording)
     made = armimp.Recording.from_arrays(
@@ -84,7 +90,7 @@ def test_plain_arrays_give_the_bits_of_the_recording_and_the_perturbed_joint_is_
         timing="before_update",
     )
     assert [one.perturbed_joint for one in made.trials] == [0, 1]
-    assert np.array_equal(armimp.identify(made).K, armimp.identify(recording).K)
+    assert np.array_equal(armimp.identify(made).K, result.K)
 
 
 @pytest.mark.parametrize(

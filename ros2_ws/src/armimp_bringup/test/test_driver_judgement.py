@@ -330,8 +330,7 @@ def test_services_that_are_missing_or_silent_and_a_second_publisher_are_named(
     ]
 
 
-@pytest.mark.parametrize("friction", [1, 2, 3])
-@pytest.mark.parametrize("joint", [0, 1])
+@pytest.mark.parametrize(("friction", "joint"), [(1, 1), (3, 0)])
 def test_the_moment_at_which_torque_has_gone_is_found_within_ten_milliseconds(
     friction: int, joint: int
 ) -> None:

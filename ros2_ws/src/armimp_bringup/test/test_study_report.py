@@ -1,8 +1,9 @@
-"""The report and the figures of a study: what they say about the numbers they are given."""
+"""What a study leaves: its files, its report, and its figures of the numbers they are given."""
 
 from __future__ import annotations
 
 import html
+import json
 import re
 import struct
 from collections.abc import Sequence
@@ -19,6 +20,7 @@ from armimp_bringup.study.figures import impedance_figure, levels_figure, write_
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
     FIT_SCORES,
+    StudyVerdict,
     Table,
     judge,
     results_table,
@@ -26,6 +28,7 @@ from armimp_bringup.study.scores import (
 )
 from armimp_bringup.study.store import StudyEntry, read_study, saved_curves
 from armimp_bringup.study.study import run_study
+from armimp_common.errors import ConfigurationError
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 
@@ -33,11 +36,18 @@ BASE = ExperimentConfig(duration=4.0, estimators=("welch_siso", "lpm_full"))
 CONDITIONS = select_conditions(["friction=0+3,resolution=3,perturbation=1"], "1:3")
 
 
+TABLES = ("study.json", "results.csv", "verdict.json", "report.html")
+
+
 @pytest.fixture(scope="module")
-def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    directory = tmp_path_factory.mktemp("study")
-    run_study(BASE, CONDITIONS, directory, Threads(1), figures=False)
-    return directory
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, StudyVerdict]:
+    directory = tmp_path_factory.mktemp("study") / "new" / "folder"
+    return directory, run_study(BASE, CONDITIONS, directory, Threads(1), figures=False)
+
+
+@pytest.fixture(scope="module")
+def study(made: tuple[Path, StudyVerdict]) -> Path:
+    return made[0]
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +70,49 @@ def truth(entries: Sequence[StudyEntry]) -> MBK:
 @pytest.fixture(scope="module")
 def curves(study: Path) -> list[dict[str, ImpedanceCurve]]:
     return [saved_curves(study / "conditions", one) for one in CONDITIONS]
+
+
+def _bytes(directory: Path) -> dict[str, bytes]:
+    return {name: (directory / name).read_bytes() for name in TABLES}
+
+
+def test_study_leaves_all_its_files_and_no_others(study: Path) -> None:
+    found = {path.name for path in study.iterdir()}
+    assert found == {*TABLES, "config.json", "conditions"}
+    assert {path.name for path in (study / "conditions").iterdir()} == {
+        f"{one.name}.{suffix}" for one in CONDITIONS for suffix in ("json", "npz")
+    }
+
+
+def test_study_file_is_a_list_of_results_with_their_levels(study: Path) -> None:
+    content = json.loads((study / "study.json").read_text())
+    assert [
+        (one["friction"], one["resolution"], one["perturbation"], one["seed"]) for one in content
+    ] == [(c.friction, c.resolution, c.perturbation, c.seed) for c in CONDITIONS]
+    for one, condition in zip(content, CONDITIONS, strict=True):
+        assert one == json.loads((study / "conditions" / f"{condition.name}.json").read_text())
+        assert one["schema"] == 1
+        assert set(one["estimators"]) == set(BASE.estimators)
+
+
+def test_number_of_workers_makes_no_difference(
+    made: tuple[Path, StudyVerdict], tmp_path: Path
+) -> None:
+    directory, verdict = made
+    assert run_study(BASE, CONDITIONS, tmp_path / "out", Threads(3), figures=False) == verdict
+    stored = StudyVerdict.model_validate_json((directory / "verdict.json").read_bytes())
+    assert stored == verdict
+    assert _bytes(tmp_path / "out") == _bytes(directory)
+
+
+def test_a_directory_that_holds_something_is_refused_and_left_alone(study: Path) -> None:
+    before = _bytes(study)
+    with pytest.raises(ConfigurationError, match="is not empty, nothing is overwritten"):
+        run_study(BASE, CONDITIONS, study, Threads(1), figures=False)
+    assert _bytes(study) == before
+
+
+# --- report ------------------------------------------------------------------------------------
 
 
 def _words(page: str) -> str:

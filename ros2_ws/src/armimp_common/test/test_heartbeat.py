@@ -161,6 +161,7 @@ def test_when_a_process_ends_in_order_expect_that_it_left(
     assert watch.sentence == "other has left"
 
 
+@pytest.mark.slow
 @pytest.mark.alone
 def test_when_a_process_is_busy_without_end_expect_it_to_stay_alive(
     node: Node, spinner: Spinner, changes: list[Presence]

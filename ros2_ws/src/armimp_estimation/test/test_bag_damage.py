@@ -110,7 +110,7 @@ class TestTruncation:
         bag = write_foreign(tmp_path / "bag", typed(MESSAGES), storage=storage, mode=mode)
         file = storage_file(bag)
         whole = file.read_bytes()
-        step = max(len(whole) // 150, 1)
+        step = max(len(whole) // 50, 1)
         for size in (*range(40), *range(40, len(whole), step), len(whole) - 1):
             file.write_bytes(whole[:size])
             samples_or_refusal(bag)
@@ -127,7 +127,7 @@ class TestTruncation:
         )
         whole = file.read_bytes()
         samples: list[int] = []
-        for size in range(0, len(whole), max(len(whole) // 150, 1)):
+        for size in range(0, len(whole), max(len(whole) // 50, 1)):
             file.write_bytes(whole[:size])
             samples.append(samples_or_refusal(file))
         assert samples == sorted(samples)

@@ -66,7 +66,7 @@ def test_midway_between_before_and_after_the_jump_there_is_no_skew(
     assert left < 0.02 * late
 
 
-@pytest.mark.parametrize("rig", ["chattering", "smooth"])
+@pytest.mark.parametrize("rig", ["chattering", pytest.param("smooth", marks=pytest.mark.slow)])
 def test_viscosity_is_right_with_commands_and_nearly_so_without(
     rig: str, request: pytest.FixtureRequest
 ) -> None:
@@ -80,6 +80,7 @@ def test_viscosity_is_right_with_commands_and_nearly_so_without(
     np.testing.assert_allclose(viscosity(without, simultaneous), 1.0, atol=0.025)
 
 
+@pytest.mark.slow
 def test_commands_are_not_used_for_readings_that_are_means(smooth: list[TrialRecord]) -> None:
     config = LpmConfig(reading=TorqueReading(timing=TorqueTiming.INTERVAL_MEAN))
     without = [dataclasses.replace(record, command=None) for record in smooth]

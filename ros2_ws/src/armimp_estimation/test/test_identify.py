@@ -57,7 +57,14 @@ def test_when_nobody_declares_a_gain_and_no_command_confirms_it_expect_it_in_the
     assert (fit.K_se > 0.1 * np.abs(fit.mbk.K)).all()
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.5, 5.0), (2.0, 30.0), (5.0, 15.0)])
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [
+        (0.5, 5.0),
+        pytest.param(2.0, 30.0, marks=pytest.mark.slow),
+        pytest.param(5.0, 15.0, marks=pytest.mark.slow),
+    ],
+)
 def test_a_perturbation_without_power_in_a_part_of_the_band_gives_what_the_rest_tells(
     low: float, high: float
 ) -> None:

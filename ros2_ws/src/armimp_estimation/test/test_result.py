@@ -1,5 +1,6 @@
 """Results: one path for live and recorded trials, whatever is wrong as data, and the files."""
 
+import functools
 import json
 import math
 from collections.abc import Iterable, Sequence
@@ -121,21 +122,23 @@ def codes(result: Result) -> list[ProblemCode]:
     return [one.code for one in result.summary.problems]
 
 
-COMPLETE = result_of()
+@functools.cache
+def complete() -> Result:
+    return result_of()
 
 
 # --- from trials ------------------------------------------------------------------------------
 
 
 def test_complete_trials_give_a_valid_result_near_the_truth() -> None:
-    summary = COMPLETE.summary
+    summary = complete().summary
     assert (summary.valid, summary.problems) == (True, [])
     assert (summary.joints, summary.seed, summary.config) == (2, 5, {"friction": 0})
     assert [(one.k, one.ticks, one.lost) for one in summary.trials] == [
         (1, SAMPLES, 0),
         (2, SAMPLES, 0),
     ]
-    assert tuple(summary.estimators) == tuple(COMPLETE.curves) == ESTIMATORS
+    assert tuple(summary.estimators) == tuple(complete().curves) == ESTIMATORS
     for one in summary.estimators.values():
         # Short trials: the averaged spectra leak.
         np.testing.assert_allclose(one.M, TWO_JOINT_ARM.M, rtol=0.05)
@@ -197,7 +200,7 @@ def test_a_problem_that_is_known_beforehand_is_not_told_twice() -> None:
 def test_notes_and_problems_of_an_estimator_that_decides_nothing_leave_the_result_valid() -> None:
     note = Problem(code=ProblemCode.DELAY_CORRECTED, severity=Severity.NOTE)
     biased = Problem(code=ProblemCode.LOCK_RATIO, estimator="welch_siso")
-    summary = COMPLETE.summary.with_problems([note, biased])
+    summary = complete().summary.with_problems([note, biased])
     assert summary.valid
     assert summary.faults == []
     assert Verdict.of(summary.problems, "lpm_full").impedance
@@ -303,7 +306,7 @@ def test_trials_that_lost_samples_are_refused_or_estimated_from_their_intact_par
         assert estimator.vaf is not None
         assert np.min(estimator.vaf) > 99.0
     # Of records without gaps the result is the same.
-    assert bits(result_of(allow_gaps=True)) == bits(COMPLETE)
+    assert bits(result_of(allow_gaps=True)) == bits(complete())
 
 
 @pytest.mark.parametrize(("cause", "valid"), [(Cause.LIMIT, False), (Cause.SAMPLES_LOST, True)])
@@ -528,20 +531,20 @@ def test_any_finite_number_comes_back_and_others_as_nan(values: list[float]) -> 
 
 
 def test_files_hold_the_result_and_are_never_overwritten(tmp_path: Path) -> None:
-    COMPLETE.write(tmp_path)
+    complete().write(tmp_path)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    assert read_summary(tmp_path / "summary.json") == COMPLETE.summary
+    assert read_summary(tmp_path / "summary.json") == complete().summary
     assert set(read_frf(tmp_path / "frf.npz")) == set(ESTIMATORS)
     with pytest.raises(DataError, match=r"frf.npz: exists already"):
-        COMPLETE.write(tmp_path)
+        complete().write(tmp_path)
     with pytest.raises(DataError, match=r"summary.json: exists already"):
-        write_summary(tmp_path / "summary.json", COMPLETE.summary)
+        write_summary(tmp_path / "summary.json", complete().summary)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
     (tmp_path / "bare").mkdir()
     result_of([]).write(tmp_path / "bare")
     assert [path.name for path in (tmp_path / "bare").iterdir()] == ["summary.json"]
     with pytest.raises(DataError, match=r"nowhere/summary.json: cannot be written: No such file"):
-        write_summary(tmp_path / "nowhere" / "summary.json", COMPLETE.summary)
+        write_summary(tmp_path / "nowhere" / "summary.json", complete().summary)
 
 
 def curves_of(identification: Identification) -> dict[str, ImpedanceCurve]:

@@ -94,7 +94,10 @@ def test_a_robot_that_does_what_its_law_says_has_no_deviation_from_the_target() 
     assert np.isnan(unknown[:, 1:]).all()
 
 
-@pytest.mark.parametrize(("inertia", "closest", "furthest"), [(0.2, 0.0, 0.03), (0.22, 0.09, 0.11)])
+@pytest.mark.parametrize(
+    ("inertia", "closest", "furthest"),
+    [pytest.param(0.2, 0.0, 0.03, marks=pytest.mark.slow), (0.22, 0.09, 0.11)],
+)
 def test_the_interval_of_the_deviation_holds_that_of_the_loop_as_often_as_it_says(
     inertia: float, closest: float, furthest: float
 ) -> None:

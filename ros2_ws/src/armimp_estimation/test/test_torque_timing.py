@@ -36,6 +36,13 @@ LATE = {
     "everything": TorqueReading(cutoff=250.0, delay=0.0016, actuator_lag=0.0007),
 }
 late = pytest.mark.parametrize("reading", LATE.values(), ids=LATE.keys())
+latest = pytest.mark.parametrize(
+    "reading",
+    [
+        pytest.param(one, id=name, marks=() if name == "everything" else pytest.mark.slow)
+        for name, one in LATE.items()
+    ],
+)
 
 
 def images(reading: TorqueReading, power: int) -> NDArray[np.complex128]:
@@ -114,14 +121,14 @@ def errors(found: MBK) -> dict[str, float]:
     }
 
 
-@late
+@latest
 def test_jumps_are_found_behind_delay_and_filter(reading: TorqueReading) -> None:
     jump = update_jump([rig_record(joint, reading) for joint in range(2)], reading)
     assert jump is not None
     np.testing.assert_allclose(jump.torque, TRANSMISSION, atol=0.03 * np.max(TRANSMISSION))
 
 
-@late
+@latest
 def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: TorqueReading) -> None:
     records = [rig_record(joint, reading) for joint in range(2)]
     told = errors(fitted(records, reading))
@@ -136,7 +143,7 @@ def test_known_delay_and_filter_leave_no_error_and_unknown_ones_do(reading: Torq
         assert (error < 3.5 * getattr(fit, f"{name}_se")).all() or (fit.lack > 2.0).any()
 
 
-@late
+@latest
 def test_without_commands_the_skew_alone_leaves_little(reading: TorqueReading) -> None:
     records = [dataclasses.replace(rig_record(joint, reading), command=None) for joint in range(2)]
     left = errors(fitted(records, reading))
