@@ -165,6 +165,7 @@ def test_when_every_command_is_in_time_expect_the_bits_of_lockstep(
     in_time.assert_same_streams(composed)
 
 
+@pytest.mark.slow
 def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -> None:
     live = in_time.summary
 

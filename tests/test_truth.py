@@ -56,7 +56,8 @@ def test_what_the_balance_leaves_of_a_gain_is_in_the_intervals(name: str) -> Non
     assert percent > 3.5, "one per cent, as assumed of any transducer, would not hold it"
 
 
-@pytest.mark.parametrize("level", [0.5, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("level", [0.5, 1.0])
 def test_one_torque_that_is_read_for_both_joints_is_refused(level: float) -> None:
     twice = changed(torque=lambda torque: np.repeat(torque[:1], 2, axis=0))
     valid, _, _, problems = outcome(Mismatch(duration=10.0, level=level, readings=twice), seed=0)

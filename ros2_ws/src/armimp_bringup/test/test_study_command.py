@@ -44,6 +44,7 @@ def test_study_that_misses_targets_exits_with_1_and_names_the_first_of_them(
     assert entry.condition.name == "friction0-resolution0-perturbation3-seed0"
 
 
+@pytest.mark.slow
 def test_interrupted_study_ends_at_once(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "armimp_bringup.cli", "reproduce", "--no-figures"]
     command += ["--out", str(tmp_path / "out"), "--seeds", "0:40", "--workers", "1"]

@@ -69,7 +69,7 @@ def _controller(config: SafetyParameters) -> Controller | None:
         return None  # the ramp does not fit the rate
 
 
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=30)
 @given(
     configs(),
     st.lists(st.lists(SENSIBLE | ANY, min_size=6, max_size=6), min_size=1, max_size=12),

@@ -115,6 +115,7 @@ def test_where_m_b_and_k_fit_no_other_model_is_tried() -> None:
     assert fits_of(replace(estimate, Z=TWO_JOINT_ARM.impedance(F) + noise)) == ()
 
 
+@pytest.mark.slow
 def test_an_arm_that_no_model_describes_gets_none_offered() -> None:
     estimate = measured("cuff", seed=1)
     bent = estimate.Z * (1.0 + 0.2 * np.sin(F) ** 2)

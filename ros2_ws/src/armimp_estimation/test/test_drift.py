@@ -71,7 +71,11 @@ def test_drift_goes_and_offset_stays_and_nothing_else_changes() -> None:
     assert np.array_equal(data.record.perturbation, one.perturbation)
 
 
-@pytest.mark.parametrize("estimator", [LPM, WelchFull()], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "estimator",
+    [pytest.param(LPM, marks=pytest.mark.slow), WelchFull()],
+    ids=lambda one: one.name,
+)
 def test_drift_costs_the_estimates_nothing_and_would_cost_them_the_stiffness(
     estimator: LpmFull | WelchFull, monkeypatch: pytest.MonkeyPatch
 ) -> None:
