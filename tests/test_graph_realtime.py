@@ -35,8 +35,7 @@ from armimp_common.topics import (
 )
 from armimp_estimation.problems import ProblemCode
 from armimp_estimation.summary import Summary
-from armimp_sim.realtime_simulator import RealtimeSimulator
-from armimp_sim.simulator import SimulatedRig
+from armimp_sim.simulator import RealtimeSimulator, SimulatedRig
 from support.priority import permitted_priority
 from support.processes import processes_of
 from support.runs import FinishedRun

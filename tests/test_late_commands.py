@@ -17,7 +17,7 @@ from armimp_bringup.parameters import NodeParameters, node_parameters
 from armimp_common.errors import ConfigurationError
 from armimp_common.realtime import Pacer, TimingLimits
 from armimp_common.topics import PERIOD_NS
-from armimp_sim.realtime_simulator import RealtimeSimulator
+from armimp_sim.simulator import RealtimeSimulator
 from support.closed_loop import ClosedLoop
 
 pytestmark = pytest.mark.slow

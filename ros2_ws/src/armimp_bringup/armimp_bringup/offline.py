@@ -33,7 +33,7 @@ from armimp_estimation.trial import TrialData, segments_for
 from armimp_sim.model.sensors import Sampling
 from armimp_sim.plant import Plant, check_ratio, tick
 from armimp_sim.real_rig import RealRig
-from armimp_sim.simd.lanes import Tag
+from armimp_sim.simd import Tag
 from armimp_sim.voluntary import ReadingNoise, VoluntaryTorque
 
 RATE = NS_PER_S / PERIOD_NS

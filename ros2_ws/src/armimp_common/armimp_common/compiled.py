@@ -39,7 +39,7 @@ def compiled(function: Function) -> Function:
     """Compile a function that only other compiled functions call; they hold its code.
 
     It is always inlined: what is left of a call would be the copying of its arguments, and where
-    values are packed (:mod:`armimp_sim.simd.lanes`) also of registers.
+    values are packed (:mod:`armimp_sim.simd`) also of registers.
     """
     return cast(Function, numba.njit(error_model="numpy", forceinline=True)(function))
 

@@ -13,7 +13,7 @@ from armimp_common.topics import PERIOD_NS
 from armimp_driver_template.conversion import BITS, Calibration, Wiring
 from armimp_driver_template.device import Frame
 from armimp_driver_template.parameters import DriverParameters
-from armimp_sim.model.drives import ActuatorParameters
+from armimp_sim.model.robot import ActuatorParameters
 from armimp_sim.model.sensors import ReadingParameters, SensorParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.simulator import SimulatedRig

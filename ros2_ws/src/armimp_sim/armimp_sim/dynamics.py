@@ -4,7 +4,7 @@ Trials stand in lanes, and lanes in blocks of equal width. The numbers of a batc
 one row per block; there, each quantity takes ``width`` places, one for each lane. A block goes
 through a whole control period on its own: its numbers stay in the processor's registers and first
 cache. The width and the number of joints n are compile-time constants, carried by the lengths of
-two tuples; arithmetic is on all lanes of a block at once (:mod:`armimp_sim.simd.lanes`). A block of
+two tuples; arithmetic is on all lanes of a block at once (:mod:`armimp_sim.simd`). A block of
 width 1 is the ordinary single trial; the arithmetic is the same operation by operation, so a lane
 gives the same bits in any batch.
 
@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
-from armimp_sim.simd.lanes import Tag, fill, load, store
-from armimp_sim.simd.math import exp_minus, sine_cosine
+from armimp_sim.simd import Tag, exp_minus, fill, load, sine_cosine, store
 
 WIDTH = 16
 """Lanes of a block when there are several: two of the widest registers, which hide each other's

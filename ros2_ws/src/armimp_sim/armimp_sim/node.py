@@ -20,8 +20,7 @@ from armimp_common.pubsub import subscribe_counts, wait_for_partners
 from armimp_common.realtime import Pacer, RealtimeScheduling
 from armimp_common.status import make_array, status_message, to_time
 from armimp_sim.parameters import SimulatorParameters
-from armimp_sim.realtime_simulator import RealtimeSimulator
-from armimp_sim.simulator import SimulatedRig
+from armimp_sim.simulator import RealtimeSimulator, SimulatedRig
 
 _CLOCK_TICKS = 100
 _DIAGNOSTICS_TICKS = 1000

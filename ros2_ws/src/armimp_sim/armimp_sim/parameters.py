@@ -10,11 +10,9 @@ from armimp_common.realtime import SchedulingParameters
 from armimp_common.schema import Schema, matrix, vector
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_sim import presets
-from armimp_sim.model.arm import HumanArm
-from armimp_sim.model.drives import ActuatorParameters
+from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.muscle import CuffParameters, MuscleParameters, ReflexParameters
-from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import SensorParameters
 from armimp_sim.plant import PlantConfig
 from armimp_sim.voluntary import VoluntaryParameters

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from armimp_common.compiled import compiled_entry
 from armimp_common.errors import ArmimpError, ConfigurationError
 from armimp_sim import dynamics, real_rig
+from armimp_sim.model.arm import CuffParameters
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.muscle import CuffParameters
 from armimp_sim.model.robot import PlanarChain
 from armimp_sim.model.sensors import Sampling, quantise
 from armimp_sim.real_rig import RealRig, RigConfig
-from armimp_sim.simd.lanes import Tag
+from armimp_sim.simd import Tag
 
 RK4_LIMIT = 2.7
 """|h·λ| on the real axis up to which explicit RK4 is stable (2.785, with a margin)."""

@@ -9,11 +9,9 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.sizes import JOINT_SIZES
-from armimp_sim.model.arm import HumanArm
-from armimp_sim.model.drives import ActuatorParameters
+from armimp_sim.model.arm import CuffParameters, HumanArm
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.muscle import CuffParameters
-from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.voluntary import VoluntaryParameters
 

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry
 from armimp_sim import dynamics
-from armimp_sim.model.arm import HumanArm
-from armimp_sim.model.drives import ActuatorParameters
-from armimp_sim.model.muscle import MuscleParameters, ReflexParameters
+from armimp_sim.model.arm import HumanArm, MuscleParameters, ReflexParameters
+from armimp_sim.model.robot import ActuatorParameters
 from armimp_sim.model.sensors import ORDERS, ReadingParameters, SensorParameters, quantise
-from armimp_sim.simd.lanes import Tag
+from armimp_sim.simd import Tag
 
 Floats = NDArray[np.float64]
 

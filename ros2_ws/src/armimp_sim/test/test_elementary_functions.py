@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_sim.simd.math import exp_minus, sine_cosine
+from armimp_sim.simd import exp_minus, sine_cosine
 
 Array = NDArray[np.float64]
 

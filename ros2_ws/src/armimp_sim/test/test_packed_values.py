@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled_entry
 from armimp_sim.dynamics import WIDTH, width_for
-from armimp_sim.simd.lanes import Tag, load, power_of_two, store, where_less
-from armimp_sim.simd.math import exp_minus, sine_cosine
+from armimp_sim.simd import Tag, exp_minus, load, power_of_two, sine_cosine, store, where_less
 
 Array = NDArray[np.float64]
 ONE: Tag = (0.0,)

@@ -14,11 +14,9 @@ from scipy import signal
 
 from armimp_common.errors import ConfigurationError
 from armimp_sim import presets
-from armimp_sim.model.arm import HumanArm
-from armimp_sim.model.drives import ActuatorParameters
+from armimp_sim.model.arm import CuffParameters, HumanArm, MuscleParameters, ReflexParameters
 from armimp_sim.model.friction import LuGre
-from armimp_sim.model.muscle import CuffParameters, MuscleParameters, ReflexParameters
-from armimp_sim.model.robot import PlanarChain
+from armimp_sim.model.robot import ActuatorParameters, PlanarChain
 from armimp_sim.model.sensors import ReadingParameters, Sampling, SensorParameters
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import Plant, PlantConfig

@@ -13,8 +13,7 @@ from armimp_common.protection import RAMP_PERIODS
 from armimp_common.realtime import LATE_NS, Pacer
 from armimp_common.topics import PERIOD_NS
 from armimp_sim.parameters import WATCHDOG_TICKS, SimulatorParameters
-from armimp_sim.realtime_simulator import UNHEARD_TICKS, RealtimeSimulator
-from armimp_sim.simulator import SimulatedRig
+from armimp_sim.simulator import UNHEARD_TICKS, RealtimeSimulator, SimulatedRig
 
 PARAMETERS = SimulatorParameters.preset()
 Command = tuple[float, ...]

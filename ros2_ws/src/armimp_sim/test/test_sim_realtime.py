@@ -14,7 +14,7 @@ from armimp_common.topics import PERIOD_NS
 from armimp_sim.node import ArmSimNode
 from armimp_sim.parameters import SimulatorParameters
 from armimp_sim.plant import IntegrationError
-from armimp_sim.realtime_simulator import RealtimeSimulator
+from armimp_sim.simulator import RealtimeSimulator
 from support.controller import SUCCESS, ScriptedController
 from support.graph import Launch, eventually
 

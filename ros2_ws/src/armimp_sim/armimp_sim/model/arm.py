@@ -1,4 +1,4 @@
-"""The human arm: a linear multi-joint impedance about a posture."""
+"""The human arm: M, B and K about a posture, and reflexes, muscles and a cuff beside them."""
 
 from __future__ import annotations
 
@@ -6,8 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
+
+Vector = tuple[float, ...]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,3 +57,67 @@ class HumanArm:
     def joints(self) -> int:
         """Number of joints n."""
         return self.posture.size
+
+
+class ReflexParameters(Schema):
+    """Stretch reflex: velocity and stretch after a delay, through a second-order muscle.
+
+    The model, and 40 ms, are those of Kearney, Stein & Parameswaran (IEEE Trans. Biomed. Eng.
+    44(6), 1997) for the ankle; the muscle's values are an assumption.
+    """
+
+    velocity_gain: Vector = (0.0,)
+    """Torque of the stretch reflex for the velocity of the joint (N·m·s/rad); one value or one for
+    each joint."""
+    stretch_gain: Vector = (0.0,)
+    """Torque of the stretch reflex for the angle from the posture (N·m/rad); one value or one for
+    each joint."""
+    delay: float = Field(default=0.04, ge=0.0, le=0.2)
+    """Delay of the stretch reflex (s)."""
+    muscle: float = Field(default=50.0, ge=1.0, le=1000.0)
+    """Natural frequency of the muscle that the reflex drives (rad/s)."""
+    damping_ratio: float = Field(default=1.0, ge=0.1, le=10.0)
+    """Damping ratio of that muscle (–)."""
+
+    @property
+    def none(self) -> bool:
+        """Whether there is no reflex."""
+        return not any((*self.velocity_gain, *self.stretch_gain))
+
+
+class MuscleParameters(Schema):
+    """How stiffness departs from a constant K_h.
+
+    Short-range stiffness yields after some milliradians (Rack & Westbury, J. Physiol. 240, 1974);
+    stiffness falls with amplitude (Kearney & Hunter, J. Biomech. 15(10), 1982) and changes over
+    minutes. The shapes are the simplest ones that do so, an assumption.
+    """
+
+    short_range_stiffness: Vector = (0.0,)
+    """Additional stiffness of a muscle within its short range (N·m/rad); one value or one for each
+    joint."""
+    short_range: float = Field(default=0.005, gt=0.0)
+    """Angle on both sides at which the short-range stiffness yields, and follows (rad)."""
+    cubic: float = 0.0
+    """Relative change of the diagonal of the stiffness with the square of the angle from the
+    posture (1/rad²); the torque is K_ii · cubic · angle³, negative for an arm that softens."""
+    stiffening: float = 0.0
+    """Relative change of the stiffness K_h with time from the start of the simulation on (1/s)."""
+
+    @property
+    def none(self) -> bool:
+        """Whether stiffness is a constant K_h."""
+        return not any((*self.short_range_stiffness, self.cubic, self.stiffening))
+
+
+class CuffParameters(Schema):
+    """Spring and damper between each joint of the robot and that of the arm.
+
+    Transducers are on the robot's side. Values are assumptions: 100 kN·m/rad is a cast, straps go
+    down to 1 kN·m/rad.
+    """
+
+    stiffness: float = Field(default=0.0, ge=0.0)
+    """Stiffness of the cuff between robot and arm (N·m/rad); 0 for a rigid one."""
+    damping: float = Field(default=0.0, ge=0.0)
+    """Damping of the cuff between robot and arm (N·m·s/rad)."""

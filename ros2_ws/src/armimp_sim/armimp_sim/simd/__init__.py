@@ -1,1 +1,0 @@
-"""Arithmetic that the compiler turns into SIMD instructions."""
