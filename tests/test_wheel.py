@@ -53,12 +53,13 @@ def test_ten_lines_of_the_readme_identify_an_arm_from_arrays(recording: Path) ->
 
 def test_the_project_has_the_packages_versions_and_commands_of_the_workspace() -> None:
     project = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    setups = {one: (SOURCES / one / "setup.py").read_text(encoding="utf-8") for one in PACKAGES}
+    setups = {one: (SOURCES / one / "setup.cfg").read_text(encoding="utf-8") for one in PACKAGES}
     where = re.findall(r'^    "ros2_ws/src/(\w+)",$', project, flags=re.MULTILINE)
     assert sorted(where) == PACKAGES
     version, *_ = re.findall(r'^version = "(.+)"$', project, flags=re.MULTILINE)
-    assert all(f'version="{version}"' in text for text in setups.values())
-    scripts = re.findall(r'console_scripts": \["(\w+) = ([\w.:]+)"', "".join(setups.values()))
+    assert all(f"version = {version}\n" in text for text in setups.values())
+    scripts = re.findall(r"console_scripts =\n    (\w+) = ([\w.:]+)", "".join(setups.values()))
+    assert len(scripts) == 6
     assert {f'{name} = "{function}"' for name, function in scripts} <= set(project.splitlines())
     pins = re.findall(r'^    "(ros-.+)",$', project, flags=re.MULTILINE)
     locked = (ROOT / "requirements.txt").read_text(encoding="utf-8")
