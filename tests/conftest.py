@@ -20,8 +20,8 @@ from armimp_bringup.config import CheckOptions, ExperimentConfig
 from armimp_bringup.driver_check.probe import probe
 from armimp_bringup.driver_check.record import Finding
 from armimp_bringup.driver_check.rules import judge
+from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import run_experiment
-from armimp_common.domain import DomainClaim
 from armimp_estimation.summary import SUMMARY_FILE, read_summary
 from support.browser import Browser
 from support.graph import PATIENCE, hosted

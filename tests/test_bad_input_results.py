@@ -14,10 +14,9 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.conditions import select_conditions
+from armimp_bringup.study.conditions import read_study, select_conditions
 from armimp_bringup.study.engine import Threads
 from armimp_bringup.study.scores import judge, results_table
-from armimp_bringup.study.store import read_study
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import DataError
 from armimp_estimation.curves import read_frf

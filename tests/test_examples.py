@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from armimp_bringup.graph import DomainClaim
 from armimp_bringup.replay import BagPlayer, replay_bags
-from armimp_common.domain import DomainClaim
 from armimp_estimation.bags import BagContent
 
 pytestmark = pytest.mark.slow

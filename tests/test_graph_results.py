@@ -10,9 +10,9 @@ from rclpy.context import Context
 from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos
-from armimp_common.domain import DomainClaim
 from armimp_common.status import Level, Phase, Progress, values_of
 from armimp_common.topics import RESULT, TRIAL
 from armimp_estimation.alignment.assemble import Trial

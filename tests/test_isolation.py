@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
+from armimp_bringup.graph import DomainClaim
 from armimp_bringup.nodes import NODES
-from armimp_common.domain import DomainClaim
 from armimp_common.process import endpoints
 from armimp_estimation.summary import read_summary
 from support.runs import FinishedRun

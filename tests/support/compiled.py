@@ -8,7 +8,7 @@ from armimp_bringup.offline import run_offline
 from armimp_bringup.parameters import Rig
 from armimp_control import presets as control_presets
 from armimp_control.laws.law import Controller
-from armimp_control.optimal_spectrum import JointPrior
+from armimp_control.perturbation import JointPrior
 from armimp_control.sequence import SequenceParameters
 from armimp_sim import presets as sim_presets
 from armimp_sim.plant import Plant, PlantConfig

@@ -18,8 +18,8 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 
+from armimp_bringup.graph import DomainClaim
 from armimp_common import qos, topics
-from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import (
     JointStatePublisher,

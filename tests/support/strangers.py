@@ -26,10 +26,10 @@ from std_msgs.msg import Float64MultiArray, String, UInt64
 
 from armimp_bringup import orchestrator
 from armimp_bringup.config import ExperimentConfig
+from armimp_bringup.graph import DomainClaim
 from armimp_bringup.orchestrator import run_experiment
 from armimp_common import qos, topics
 from armimp_common.cdr import CommandEncoder, command_number
-from armimp_common.domain import DomainClaim
 from armimp_common.executor import Spinner
 from armimp_common.lifecycle import LifecycleManager
 from armimp_common.pubsub import JointStatePublisher, subscribe_raw

@@ -17,9 +17,8 @@ from armimp_common.schema import build, dotted, flatten
 from armimp_common.topics import CONTROLLER_NODE, ESTIMATOR_NODE, NS_PER_S, PERIOD_NS, SIM_NODE
 from armimp_common.versions import git_revision, versions
 from armimp_control.laws.law import LawConfig
-from armimp_control.optimal_spectrum import JointPrior
 from armimp_control.parameters import ControllerParameters
-from armimp_control.perturbation import PerturbationParameters
+from armimp_control.perturbation import JointPrior, PerturbationParameters
 from armimp_control.presets import LawName
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import SequenceParameters, TareParameters

@@ -11,10 +11,9 @@ import pytest
 from rclpy.node import Node
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.graph import LOOPBACK, OPEN, GraphContext
+from armimp_bringup.graph import LOOPBACK, OPEN, DomainClaim, GraphContext
 from armimp_bringup.nodes import ComposedNodes
 from armimp_bringup.parameters import node_parameters
-from armimp_common.domain import DomainClaim
 from armimp_common.errors import GraphError
 from armimp_common.executor import Spinner
 from armimp_common.process import endpoints

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.study import engine
-from armimp_bringup.study.conditions import Condition, select_conditions
+from armimp_bringup.study.conditions import Condition, ConditionResult, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
     Dask,
@@ -27,7 +27,6 @@ from armimp_bringup.study.engine import (
     software,
     split_evenly,
 )
-from armimp_bringup.study.store import ConditionResult
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_sim.dynamics import WIDTH

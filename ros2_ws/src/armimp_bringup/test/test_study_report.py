@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.conditions import select_conditions
+from armimp_bringup.study.conditions import StudyEntry, read_study, saved_curves, select_conditions
 from armimp_bringup.study.engine import Threads
 from armimp_bringup.study.figures import impedance_figure, levels_figure, write_figures
 from armimp_bringup.study.scores import (
@@ -26,7 +26,6 @@ from armimp_bringup.study.scores import (
     results_table,
     statistics,
 )
-from armimp_bringup.study.store import StudyEntry, read_study, saved_curves
 from armimp_bringup.study.study import run_study
 from armimp_common.errors import ConfigurationError
 from armimp_estimation.curves import ImpedanceCurve

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from armimp_bringup.study.conditions import StudyEntry
 from armimp_bringup.study.scores import (
     SCORES,
     StudyVerdict,
@@ -21,7 +22,6 @@ from armimp_bringup.study.scores import (
     torque_in_counts,
 )
 from armimp_bringup.study.scores import judge as judge_table
-from armimp_bringup.study.store import StudyEntry
 from armimp_bringup.study.study import print_verdict
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode, problem

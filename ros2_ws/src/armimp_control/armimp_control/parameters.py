@@ -15,8 +15,7 @@ from armimp_control import presets
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import LawConfig
 from armimp_control.laws.pd import PdConfig
-from armimp_control.optimal_spectrum import JointPrior
-from armimp_control.perturbation import PerturbationKind, PerturbationParameters
+from armimp_control.perturbation import JointPrior, PerturbationKind, PerturbationParameters
 from armimp_control.safety_limiter import SafetyParameters
 from armimp_control.sequence import PERIOD, SequenceParameters, TareParameters
 from armimp_control.stability import RigDynamics, StabilityMargins, check_stability

@@ -8,12 +8,13 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
-from armimp_control.optimal_spectrum import JointPrior, disturbance
 from armimp_control.perturbation import (
     CREST,
+    JointPrior,
     PerturbationKind,
     PerturbationParameters,
     crest_factor,
+    disturbance,
     perturbation,
 )
 

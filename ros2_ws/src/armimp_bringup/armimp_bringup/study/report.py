@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from armimp_bringup.study.conditions import LEVELS, Condition
+from armimp_bringup.study.conditions import LEVELS, Condition, StudyEntry
 from armimp_bringup.study.figures import levels_chart, overlay_plot
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,
@@ -21,7 +21,6 @@ from armimp_bringup.study.scores import (
     WorstValue,
 )
 from armimp_bringup.study.scores import Table as Results
-from armimp_bringup.study.store import StudyEntry
 from armimp_estimation.curves import ImpedanceCurve
 from armimp_estimation.mbk import MBK
 from armimp_estimation.report.formats import (

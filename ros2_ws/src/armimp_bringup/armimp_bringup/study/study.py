@@ -16,7 +16,14 @@ from rich.table import Table
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig, prepare_directory
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study.conditions import LEVELS, Condition
+from armimp_bringup.study.conditions import (
+    LEVELS,
+    Condition,
+    StudyEntry,
+    save_result,
+    saved_curves,
+    study_text,
+)
 from armimp_bringup.study.engine import (
     Backend,
     Batch,
@@ -27,7 +34,6 @@ from armimp_bringup.study.engine import (
     split_evenly,
 )
 from armimp_bringup.study.scores import SCORES, StudyVerdict, judge, results_csv, results_table
-from armimp_bringup.study.store import StudyEntry, save_result, saved_curves, study_text
 from armimp_bringup.terminal import display, say
 from armimp_common.errors import ConfigurationError, DataError
 from armimp_estimation.atomic_write import write_text

@@ -5,8 +5,8 @@ import socket
 
 import pytest
 
-from armimp_common import domain
-from armimp_common.domain import DomainClaim
+from armimp_bringup import graph as domain
+from armimp_bringup.graph import DomainClaim
 from armimp_common.errors import ConfigurationError, GraphError
 
 
