@@ -190,23 +190,14 @@ def test_the_default_is_accepted_without_a_warning_and_tde_with_one_of_late_comm
     default = presets.imbic(ROBOT, POSTURE)
     assert check_stability(default, robot_inertia=ROBOT, arm_inertia=ARM).warnings == ()
     margins = check_stability(_config(), robot_inertia=ROBOT, arm_inertia=ARM)
-    largest = np.max(np.abs(np.linalg.eigvals(np.linalg.inv(ROBOT + ARM) @ (0.6 * ROBOT))))
-    assert margins.time_delay_estimation == pytest.approx(largest)
-    assert margins.force_feedback == pytest.approx(
-        [
-            0.6 * 0.3543 * 0.187 / (0.2 * (0.3543 + 0.187)),
-            0.6 * 0.1800 * 0.060 / (0.1 * (0.1800 + 0.060)),
-        ]
-    )
     assert max(margins.spectral_radius) < 1.0
     (warning,) = margins.warnings
     assert "commands that act 1 ms later" in warning
     assert warning.endswith("while all joints are locked")
 
 
-def test_too_large_a_model_is_refused_with_the_value() -> None:
-    largest = 5.0 * np.max(np.abs(np.linalg.eigvals(np.linalg.inv(ROBOT + ARM) @ (0.6 * ROBOT))))
-    message = rf"λmax\(\(M_r \+ M_h\)⁻¹ M̄\) = {largest:.3g}, must be below 2"
+def test_too_large_a_model_is_refused_with_the_growth() -> None:
+    message = r"unstable when sampled: while joint 1 is perturbed, motion grows by a factor of"
     with pytest.raises(ConfigurationError, match=message) as caught:
         check_stability(_config(model=5.0), robot_inertia=ROBOT, arm_inertia=ARM)
     assert "\n" not in str(caught.value)
