@@ -16,7 +16,6 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
-from rclpy.client import Client
 from rclpy.context import Context
 from rclpy.node import Node
 from rclpy.parameter import Parameter, parameter_value_to_python
@@ -39,105 +38,96 @@ MODULES: Mapping[str, Sequence[str]] = {
     ESTIMATOR_NODE: ("armimp_estimation.node",),
 }
 """Module of each node, with the first arguments of its process."""
+_SERVICES: Mapping[str, Any] = {
+    "list_parameters": ListParameters,
+    "get_parameters": GetParameters,
+    "set_parameters_atomically": SetParametersAtomically,
+}
 _TO_END = 5.0
 _TO_ANSWER = 10.0
 
 
-class RemoteParameters:
-    """The parameters of one node.
-
-    Parameters
-    ----------
-    node, spinner : the node that asks, and what spins it
-    name : of the node that is asked
-
-    Raises
-    ------
-    GraphError
-        Here and by every method, if it does not answer.
-    """
-
-    def __init__(self, node: Node, spinner: Spinner, name: str) -> None:
-        self._name, self._spinner = name, spinner
-        # Those of rclpy block for a quarter of a second wherever discovery takes a moment.
-        self._list = node.create_client(ListParameters, f"{name}/list_parameters")
-        self._get = node.create_client(GetParameters, f"{name}/get_parameters")
-        self._set = node.create_client(SetParametersAtomically, f"{name}/set_parameters_atomically")
-
-    def names(self) -> set[str]:
-        """Return the names of the parameters that it has."""
-        return set(self._ask(self._list, ListParameters.Request()).result.names)
-
-    def values(self, names: Sequence[str]) -> dict[str, Any]:
-        """Return the present values of parameters; None for one that it does not have."""
-        answer = self._ask(self._get, GetParameters.Request(names=list(names)))
-        found = map(parameter_value_to_python, answer.values)
-        return {
-            name: value
-            if value is None or isinstance(value, bool | int | float | str)
-            else list(value)
-            for name, value in zip(names, found, strict=False)
-        }
-
-    def set(self, parameters: Sequence[Parameter]) -> None:
-        """Set them all, or none.
-
-        Raises
-        ------
-        GraphError
-            If the node refuses them.
-        """
-        messages = [parameter.to_parameter_msg() for parameter in parameters]
-        answer = self._ask(self._set, SetParametersAtomically.Request(parameters=messages))
-        if not answer.result.successful:
-            raise GraphError(f"node {self._name} refused its parameters: {answer.result.reason}")
-
-    def _ask(self, client: Client, request: Any) -> Any:
-        return ask(
-            client,
-            request,
-            f"node {self._name}",
-            "tell or take its parameters",
-            spin_until=self._spinner.spin_until,
-            timeout=_TO_ANSWER,
-        )
-
-
 class AskedParameters:
-    """The parameters that nodes were given, to be compared with those that they have.
+    """The parameters that nodes are to have: given to them, and compared with those that they have.
 
     Parameters
     ----------
     node, spinner : the node that asks, and what spins it
     models : parameters by the name of the node
     record : file for the parameters that are active, all of each node; written if they differ
+
+    Raises
+    ------
+    GraphError
+        By every method, if a node does not answer.
     """
 
     def __init__(
         self, node: Node, spinner: Spinner, models: Mapping[str, BaseModel], record: Path
     ) -> None:
         self.asked = {name: as_parameters(model) for name, model in models.items()}
-        # Made early: where nodes are processes, discovery goes on while they start.
-        self.remote = {name: RemoteParameters(node, spinner, name) for name in models}
-        self._record = record
+        self._spinner, self._record = spinner, record
+        # Made early: where nodes are processes, discovery goes on while they start. Those of rclpy
+        # block for a quarter of a second wherever discovery takes a moment.
+        self._clients = {
+            (name, service): node.create_client(kind, f"{name}/{service}")
+            for name in models
+            for service, kind in _SERVICES.items()
+        }
+
+    def names(self, name: str) -> set[str]:
+        """Return the names of the parameters that a node has."""
+        return set(self._ask(name, "list_parameters", ListParameters.Request()).result.names)
+
+    def give(self, name: str) -> None:
+        """Set all parameters of a node, or none.
+
+        Raises
+        ------
+        GraphError
+            If the node refuses them.
+        """
+        messages = [parameter.to_parameter_msg() for parameter in self.asked[name]]
+        request = SetParametersAtomically.Request(parameters=messages)
+        result = self._ask(name, "set_parameters_atomically", request).result
+        if not result.successful:
+            raise GraphError(f"node {name} refused its parameters: {result.reason}")
 
     def differences(self) -> list[str]:
         """Return a sentence for each parameter that has another value than was asked for."""
         active: dict[str, dict[str, Any]] = {}
         problems: list[str] = []
         for name, parameters in self.asked.items():
-            wanted = {item.name: item.value for item in parameters}
-            remote = self.remote[name]
-            found = active[name] = remote.values(sorted(remote.names().union(wanted)))
-            for key, given in wanted.items():
-                value = list(given) if isinstance(given, tuple) else given
-                if found.get(key) != value:
-                    problems.append(f"{name}: {key} is {found.get(key)!r:.200}, not {value!r:.200}")
+            wanted = {item.name: _plain(item.value) for item in parameters}
+            names = sorted(self.names(name).union(wanted))
+            values = self._ask(name, "get_parameters", GetParameters.Request(names=names)).values
+            found = map(_plain, map(parameter_value_to_python, values))
+            active[name] = dict(zip(names, found, strict=False))
+            problems += [
+                f"{name}: {key} is {active[name].get(key)!r:.200}, not {value!r:.200}"
+                for key, value in wanted.items()
+                if active[name].get(key) != value
+            ]
         if problems:
             content = {name: {"ros__parameters": values} for name, values in active.items()}
             text = yaml.safe_dump(content, sort_keys=False)
             self._record.write_text(text, encoding="utf-8")
         return problems
+
+    def _ask(self, name: str, service: str, request: Any) -> Any:
+        return ask(
+            self._clients[name, service],
+            request,
+            f"node {name}",
+            "tell or take its parameters",
+            spin_until=self._spinner.spin_until,
+            timeout=_TO_ANSWER,
+        )
+
+
+def _plain(value: Any) -> Any:
+    """Arrays of whatever kind as lists; None for a parameter that there is not."""
+    return value if value is None or isinstance(value, bool | int | float | str) else list(value)
 
 
 class NodeGroup:
@@ -369,12 +359,11 @@ class ExternalNodes(NodeGroup):
                     f"node {name} is {state}, not unconfigured: it belongs to another experiment,"
                     " or has to be started anew"
                 )
-        asked, remote = self._parameters.asked, self._parameters.remote
-        known = remote[SIM_NODE].names()
+        asked, known = self._parameters.asked, self._parameters.names(SIM_NODE)
         if not known.issuperset(item.name for item in asked[SIM_NODE]):
             _leave_to_driver(asked, known)
         for name in manager.names:
-            remote[name].set(asked[name])
+            self._parameters.give(name)
 
     def retire(self, manager: LifecycleManager, name: str) -> None:
         """Bring a node back to where the next experiment finds it.
