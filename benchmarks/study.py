@@ -11,7 +11,7 @@ from armimp_bringup.bench import Measured, available_cores
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import run_offline, simulate
 from armimp_bringup.parameters import Rig, node_parameters
-from armimp_bringup.study.conditions import Condition, select_conditions
+from armimp_bringup.study import Condition, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
     condition_config,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.parameters import NodeParameters, node_parameters
-from armimp_control.laws.base import DAMPING, STIFFNESS
+from armimp_control.laws import DAMPING, STIFFNESS
 from armimp_control.perturbation import perturbation
 from armimp_sim.plant import Plant
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.study import parse_seeds
 from armimp_common.errors import ConfigurationError
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
@@ -39,7 +39,7 @@ class Plan:
     0.01 ms, the default, find the same in twice the time."""
     levels: tuple[Levels, ...]
     seeds: str
-    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
+    """As for :func:`armimp_bringup.study.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.3, 0.0)
     """Rms of the voluntary torque, N·m."""
     estimators: tuple[str, ...]

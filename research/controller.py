@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from armimp_bringup.config import ExperimentConfig, Overrides
 from armimp_bringup.offline import SimulatedExperiment, simulate
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.study import parse_seeds
 from armimp_common.errors import ArmimpError, ConfigurationError
 from research.controller_figures import controller_figure
 from research.decomposition_trials import in_threads
@@ -49,7 +49,7 @@ class ControllerPlan:
     """Everything but seed, levels and what is varied. The plant takes steps of 0.05 ms, since the
     default of 0.01 ms would need five times as long."""
     seeds: str = "0:2"
-    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
+    """As for :func:`armimp_bringup.study.parse_seeds`."""
     levels: tuple[tuple[int, int, int], ...] = (
         (0, 0, 1),
         (1, 3, 1),

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.study import parse_seeds
 from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_figures import decomposition_figures
@@ -47,7 +47,7 @@ class DecompositionPlan:
     """Everything but seed and voluntary torque. The plant takes steps of 0.05 ms, since the default
     of 0.01 ms would need five times as long."""
     seeds: str = "0:32"
-    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
+    """As for :func:`armimp_bringup.study.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.0, 0.1, 0.3, 1.0)
     """Rms of the voluntary torque, N·m; the first is what the others are compared with."""
     correlations: tuple[float, ...] = (0.0, 0.5, 0.8, 0.9, 0.95)

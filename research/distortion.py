@@ -17,7 +17,7 @@ from pydantic import JsonValue
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.study import parse_seeds
 from armimp_control.perturbation import PerturbationKind
 from armimp_estimation.problems import ProblemCode
 from research.options import InvestigationOptions

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.study import parse_seeds
 from armimp_common.errors import ConfigurationError
 from armimp_control.perturbation import PerturbationKind
 from research.cells import LETTERS, FloatArray, Levels

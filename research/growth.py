@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
-from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.study import parse_seeds
 from armimp_estimation.spectra import WelchConfig
 from research.decomposition_trials import (
     ESTIMATORS,
@@ -48,7 +48,7 @@ class GrowthPlan:
     joints: tuple[int, ...] = (2, 3, 4, 5, 6, 7)
     """Numbers of joints."""
     seeds: str = "0:8"
-    """As for :func:`armimp_bringup.study.conditions.parse_seeds`."""
+    """As for :func:`armimp_bringup.study.parse_seeds`."""
     voluntary: tuple[float, ...] = (0.0, 0.03)
     """Rms of the voluntary torque of every joint, N·m."""
     target: float = 0.01

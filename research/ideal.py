@@ -12,7 +12,7 @@ import numpy as np
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
-from armimp_bringup.study.conditions import select_conditions
+from armimp_bringup.study import select_conditions
 from armimp_bringup.study.engine import condition_config
 from armimp_estimation.robot_balance import imbalance
 from research.options import InvestigationOptions

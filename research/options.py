@@ -21,7 +21,7 @@ class InvestigationOptions:
     out: Path
     """New directory for the tables and figures."""
     seeds: str | None = None
-    """As for :func:`armimp_bringup.study.conditions.parse_seeds`; None: those of the investigation,
+    """As for :func:`armimp_bringup.study.parse_seeds`; None: those of the investigation,
     which say how many runs its numbers come from."""
     workers: int | None = None
     """Number of threads; None: one per core."""
@@ -32,7 +32,7 @@ class InvestigationOptions:
 
     def __post_init__(self) -> None:
         if self.seeds is not None:
-            from armimp_bringup.study.conditions import parse_seeds
+            from armimp_bringup.study import parse_seeds
 
             parse_seeds(self.seeds)
         if self.workers is not None and self.workers < 1:

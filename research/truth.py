@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
-from armimp_bringup.study.conditions import parse_seeds
+from armimp_bringup.study import parse_seeds
 from armimp_bringup.terminal import display
 from armimp_common import topics
 from armimp_common.errors import ArmimpError, ConfigurationError

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.conditions import read_study, select_conditions
+from armimp_bringup.study import read_study, select_conditions
 from armimp_bringup.study.engine import Threads
 from armimp_bringup.study.scores import judge, results_table
 from armimp_bringup.study.study import run_study

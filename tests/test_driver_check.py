@@ -15,8 +15,8 @@ import pytest
 
 from armimp_bringup.cli import main
 from armimp_bringup.config import CheckOptions
+from armimp_bringup.driver_check import Finding, Verdict, with_verdict
 from armimp_bringup.driver_check.command import ask
-from armimp_bringup.driver_check.record import Finding, Verdict, with_verdict
 from armimp_common.errors import ConfigurationError
 from armimp_sim.node import ArmSimNode
 from support import defective_driver

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from armimp_bringup.config import CheckOptions
+from armimp_bringup.driver_check import Ending, Moves, Record
 from armimp_bringup.driver_check.command import report
-from armimp_bringup.driver_check.record import Ending, Moves, Record
 from armimp_bringup.driver_check.rules import judge
 from armimp_common.schema import build, dotted, flatten, leaves
 from armimp_driver_template.parameters import DriverParameters

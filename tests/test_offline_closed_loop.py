@@ -17,7 +17,7 @@ from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import simulate
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets as control_presets
-from armimp_control.laws.base import NO_JOINT
+from armimp_control.laws import NO_JOINT
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from armimp_bringup.driver_check.record import Finding, Verdict
+from armimp_bringup.driver_check import Finding, Verdict
 
 pytestmark = pytest.mark.slow
 

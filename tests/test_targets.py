@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.conditions import select_conditions
+from armimp_bringup.study import select_conditions
 from armimp_bringup.study.engine import Threads
 from armimp_bringup.study.study import run_study
 

@@ -318,7 +318,7 @@ def reproduce(
     with Display() as display:
         display.phase("starting")
         from armimp_bringup.config import load_config
-        from armimp_bringup.study.conditions import select_conditions
+        from armimp_bringup.study import select_conditions
         from armimp_bringup.study.study import chosen_backend, present_verdict, run_study
         from armimp_common.compiled import on_compiling
         from armimp_estimation.summary import OriginSummary

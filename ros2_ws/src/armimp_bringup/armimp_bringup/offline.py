@@ -18,7 +18,7 @@ from armimp_common.compiled import compiled_entry
 from armimp_common.errors import DataError
 from armimp_common.status import Phase
 from armimp_common.topics import NS_PER_S, PERIOD_NS
-from armimp_control.laws.base import MEMORY_ROWS, NO_JOINT, TARE
+from armimp_control.laws import MEMORY_ROWS, NO_JOINT, TARE
 from armimp_control.laws.law import control_tick
 from armimp_control.perturbation import perturbation
 from armimp_control.safety_limiter import FAULT, JOURNAL, LIMITER_ROWS, fault_of

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from armimp_bringup.driver_check.record import (
+from armimp_bringup.driver_check import (
     AFTER,
     REST,
     Call,

@@ -7,9 +7,7 @@ from typing import Any
 import pytest
 
 from armimp_bringup.config import CheckOptions
-from armimp_bringup.driver_check.conversation import Answering, Error, Torque
-from armimp_bringup.driver_check.moves import Mover
-from armimp_bringup.driver_check.record import (
+from armimp_bringup.driver_check import (
     SENSOR_TOPICS,
     Call,
     Finding,
@@ -19,6 +17,8 @@ from armimp_bringup.driver_check.record import (
     readings,
     with_verdict,
 )
+from armimp_bringup.driver_check.conversation import Answering, Error, Torque
+from armimp_bringup.driver_check.moves import Mover
 from armimp_bringup.driver_check.rules import judge
 from armimp_common.cdr import JointStateEncoder
 from armimp_common.topics import (

@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from armimp_bringup.cli import main
-from armimp_bringup.study.conditions import read_study
+from armimp_bringup.study import read_study
 from armimp_bringup.study.scores import StudyVerdict
 from armimp_bringup.terminal import Display, describe, display, duration
 from support.graph import PATIENCE

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from armimp_bringup.study.conditions import (
+from armimp_bringup.study import (
     LEVELS,
     MOST_SEEDS,
     Condition,

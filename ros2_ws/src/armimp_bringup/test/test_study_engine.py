@@ -16,8 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study import engine
-from armimp_bringup.study.conditions import Condition, ConditionResult, select_conditions
+from armimp_bringup.study import Condition, ConditionResult, engine, select_conditions
 from armimp_bringup.study.engine import (
     Batch,
     Dask,

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.study.conditions import StudyEntry, read_study, saved_curves, select_conditions
+from armimp_bringup.study import StudyEntry, read_study, saved_curves, select_conditions
 from armimp_bringup.study.engine import Threads
 from armimp_bringup.study.figures import impedance_figure, levels_figure, write_figures
 from armimp_bringup.study.scores import (

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from armimp_bringup.study.conditions import StudyEntry
+from armimp_bringup.study import StudyEntry
 from armimp_bringup.study.scores import (
     SCORES,
     StudyVerdict,

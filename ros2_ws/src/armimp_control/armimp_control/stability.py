@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from armimp_common.arrays import FloatArray
 from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
-from armimp_control.laws.base import (
+from armimp_control.laws import (
     ANGLE_GAIN,
     DAMPING,
     DISTURBANCE_GAIN,

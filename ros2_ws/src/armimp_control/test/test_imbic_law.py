@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from armimp_control.laws.base import NO_JOINT, ROLE_ROWS
+from armimp_control.laws import NO_JOINT, ROLE_ROWS
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from support.safety import torque_only, within_torque

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import j0
 
-from armimp_control.laws.base import APPROACH, DITHER, DITHER_ANGLE
+from armimp_control.laws import APPROACH, DITHER, DITHER_ANGLE
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from support.safety import torque_only

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
-from armimp_control.laws.base import ANGLE_GAIN, DISTURBANCE_GAIN, INVERSE, VELOCITY_GAIN
+from armimp_control.laws import ANGLE_GAIN, DISTURBANCE_GAIN, INVERSE, VELOCITY_GAIN
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, StabilityMargins, check_stability, spectral_radius

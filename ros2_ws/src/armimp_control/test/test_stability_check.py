@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from armimp_common.errors import ConfigurationError
 from armimp_control import presets
-from armimp_control.laws.base import NO_JOINT
+from armimp_control.laws import NO_JOINT
 from armimp_control.laws.imbic import ImbicConfig
 from armimp_control.laws.law import Controller
 from armimp_control.stability import RigDynamics, check_stability, spectral_radius

@@ -14,8 +14,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from armimp_bringup.config import CheckOptions
+from armimp_bringup.driver_check import Finding, Record, Verdict, with_verdict
 from armimp_bringup.driver_check.probe import probe
-from armimp_bringup.driver_check.record import Finding, Record, Verdict, with_verdict
 from armimp_bringup.driver_check.rules import judge
 from armimp_bringup.graph import external_domain
 from armimp_common.errors import ConfigurationError

@@ -22,7 +22,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from armimp_bringup.driver_check.record import SENSOR_TOPICS, Call, Endpoint, Message
+from armimp_bringup.driver_check import SENSOR_TOPICS, Call, Endpoint, Message
 from armimp_bringup.graph import GraphContext
 from armimp_common import qos, topics
 from armimp_common.cdr import JointStateDecoder

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_bringup.config import CheckOptions
+from armimp_bringup.driver_check import AFTER, REST, Call, Ending, Moves, Push
 from armimp_bringup.driver_check.conversation import Conversation, MotionGuard, Step, Torque
-from armimp_bringup.driver_check.record import AFTER, REST, Call, Ending, Moves, Push
 from armimp_common import topics
 from armimp_common.cdr import JointStateDecoder
 from armimp_common.errors import GraphError, MalformedMessageError

@@ -10,15 +10,15 @@ from contextlib import contextmanager
 import numpy as np
 
 from armimp_bringup.config import CheckOptions
-from armimp_bringup.driver_check.conversation import Conversation, Error
-from armimp_bringup.driver_check.moves import Mover
-from armimp_bringup.driver_check.record import (
+from armimp_bringup.driver_check import (
     SENSOR_TOPICS,
     Message,
     Moves,
     Record,
     readings,
 )
+from armimp_bringup.driver_check.conversation import Conversation, Error
+from armimp_bringup.driver_check.moves import Mover
 from armimp_bringup.graph import GraphContext
 from armimp_common import topics
 from armimp_common.errors import GraphError

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from armimp_bringup.driver_check.record import (
+from armimp_bringup.driver_check import (
     SENSOR_TOPICS,
     Call,
     Ending,

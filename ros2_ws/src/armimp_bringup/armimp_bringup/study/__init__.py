@@ -1,1 +1,208 @@
-"""The paper's study: every combination of friction, resolution and perturbation, without ROS."""
+"""What a study is made of: conditions, their results, and the files of these."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from pydantic import TypeAdapter, model_validator
+
+from armimp_common.errors import ConfigurationError
+from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
+from armimp_estimation.curves import ImpedanceCurve, read_frf, write_frf
+from armimp_estimation.identify import EstimatorResult
+from armimp_estimation.json_model import read_json
+from armimp_estimation.summary import Summary, write_summary
+from armimp_sim.presets import LEVELS as SIMULATOR_LEVELS
+
+LEVELS: Final[Mapping[str, tuple[int, ...]]] = {
+    "friction": SIMULATOR_LEVELS,
+    "resolution": SIMULATOR_LEVELS,
+    "perturbation": PERTURBATION_LEVELS,
+}
+"""The factors of the study with all their levels."""
+
+MOST_SEEDS: Final = 10_000
+_MOST_SEED: Final = 2**63 - 1
+
+
+@dataclass(frozen=True, kw_only=True, order=True)
+class Condition:
+    """One cell of the study: an experiment with a trial for each joint.
+
+    Conditions are ordered by seed, then friction, resolution and perturbation level.
+    """
+
+    seed: int
+    friction: int
+    resolution: int
+    perturbation: int
+
+    @property
+    def levels(self) -> dict[str, int]:
+        """Level of each factor."""
+        return {factor: getattr(self, factor) for factor in LEVELS}
+
+    @property
+    def name(self) -> str:
+        """Name for files."""
+        levels = "-".join(f"{factor}{level}" for factor, level in self.levels.items())
+        return f"{levels}-seed{self.seed}"
+
+    def __str__(self) -> str:
+        levels = ", ".join(f"{factor} {level}" for factor, level in self.levels.items())
+        return f"{levels}, seed {self.seed}"
+
+
+def select_conditions(only: Sequence[str], seeds: str) -> tuple[Condition, ...]:
+    """Conditions of a study, in order and each once.
+
+    Parameters
+    ----------
+    only : sequence of str
+        Selections such as ``friction=0+3,resolution=0``; their union is taken. None: all 48
+        combinations.
+    seeds : str
+        As for `parse_seeds`.
+
+    Raises
+    ------
+    ConfigurationError
+        If a selection or the seeds cannot be understood.
+    """
+    cells = {
+        cell
+        for selection in ([_parse_only(text) for text in only] or [dict(LEVELS)])
+        for cell in itertools.product(*(selection[factor] for factor in LEVELS))
+    }
+    return tuple(
+        sorted(
+            Condition(seed=seed, friction=cell[0], resolution=cell[1], perturbation=cell[2])
+            for cell, seed in itertools.product(cells, parse_seeds(seeds))
+        )
+    )
+
+
+def _parse_only(text: str) -> dict[str, tuple[int, ...]]:
+    found: dict[str, tuple[int, ...]] = {}
+    for part in text.split(","):
+        factor, _, values = (one.strip() for one in part.partition("="))
+        known = LEVELS.get(factor, ())
+        levels = [value.strip() for value in values.split("+")]
+        if factor in found or not {*levels} <= {*map(str, known)}:
+            raise ConfigurationError(
+                f"--only {text!r}: {part.strip()!r} is not one of {', '.join(LEVELS)}, once, with "
+                "its levels, as in friction=0+3,resolution=0"
+            )
+        found[factor] = tuple(map(int, levels))
+    return {**LEVELS, **found}
+
+
+def parse_seeds(text: str) -> tuple[int, ...]:
+    """Seeds from numbers and half-open ranges, joined by commas: ``77``, ``0:10``, ``1,5,10:20``.
+
+    Raises
+    ------
+    ConfigurationError
+        If it is something else, holds no seed or more than `MOST_SEEDS`, or one twice.
+    """
+    found: list[int] = []
+    for part in text.split(","):
+        numbers = re.fullmatch(r"\s*([0-9]{1,19})\s*(?::\s*([0-9]{1,19})\s*)?", part)
+        first = int(numbers[1]) if numbers else 0
+        end = int(numbers[2] or first + 1) if numbers else 0
+        if not first < end <= _MOST_SEED + 1 or end - first + len(found) > MOST_SEEDS:
+            raise ConfigurationError(
+                f"--seeds {text!r}: {part!r} is neither a seed nor a range such as 0:10, of "
+                f"at most {MOST_SEEDS} seeds"
+            )
+        found += range(first, end)
+    if len(set(found)) < len(found):
+        raise ConfigurationError(f"--seeds {text!r}: a seed is there twice")
+    return tuple(found)
+
+
+class StudyEntry(Summary):
+    """The result of one condition: a summary with the levels; its seed is part of any summary."""
+
+    seed: int
+    friction: int
+    resolution: int
+    perturbation: int
+
+    @model_validator(mode="after")
+    def _check_complete(self) -> StudyEntry:
+        """Whatever simulates a condition knows the truth, and perturbs each joint once."""
+        if self.truth is None:
+            raise ValueError("truth is missing")
+        if not self.estimators:
+            raise ValueError("estimators are missing")
+        if any(estimator.vaf is None for estimator in self.estimators.values()):
+            raise ValueError("a VAF is missing")
+        perturbed = [trial.k for trial in self.trials]
+        if sorted(perturbed) != list(range(1, self.joints + 1)):
+            raise ValueError(f"trials perturb the joints {perturbed}, of {self.joints}")
+        return self
+
+    @property
+    def condition(self) -> Condition:
+        """What the result is of."""
+        levels = {factor: getattr(self, factor) for factor in LEVELS}
+        return Condition(seed=self.seed, **levels)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConditionResult:
+    """The result of one condition, and its curves by name of the estimator."""
+
+    entry: StudyEntry
+    results: dict[str, EstimatorResult]
+
+
+_ENTRIES = TypeAdapter(list[StudyEntry])
+
+
+def study_text(entries: Sequence[StudyEntry]) -> str:
+    """Content of ``study.json``: a list of entries."""
+    return _ENTRIES.dump_json(list(entries), indent=1, by_alias=True).decode() + "\n"
+
+
+def read_study(path: Path) -> list[StudyEntry]:
+    """Read ``study.json``.
+
+    Raises
+    ------
+    DataError
+        If it can't be read, or is something else.
+    """
+    return read_json(path, _ENTRIES.validate_json, "a study")
+
+
+def save_result(directory: Path, result: ConditionResult) -> None:
+    """Write result and curves of a condition.
+
+    Raises
+    ------
+    DataError
+        If they can't be written.
+    """
+    name = result.entry.condition.name
+    write_frf(
+        directory / f"{name}.npz", {n: ImpedanceCurve.of(one) for n, one in result.results.items()}
+    )
+    write_summary(directory / f"{name}.json", result.entry)
+
+
+def saved_curves(directory: Path, condition: Condition) -> dict[str, ImpedanceCurve]:
+    """Curves of one condition by name of the estimator.
+
+    Raises
+    ------
+    DataError
+        If they are missing or damaged.
+    """
+    return read_frf(directory / f"{condition.name}.npz")

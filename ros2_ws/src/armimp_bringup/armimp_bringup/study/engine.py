@@ -12,7 +12,7 @@ from typing import Any, TypeAlias, TypeVar
 
 from armimp_bringup.config import ExperimentConfig
 from armimp_bringup.offline import SimulatedExperiment, simulate
-from armimp_bringup.study.conditions import Condition, ConditionResult, StudyEntry
+from armimp_bringup.study import Condition, ConditionResult, StudyEntry
 from armimp_common.errors import ArmimpError, ConfigurationError, DataError
 from armimp_common.versions import git_revision, versions
 from armimp_estimation.summary import TrialSummary

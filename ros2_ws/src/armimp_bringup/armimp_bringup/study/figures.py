@@ -15,7 +15,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from armimp_bringup.bench import available_cores
-from armimp_bringup.study.conditions import LEVELS, Condition
+from armimp_bringup.study import LEVELS, Condition
 from armimp_bringup.study.scores import COHERENCE_SCORES, FIT_SCORES, Score, Table, statistics
 from armimp_common.errors import DataError
 from armimp_estimation.curves import ImpedanceCurve

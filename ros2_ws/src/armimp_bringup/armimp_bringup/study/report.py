@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from armimp_bringup.study.conditions import LEVELS, Condition, StudyEntry
+from armimp_bringup.study import LEVELS, Condition, StudyEntry
 from armimp_bringup.study.figures import levels_chart, overlay_plot
 from armimp_bringup.study.scores import (
     COHERENCE_SCORES,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from armimp_bringup.study.conditions import Condition, StudyEntry
+from armimp_bringup.study import Condition, StudyEntry
 from armimp_estimation.json_model import Number
 from armimp_estimation.mbk import MBK
 from armimp_estimation.problems import ProblemCode

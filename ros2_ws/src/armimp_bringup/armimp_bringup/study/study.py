@@ -16,7 +16,7 @@ from rich.table import Table
 from armimp_bringup.bench import available_cores
 from armimp_bringup.config import ExperimentConfig, prepare_directory
 from armimp_bringup.parameters import node_parameters
-from armimp_bringup.study.conditions import (
+from armimp_bringup.study import (
     LEVELS,
     Condition,
     StudyEntry,

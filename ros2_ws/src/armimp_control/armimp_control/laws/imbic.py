@@ -47,7 +47,7 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import inlined
 from armimp_common.errors import ConfigurationError
-from armimp_control.laws.base import (
+from armimp_control.laws import (
     ANGLE,
     ANGLE_GAIN,
     APPROACH,

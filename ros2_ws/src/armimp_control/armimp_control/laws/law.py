@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from armimp_common.compiled import compiled, compiled_entry, inlined
 from armimp_common.status import Cause
-from armimp_control.laws.base import (
+from armimp_control.laws import (
     COMMAND,
     IMBIC_OBSERVER,
     MEMORY_ROWS,

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from armimp_common.compiled import inlined
-from armimp_control.laws.base import (
+from armimp_control.laws import (
     DAMPING,
     INERTIA,
     MODEL_ROWS,
