@@ -61,23 +61,8 @@ _RAMPS = (1, 5, 10, 15, 20, 30, 40, 50, 60, 80)  # tried lengths of the way to z
 _SIGMAS = 5.0
 
 
-class _Kind(NamedTuple):
-    """What readings of a stream may be."""
-
-    unit: str
-    largest: float  # two turns; 500 N·m: chosen
-    hint: str  # what they are if they are larger
-    coarsest: float  # resolution of the study
-    still: str  # what to do if they do not change
-
-
-_KINDS = {
-    "position": _Kind(
-        *("rad", 4.0 * math.pi, "degrees?", 2.0 * math.pi / 51200),
-        "readings do not change: move the arm, or --move",
-    ),
-    "effort": _Kind("N·m", 500.0, "N·mm?", 0.02, "readings do not change"),
-}
+_RANGES = {"position": ("rad", 4.0 * math.pi, "degrees?"), "effort": ("N·m", 500.0, "N·mm?")}
+"""Unit of readings, what none exceeds (two turns; chosen), and what they are if one does."""
 
 
 def judge(record: Record) -> list[Finding]:
@@ -156,7 +141,7 @@ def _judge_content(record: Record, topic: str) -> Iterator[Finding]:
 
 
 def _judge_values(record: Record, topic: str, messages: Sequence[Message]) -> Iterator[Finding]:
-    kind = _KINDS[VALUE_FIELD[topic]]
+    unit, bound, hint = _RANGES[VALUE_FIELD[topic]]
     still = readings(record.joints, topic, messages)
     moving = readings(record.joints, topic, record.moving.get(topic, ()))
     # Of numbers in the wrong place at least that can be said.
@@ -165,48 +150,20 @@ def _judge_values(record: Record, topic: str, messages: Sequence[Message]) -> It
     bad = int(np.sum(~np.isfinite(numbers)))
     figure = f"{bad} of {numbers.size} are not"
     yield _judged(f"{topic}: finite", bad == 0, figure, "no NaN, no infinity")
-    limit = f"|value| ≤ {kind.largest:.4g} {kind.unit}"
+    limit = f"|value| ≤ {bound:.4g} {unit}"
     if not still.size:
         yield Finding(f"{topic}: range", Verdict.NOT_CHECKED, "no whole message", limit)
         return
     parts = [np.where(np.isfinite(part), part, 0.0) for part in (still, moving)]
     largest = float(max(np.max(np.abs(part), initial=0.0) for part in parts))
-    good = largest <= kind.largest
-    figure = f"{largest:.4g} {kind.unit}" + ("" if good else f" ({kind.hint})")
+    good = largest <= bound
+    figure = f"{largest:.4g} {unit}" + ("" if good else f" ({hint})")
     yield _judged(f"{topic}: range", good, figure, limit)
     if topic == JOINT_STATES:
         # Between the two parts of the recording samples are missing.
         jump = float(max(np.max(np.abs(np.diff(part)), initial=0.0) for part in parts))
         limit = f"≤ {_JUMP:g} rad from one sample to the next"
         yield _judged(f"{topic}: jumps", jump <= _JUMP, f"{jump:.3g} rad", limit)
-    yield _judge_resolution(topic, np.hstack(parts), kind)
-
-
-def _judge_resolution(topic: str, values: NDArray[np.float64], kind: _Kind) -> Finding:
-    """Judge the smallest step between readings (n, N) of the joint with the largest one.
-
-    Readings that are rounded lie on a grid, whose step this is as soon as neighbours occur; that
-    they do is certain only if all readings lie on a grid of this step.
-    """
-    steps: list[tuple[float, bool]] = []
-    for row in values:
-        levels = np.unique(row)
-        gaps = np.diff(levels)
-        # Levels of one grid differ in the last bits.
-        gaps = gaps[gaps > 1e-9 * max(float(np.max(np.abs(levels))), 1e-3)]
-        if gaps.size:
-            ratios = gaps / np.min(gaps)
-            on_grid = float(np.max(np.abs(ratios - np.rint(ratios)))) < 0.1
-            steps.append((float(np.min(gaps)), on_grid))
-    check = f"{topic}: resolution"
-    limit = f"≤ {kind.coarsest:.4g} {kind.unit}, the study's coarsest"
-    if not steps:
-        return Finding(check, Verdict.NOT_CHECKED, kind.still, limit)
-    step, certain = max(steps)
-    fine = step <= 1.01 * kind.coarsest
-    if not (fine or certain):
-        return Finding(check, Verdict.NOT_CHECKED, "too few readings that differ", limit)
-    return _judged(check, fine, f"{step:.4g} {kind.unit}", limit)
 
 
 def _judge_timing(record: Record) -> Iterator[Finding]:
