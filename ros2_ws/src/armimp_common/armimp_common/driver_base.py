@@ -16,9 +16,7 @@ from typing import Any, Generic, TypeVar
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
-from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
-from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from armimp_common import qos, topics
@@ -129,7 +127,6 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         self.reported_fault = ""
         self.active = self._stopped = False
         self.limiter: LimiterT | None = None
-        self._owned: list[Publisher | Subscription | Timer] = []
         self._sequence = CommandSequence()
         self._accused = False
         self._commanders = 0
@@ -167,10 +164,6 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
         )
         self.own(self.joint_states.publisher, self.torque_sensors.publisher, self.diagnostics)
         self.own(self.commands, steady_timer(self, _CHECK_PERIOD, self.check))
-
-    def own(self, *things: Publisher | Subscription | Timer) -> None:
-        """Have these destroyed when the node is cleaned up."""
-        self._owned += things
 
     # What a subclass defines; all but the first have a meaning already.
 
@@ -353,14 +346,7 @@ class DriverBase(ManagedNode, ABC, Generic[LimiterT]):
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget the rig, so that new parameters can be used; only an emergency stop remains."""
-        for thing in self._owned:
-            if isinstance(thing, Timer):
-                self.destroy_timer(thing)
-            elif isinstance(thing, Publisher):
-                self.destroy_publisher(thing)
-            else:
-                self.destroy_subscription(thing)
-        self._owned.clear()
+        self.disown()
         self.limiter = None
         self._accused = False
         return TransitionCallbackReturn.SUCCESS

@@ -14,7 +14,10 @@ from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
 from rclpy.client import Client
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.subscription import Subscription
 from rclpy.task import Future
+from rclpy.timer import Timer
 
 from armimp_common.errors import ArmimpError, GraphError
 
@@ -200,6 +203,8 @@ class LifecycleManager:
 class ManagedNode(LifecycleNode):
     """A lifecycle node that refuses a transition which there is not, where rclpy lets it end.
 
+    What is made at configuration is given to :meth:`own`; `on_cleanup` calls :meth:`disown`.
+
     Attributes
     ----------
     transition_error : why the last transition failed; see :func:`reported`
@@ -207,7 +212,23 @@ class ManagedNode(LifecycleNode):
 
     def __init__(self, name: str, **kwargs: Any) -> None:
         self.transition_error = ""
+        self._owned: list[Publisher | Subscription | Timer] = []
         super().__init__(name, **kwargs)
+
+    def own(self, *things: Publisher | Subscription | Timer) -> None:
+        """Have these destroyed by :meth:`disown`."""
+        self._owned += things
+
+    def disown(self) -> None:
+        """Destroy what the node owns."""
+        for thing in self._owned:
+            if isinstance(thing, Timer):
+                self.destroy_timer(thing)
+            elif isinstance(thing, Publisher):
+                self.destroy_publisher(thing)
+            else:
+                self.destroy_subscription(thing)
+        self._owned.clear()
 
     def _LifecycleNodeMixin__on_change_state(
         self, request: ChangeState.Request, response: ChangeState.Response

@@ -117,6 +117,8 @@ class ImbicControllerNode(ManagedNode):
         period = _WATCHDOG_PERIODS[parameters.mode]
         self._timer = steady_timer(self, period, self._on_watchdog, autostart=False)
         self._ramp = steady_timer(self, PERIOD, self._on_watchdog, autostart=False)
+        self.own(self._commands.publisher, self._perturbation.publisher, self._trial)
+        self.own(self._diagnostics, *self._sensors, self._timer, self._ramp)
         return TransitionCallbackReturn.SUCCESS
 
     @reported
@@ -153,14 +155,7 @@ class ImbicControllerNode(ManagedNode):
     @reported
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Forget everything, so that new parameters can be used."""
-        self.destroy_timer(self._timer)
-        self.destroy_timer(self._ramp)
-        for channel in self._sensors:
-            self.destroy_subscription(channel)
-        for publisher in (self._commands.publisher, self._perturbation.publisher, self._trial):
-            self.destroy_publisher(publisher)
-        if self._diagnostics is not None:
-            self.destroy_publisher(self._diagnostics)
+        self.disown()
         self._diagnostics = None
         self._sequencer = None
         return TransitionCallbackReturn.SUCCESS
