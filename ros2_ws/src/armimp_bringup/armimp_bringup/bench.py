@@ -181,11 +181,7 @@ def _record(
 ) -> dict[str, Any]:
     return {
         "schema": 1,
-        "machine": {
-            "cores": available_cores(),
-            "processor": _processor(),
-            "system": platform.platform(),
-        },
+        "machine": {"cores": available_cores(), "system": platform.platform()},
         "versions": versions(),
         "git_revision": git_revision(),
         "benchmarks": {
@@ -211,15 +207,4 @@ def _print(measured: Mapping[str, Sequence[Measured]], took: float) -> None:
             limit = "" if one.limit is None else f"≤ {one.limit:g} {one.unit} {mark}"
             table.add_row(one.label, f"{one.value:.3g}", one.unit, limit)
         console.print(table)
-    console.print(
-        f"{available_cores()} cores, {_processor()}; measured in {took:.0f} s", highlight=False
-    )
-
-
-def _processor() -> str:
-    try:
-        text = Path("/proc/cpuinfo").read_text(encoding="utf-8")
-    except OSError:
-        return platform.processor()
-    names = [line.split(":", 1)[1].strip() for line in text.splitlines() if "model name" in line]
-    return names[0] if names else platform.processor()
+    console.print(f"{available_cores()} cores; measured in {took:.0f} s", highlight=False)

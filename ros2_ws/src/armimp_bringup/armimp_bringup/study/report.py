@@ -88,22 +88,16 @@ class StudyReport:
         """HTML document."""
         first = self.entries[0]
         friction = f"levels {_present(self.entries, 'friction')}"
-        scores, coherence = "VAF and R² by level (Fig. 3)", "Coherence by level (Fig. 4)"
         found: list[tuple[str, str, str, Content | None]] = [
             ("verdict", "Verdict", "study/verdict", self._verdict()),
             ("conditions", "Conditions", "study/conditions", self._conditions()),
             ("impedance", "Impedance (Fig. 2)", "study/impedance", self._impedance()),
-            (
-                "scores",
-                "VAF and R² (Fig. 3)",
-                "study/levels",
-                self._by_level("scores", scores, FIT_SCORES),
-            ),
+            ("scores", "VAF and R² (Fig. 3)", "study/levels", self._by_level("scores", FIT_SCORES)),
             (
                 "coherence",
                 "Coherence (Fig. 4)",
                 "study/levels",
-                self._by_level("coherence", coherence, COHERENCE_SCORES),
+                self._by_level("coherence", COHERENCE_SCORES),
             ),
             ("settings", "Settings", "report/settings", self._settings()),
             (
@@ -132,19 +126,13 @@ class StudyReport:
     def _facts(self) -> list[str]:
         first, seeds = self.entries[0], self._seeds
         many = f"seeds {seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"seed {seeds[0]}"
-        facts = [
+        duration = setting(first.config, "imbic_controller", "sequence.duration")
+        return [
             f"{len(self.entries)} conditions",
             *(f"{factor} {_present(self.entries, factor)}" for factor in LEVELS),
             many if len(seeds) < 3 else f"{len(seeds)} {many}",
-            f"{first.joints} trials each",
+            f"{first.joints} trials of {duration:g} s each",
         ]
-        duration = setting(first.config, "imbic_controller", "sequence.duration")
-        if isinstance(duration, (int, float)):
-            facts[-1] += f" of {duration:g} s"
-        law = setting(first.config, "imbic_controller", "law.kind")
-        if law not in (None, "imbic"):
-            facts.append(f"control law {law}")
-        return facts
 
     # --- verdict -------------------------------------------------------------------------------
 
@@ -257,7 +245,9 @@ class StudyReport:
             options = [(f"perturbation:{level}", f"level {level}") for level in perturbations]
             yield "overlay-perturbation", "Perturbation", options
 
-    def _by_level(self, identifier: str, title: str, scores: Sequence[Score]) -> Content:
+    def _by_level(self, identifier: str, scores: Sequence[Score]) -> Content:
+        names = ", ".join(score.name for score in scores)
+        title = f"By level: {names}"
         legend = {"orientation": "h", "y": -0.16, "yanchor": "top", "x": 0}
         views = [
             levels_chart(self._of(name), scores).view(name, hovermode="closest", legend=legend)
@@ -266,7 +256,7 @@ class StudyReport:
         plot = Plot(
             identifier=f"levels-{identifier}",
             caption=title,
-            description=f"{title}: {', '.join(score.name for score in scores)}.",
+            description=f"{names} by the level of each factor.",
             views=views,
             height=90 + 190 * len(scores),
         )
