@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from pydantic import TypeAdapter, model_validator
+from pydantic import TypeAdapter
 
 from armimp_common.errors import ConfigurationError
 from armimp_control.presets import LEVELS as PERTURBATION_LEVELS
@@ -133,20 +133,6 @@ class StudyEntry(Summary):
     friction: int
     resolution: int
     perturbation: int
-
-    @model_validator(mode="after")
-    def _check_complete(self) -> StudyEntry:
-        """Whatever simulates a condition knows the truth, and perturbs each joint once."""
-        if self.truth is None:
-            raise ValueError("truth is missing")
-        if not self.estimators:
-            raise ValueError("estimators are missing")
-        if any(estimator.vaf is None for estimator in self.estimators.values()):
-            raise ValueError("a VAF is missing")
-        perturbed = [trial.k for trial in self.trials]
-        if sorted(perturbed) != list(range(1, self.joints + 1)):
-            raise ValueError(f"trials perturb the joints {perturbed}, of {self.joints}")
-        return self
 
     @property
     def condition(self) -> Condition:
