@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TypeVar
+from typing import Literal, TypeVar
+
+from pydantic import Field
 
 from armimp_common.errors import ConfigurationError
+from armimp_common.schema import Schema
 
 BITS = 16
 """Width of the encoders' counters."""
@@ -14,34 +16,18 @@ BITS = 16
 Item = TypeVar("Item")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Calibration:
-    """One sensor of one joint: ``value = sign · (count − zero) · resolution / gear``.
+class Calibration(Schema):
+    """One sensor of one joint: ``value = sign · (count − zero) · resolution / gear``."""
 
-    Raises
-    ------
-    ConfigurationError
-        If sign, gear or resolution are out of range.
-    """
-
-    resolution: float
+    resolution: float = Field(gt=0.0)
     """In rad or N·m per count, on the side of the sensor."""
     zero: int = 0
     """Count at zero."""
-    sign: int = 1
+    sign: Literal[1, -1] = 1
     """1, or −1 where the sensor counts against the direction of the joint."""
-    gear: float = 1.0
+    gear: float = Field(default=1.0, gt=0.0)
     """What the sensor sees for 1 rad or 1 N·m of the joint: turns of an encoder's shaft for one
     turn of the joint; for a transducer the share of the torque that passes it, or its gain."""
-
-    def __post_init__(self) -> None:
-        for name in ("resolution", "gear"):
-            if not 0.0 < getattr(self, name) < float("inf"):
-                raise ConfigurationError(
-                    f"calibration: {name} must be positive, got {getattr(self, name)}"
-                )
-        if self.sign not in (1, -1):
-            raise ConfigurationError(f"calibration: sign must be 1 or -1, got {self.sign}")
 
     def value(self, count: int) -> float:
         """Value of the joint, rad or N·m."""
@@ -52,23 +38,13 @@ class Calibration:
         return self.sign * round(value * self.gear / self.resolution) + self.zero
 
 
-@dataclass(frozen=True, kw_only=True)
-class Drive:
-    """One drive: its torque is ``sign · τ / gear`` for a torque τ of the joint.
+class Drive(Schema):
+    """One drive: its torque is ``sign · τ / gear`` for a torque τ of the joint."""
 
-    Raises
-    ------
-    ConfigurationError
-        If one is out of range.
-    """
-
-    sign: int = 1
+    sign: Literal[1, -1] = 1
     """1, or −1 where it turns against the direction of the joint."""
-    gear: float = 1.0
+    gear: float = Field(default=1.0, gt=0.0)
     """Its turns for one turn of the joint."""
-
-    def __post_init__(self) -> None:
-        Calibration(resolution=1.0, sign=self.sign, gear=self.gear)
 
     def torque(self, joint: float) -> float:
         """Torque of the drive for that of the joint, N·m."""

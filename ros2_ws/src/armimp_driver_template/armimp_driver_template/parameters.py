@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any, Literal, TypeVar
 
-from pydantic import Field
+from pydantic import Field, ValidationError
 
 from armimp_common.errors import ConfigurationError
 from armimp_common.protection import ProtectionLimits
-from armimp_common.schema import Schema
+from armimp_common.schema import Schema, explain
 from armimp_driver_template.conversion import Calibration, Drive
 
 Kind = TypeVar("Kind")
@@ -138,5 +138,5 @@ def _of_joints(kind: type[Kind], name: str, joints: int, values: Schema) -> tupl
             kind(**{f: given[0] if len(given) == 1 else given[i] for f, given in fields.items()})
             for i in range(joints)
         )
-    except ConfigurationError as error:
-        raise ConfigurationError(f"parameter '{name}': {error}") from None
+    except ValidationError as error:
+        raise ConfigurationError(f"{name}: {explain(error)}") from None

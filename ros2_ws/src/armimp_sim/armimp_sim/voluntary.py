@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from armimp_common.errors import ConfigurationError
 from armimp_common.schema import Schema
+from armimp_common.topics import NS_PER_S, PERIOD_NS
 from armimp_sim.model.sensors import SensorParameters
 
 # Of the random streams, which keep these apart from each other and from those of perturbations.
 _VOLUNTARY, _TREMOR, _READINGS = 2, 3, 4
 _BLOCK = 4096
+_NYQUIST = 0.5 * NS_PER_S / PERIOD_NS
 
 
 class VoluntaryParameters(Schema):
@@ -27,14 +28,20 @@ class VoluntaryParameters(Schema):
 
     rms: float = Field(default=0.0, ge=0.0)
     """Rms of the voluntary torque of every joint (N·m)."""
-    cutoff: float = Field(default=2.0, gt=0.0)
+    cutoff: float = Field(default=2.0, gt=0.0, lt=_NYQUIST)
     """Cut-off frequency of the voluntary torque (Hz)."""
     tremor: float = Field(default=0.0, ge=0.0)
     """Rms of the torque of tremor of every joint (N·m)."""
-    tremor_low: float = Field(default=8.0, gt=0.0)
+    tremor_low: float = Field(default=8.0, gt=0.0, lt=_NYQUIST)
     """Lower end of the band of tremor (Hz)."""
-    tremor_high: float = Field(default=12.0, gt=0.0)
+    tremor_high: float = Field(default=12.0, gt=0.0, lt=_NYQUIST)
     """Upper end of the band of tremor (Hz)."""
+
+    @model_validator(mode="after")
+    def _has_a_band(self) -> VoluntaryParameters:
+        if not self.tremor_low < self.tremor_high:
+            raise ValueError(f"tremor_low must be below tremor_high, {self.tremor_high} Hz")
+        return self
 
     def bands(self) -> list[tuple[float, tuple[float, ...], int]]:
         """Of all that the person does: rms, edges of a low-pass or band-pass, random stream."""
@@ -118,27 +125,11 @@ class VoluntaryTorque:
     joints : number of joints n
     period : s, between ticks
     seed : of the experiment, not negative
-
-    Raises
-    ------
-    ConfigurationError
-        If an edge of a band is not below half the sampling rate, or tremor has no band.
     """
 
     def __init__(
         self, config: VoluntaryParameters, *, joints: int, period: float, seed: int
     ) -> None:
-        for name in ("cutoff", "tremor_high"):
-            if not getattr(config, name) < 0.5 / period:
-                raise ConfigurationError(
-                    f"voluntary torque: {name} {getattr(config, name)} Hz is not below half the "
-                    "sampling rate"
-                )
-        if not config.tremor_low < config.tremor_high:
-            raise ConfigurationError(
-                f"voluntary torque: tremor_low {config.tremor_low} Hz is not below tremor_high "
-                f"{config.tremor_high} Hz"
-            )
         self._joints = joints
         self._streams = [
             NoiseStream([rms] * joints, seed=seed, stream=stream, edges=edges, period=period)

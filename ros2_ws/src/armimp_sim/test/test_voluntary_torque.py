@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 from scipy import signal
 
-from armimp_common.errors import ConfigurationError
 from armimp_sim.model.sensors import ReadingParameters, SensorParameters
 from armimp_sim.voluntary import ReadingNoise, VoluntaryParameters, VoluntaryTorque
 
@@ -52,7 +52,7 @@ def test_seed_decides_the_stream() -> None:
 
 
 def test_cutoff_beyond_half_the_sampling_rate_is_refused() -> None:
-    with pytest.raises(ConfigurationError, match=r"cutoff 500\.0 Hz is not below half"):
+    with pytest.raises(ValidationError, match="cutoff"):
         _stream(cutoff=500.0)
 
 
