@@ -88,6 +88,11 @@ class Mismatch:
     """Its time constant."""
     cubic: float = 0.0
     """Share by which stiffness falls at 50 mrad."""
+    one_sided: float = 0.0
+    """Share by which stiffness differs between both directions."""
+    startled: float = 0.0
+    """Share by which stiffness is larger at the begin of the trial, a fifteenth of which it
+    takes to fall."""
     waxing: float = 0.0
     """Share by which stiffness grows over the trial."""
     tremor: float = 0.0
@@ -240,6 +245,7 @@ def _run(  # type: ignore[no-untyped-def] # noqa: C901, PLR0912, PLR0913, PLR091
                 extra += nonlinear[3] * (q - relaxed[i])
                 extra -= nonlinear[1] * q * min(q * q / 0.0025, 4.0)
                 extra += nonlinear[2] * (k / ticks - 0.5) * q
+                extra += nonlinear[5] * abs(q) + nonlinear[6] * np.exp(-15.0 * k / ticks) * q
                 force[n + i] = disturbance[i, k] + contraction[i, 1] + extra
             if s == 0:
                 for i in range(n):
@@ -324,6 +330,8 @@ def simulate_trial(mismatch: Mismatch, joint: int, seed: int) -> Recording:
                 mismatch.waxing * float(K[0, 0]),
                 mismatch.relaxing,
                 1.0 - np.exp(-step / mismatch.relaxation),
+                0.5 * mismatch.one_sided * float(K[0, 0]),
+                mismatch.startled * float(K[0, 0]),
             ]
         ),
         1.0 - np.exp(-step / 0.02),

@@ -300,6 +300,8 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for factor in (0.5, 0.8, 0.9, 0.95, 1.05, 1.1, 1.25, 2.0):
         every: dict[str, Any] = {"readings": changed(torque=_times(factor))}
         add(MUST, "torque gain", (f"{factor:g}", every | undeclared))
+        beside: dict[str, Any] = every | undeclared | {"voluntary": 0.3}
+        add(MUST, "torque gain, voluntary 0.3 N·m", (f"{factor:g}", beside))
         for row in (0, 1):
             wrong = changed(torque=_row(row, factor))
             of_one = (f"{factor:g}", {"readings": wrong} | undeclared)
@@ -347,11 +349,15 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
     for stiff in (1e5, 3e4, 1e4, 3e3, 1e3):
         add(MUST, "cuff", (f"{stiff / 1e3:g} kN·m/rad", {"cuff": stiff}))
     for stiff in (3e5, 1e5):
-        moved = {"cuff": stiff, "voluntary": 0.3}
-        add(MUST, "cuff, voluntary 0.3 N·m", (f"{stiff / 1e3:g} kN·m/rad", moved))
+        softly: dict[str, Any] = {"cuff": stiff, "voluntary": 0.3}
+        add(MUST, "cuff, voluntary 0.3 N·m", (f"{stiff / 1e3:g} kN·m/rad", softly))
     for extra in (1.0, 5.0, 20.0):
         add(MUST, "short-range stiffness", (f"{extra:g}", {"short_range": extra}))
+        hidden: dict[str, Any] = {"short_range": extra, "voluntary": 0.3}
+        add(MUST, "short-range stiffness, voluntary 0.3 N·m", (f"{extra:g}", hidden))
     for share in (0.03, 0.1, 0.3):
+        add(MUST, "stiffness of either direction", (f"{share:g}", {"one_sided": share}))
+        add(MUST, "startled", (f"{share:g}", {"startled": share}))
         add(MUST, "amplitude-dependent", (f"{share:g}", {"cubic": share}))
         bent = {"cubic": share, "voluntary": 0.3}
         add(MUST, "amplitude-dependent, voluntary 0.3 N·m", (f"{share:g}", bent))
@@ -365,6 +371,9 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for factor in (0.3, 3.0, 8.0):
             add(NOISE, f"{name} x", (f"{factor:g}", {name: factor}))
     add(NOISE, "preload", ("0.1 rad", {"preload": 0.1}))
+    for sideways in (-0.3, 0.3):
+        pressed = {"preload": sideways, "voluntary": 0.3}
+        add(NOISE, "preload, voluntary 0.3 N·m", (f"{sideways:g} rad", pressed))
     for level in (0.2, 0.5):
         add(NOISE, "weak", (f"{level:g}", {"level": level}))
     for friction in (0.5, 1.0, 2.0):
@@ -390,7 +399,14 @@ def cases() -> dict[str, tuple[str, Mismatch]]:  # noqa: C901, PLR0912, PLR0915 
         for factor in (0.9, 0.95, 1.1):
             light = {"robot": inertia, "readings": changed(torque=_row(1, factor))} | undeclared
             add(MUST, "robot and torque gain of joint 2", (f"{inertia:g}, {factor:g}", light))
-    add(NOISE, "multisine", ("", {"multisine": True}))
+    add(
+        NOISE,
+        "multisine",
+        ("", {"multisine": True}),
+        ("2000", {"multisine": True, "rate": 2000.0}),
+        ("weak", {"multisine": True, "level": 0.2}),
+        ("friction 2 N·m", {"multisine": True, "friction": 2.0}),
+    )
     for size, stiff in ((0.2, 500.0), (0.5, 2000.0), (1.0, 1e4)):
         add(
             NOISE,

@@ -15,7 +15,14 @@ from research.independent_rig import Mismatch, arm_of, changed, simulate, write_
 from research.truth import NOISE, cases, outcome
 
 CASES = cases()
-QUICK = {("torque gain of joint 2 0.9", 11), ("voluntary 0.3 N·m", 11)}
+QUICK = {
+    ("torque gain of joint 2 0.9", 11),
+    ("voluntary 0.3 N·m", 11),
+    ("preload, voluntary 0.3 N·m 0.3 rad", 11),
+    ("reflex 0.3, 40 ms", 11),
+    ("stiffness of either direction 0.1", 11),
+    ("multisine 2000", 0),
+}
 ONCE_WRONG = {
     # Noise hides the cuff in some elements; the intervals of all must hold it.
     ("cuff, voluntary 0.3 N·m 100 kN·m/rad", 5),
@@ -23,10 +30,11 @@ ONCE_WRONG = {
     ("amplitude-dependent, voluntary 0.3 N·m 0.1", 0),
     ("amplitude-dependent, voluntary 0.3 N·m 0.1", 3),
     # All lines of a multisine make neither an arm look bent nor a transducer linear.
-    ("multisine", 0),
     ("torque compressed, multisine 0.03", 0),
     # Coarse encoders miss motion of a joint that friction holds.
     ("sticking 1 N·m, 0.0005 rad", 25),
+    # A spring that a joint of the robot seems to have may be a wrong gain.
+    ("torque gain, voluntary 0.3 N·m 0.5", 1),
     # What a person does neither hides a bent transducer nor looks like friction.
     ("torque larger in one direction, voluntary 0.3 N·m", 1),
     ("voluntary and tremor 1 N·m", 1),

@@ -2,26 +2,27 @@
 
 With the fitted arm, ``e = τ_k - Σ_j Z_kj θ_j`` is what it doesn't explain of the torque of the
 perturbed joint, in the band. If stiffness falls or grows with the angle, e follows the angle up to
-half of its rms, and no further; if a spring of short range yields, a play operator of the angle
-(the spring's stretch: Brokate & Sprekels, *Hysteresis and Phase Transitions*, ch. 2); if friction
-is left in it, the sign of ``θ̇``; if stiffness changes over the trial, ``θ t``. If the transducer
-is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it shows more
-in one direction, ``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain changes over the
-trial. Terms and e are taken without all that any linear filter makes of angle and perturbation, and
-the coefficient is found with what of the term turns with the sign of the perturbation, or the same
-term of what that alone causes, as the instrument (Söderström & Stoica, *Instrumental Variable
-Methods for System Identification*): so a linear arm gives zero on average, whatever the person does
-beside, although that moves the arm, too. What a person does is slow and hides what a stiffness that
-changes does there, so e is looked at with what the angle exceeds its rms by, where it has least
-noise. What M, B and K are alike of the regressor, times the coefficient, is what the term does to
-them; what the gain of a transducer changes by is in doubt for all that it measures. What readings
-lack because torques jump with commands is put right before: commands that overcome friction would
-make it look like a bent spring. The trial is cut into parts, and the scatter of what each of them
-says is the error, with no assumption about the spectrum of e; parts that weigh much pull the
-coefficient towards themselves, which is made up for (MacKinnon & White, *Journal of Econometrics*
-29, 1985: HC3). Few parts tell that scatter badly, so what counts as significant follows Student's
-distribution. The ends of a trial are left out: there the derivatives of a record that is cut off
-ring.
+half of its rms, and no further; if it is another one in either direction, ``|θ|``; if a spring of
+short range yields, a play operator of the angle (the spring's stretch: Brokate & Sprekels,
+*Hysteresis and Phase Transitions*, ch. 2); if friction is left in it, the sign of ``θ̇``; if
+stiffness changes over the trial, ``θ t``, or is larger at its begin, ``θ exp(-t)``. If the
+transducer is not linear, e follows the torque τ̂, up to the end of the perturbation: ``|τ̂|`` if it
+shows more in one direction, ``τ̂³`` if its gain changes with the torque, ``τ̂ t`` if its gain
+changes over the trial. Terms and e are taken without all that any linear filter makes of angle and
+perturbation, and the coefficient is found with what of the term turns with the sign of the
+perturbation, or the same term of what that alone causes, as the instrument (Söderström & Stoica,
+*Instrumental Variable Methods for System Identification*): so a linear arm gives zero on average,
+whatever the person does beside, although that moves the arm, too. What a person does is slow and
+hides what a stiffness that changes does there, so e is looked at with what the angle exceeds its
+rms by, where it has least noise. What M, B and K are alike of the regressor, times the coefficient,
+is what the term does to them; what the gain of a transducer changes by is in doubt for all that it
+measures. What readings lack because torques jump with commands is put right before: commands that
+overcome friction would make it look like a bent spring. The trial is cut into parts, and the
+scatter of what each of them says is the error, with no assumption about the spectrum of e; parts
+that weigh much pull the coefficient towards themselves, which is made up for (MacKinnon & White,
+*Journal of Econometrics* 29, 1985: HC3). Few parts tell that scatter badly, so what counts as
+significant follows Student's distribution. The ends of a trial are left out: there the derivatives
+of a record that is cut off ring.
 """
 
 from __future__ import annotations
@@ -57,8 +58,10 @@ SIGNIFICANT = 3.5
 LARGE = {
     "amplitude": 0.03,
     "curvature": 0.1,
+    "posture": 0.1,
     "hysteresis": 0.05,
     "time": 0.05,
+    "onset": 0.3,
     "friction": np.inf,
     "direction": 0.2,
     "gain": 0.1,
@@ -75,6 +78,8 @@ REST = 0.5
 """Angle up to which stiffness is that of an arm at rest, in rms angles."""
 HIDDEN: Mapping[str, tuple[float, tuple[float, ...]]] = {
     "curvature": (0.2, (0.03, 0.1, 0.3, 1.0)),
+    "onset": (0.2, (0.1, 0.3, 1.0)),
+    "hysteresis": (0.2, (0.03, 0.1)),
     "direction": (0.05, (0.1,)),
     "gain": (0.05, (0.1,)),
     "drift": (0.05, (0.1,)),
@@ -83,6 +88,8 @@ HIDDEN: Mapping[str, tuple[float, tuple[float, ...]]] = {
 change of its stiffness or gain if so."""
 FAR = 1.0
 """Angle beyond which stiffness differs, in rms angles."""
+ONSETS = 15.0
+"""Length of a trial in times within which an arm that is startled calms down."""
 PLAY = 0.12
 """Half of the play, in rms angles."""
 SLOW = 0.1
@@ -106,9 +113,11 @@ motion is linear. A bent arm leaves a lack of fit there; gains are in doubt as o
 _BENT: Mapping[str, Callable[[FloatArray], FloatArray]] = {
     "amplitude": lambda signals: np.clip(signals[0], -REST, REST),
     "curvature": lambda signals: signals[0] - np.clip(signals[0], -FAR, FAR),
+    "posture": lambda signals: np.abs(signals[0]),
     "hysteresis": lambda signals: play(signals[1], PLAY),
     "friction": lambda signals: np.tanh(signals[2] / SLOW),
     "time": lambda signals: signals[0] * np.linspace(-0.5, 0.5, signals.shape[1]),
+    "onset": lambda signals: signals[0] * np.exp(-np.linspace(0.0, ONSETS, signals.shape[1])),
     "direction": lambda signals: np.abs(signals[3]),
     "gain": lambda signals: signals[3] ** 3,
     "drift": lambda signals: signals[3] * np.linspace(-0.5, 0.5, signals.shape[1]),
@@ -118,7 +127,9 @@ its rms; (4, N)."""
 _SLOPES = {
     "amplitude": -1.0,
     "curvature": 0.32,
+    "posture": 2.0,
     "time": 1.0,
+    "onset": 1.0,
     "direction": 2.0,
     "gain": 3.0,
     "drift": 1.0,
@@ -133,9 +144,11 @@ That is right for one of two directions, for small torques, at the begin or at t
 _CODES = {
     "amplitude": ProblemCode.DEPENDS_ON_AMPLITUDE,
     "curvature": ProblemCode.DEPENDS_ON_AMPLITUDE,
+    "posture": ProblemCode.DEPENDS_ON_DIRECTION,
     "hysteresis": ProblemCode.HYSTERESIS,
     "friction": ProblemCode.FRICTION_LEFT,
     "time": ProblemCode.CHANGES_OVER_TIME,
+    "onset": ProblemCode.CHANGES_OVER_TIME,
     "direction": ProblemCode.TORQUE_NOT_LINEAR,
     "gain": ProblemCode.TORQUE_NOT_LINEAR,
     "drift": ProblemCode.GAIN_DRIFTS,
@@ -158,6 +171,8 @@ class Deviation:
     """What it adds to M, B and K of the joint itself, SI units; shape (3,)."""
     gain: float = 0.0
     """What it adds to the gain of the transducer, relative to that."""
+    held: float = 0.0
+    """Stiffness that the joint has in addition while it hardly moves, N·m/rad."""
 
     @property
     def significant(self) -> bool:
@@ -331,8 +346,9 @@ def deviations(
     Returns
     -------
     dict of str to Deviation
-        ``"amplitude"``, ``"hysteresis"``, ``"friction"``, ``"time"``, and of the transducer
-        ``"direction"``, ``"gain"`` and ``"drift"``; empty for trials of less than 10 s.
+        ``"amplitude"``, ``"curvature"``, ``"posture"``, ``"hysteresis"``, ``"friction"``,
+        ``"time"``, ``"onset"``, and of the transducer ``"direction"``, ``"gain"`` and ``"drift"``;
+        empty for trials of less than 10 s.
     """
     if record.duration < _LEAST:
         return {}
@@ -353,23 +369,22 @@ def deviations(
         _onto(forces)(motion[:2]),
         _onto(wide.filters(pushes))(torque),
     )
-    actual = np.stack([angle, *motion[:2], band.inner(torque + record.torque[k].mean())])
-    known = np.stack([caused[0], *caused[1], band.inner(caused[2] + record.torque[k].mean())])
+    load = band.inner(np.full(torque.size, record.torque[k].mean()))
+    actual = np.stack([angle, *motion[:2], band.inner(torque) + load])
+    known = np.stack([caused[0], *caused[1], band.inner(caused[2])])
     sizes = np.std(actual[:, kept], axis=1)[:, None]
     own = np.array([arm.M[k, k], arm.B[k, k], arm.K[k, k]])
     if not ((sizes > 0.0).all() and own.all()):
         return {}
     signals, known = actual / sizes, known / sizes
+    loaded = known + np.array([0.0, 0.0, 0.0, 1.0])[:, None] * load / sizes
     linear = _Linear(band.filters(record.position[k])[:, kept], forces[:, kept])
     inner = band.inner(rest)
-    equal = np.ones(band.f.size)
     white = band.weights(inner)
     # What a linear arm leaves that isn't quite as it was fitted is in proportion to the torque.
     nearly = band.weights(inner, _LEFT * band.inner(torque))
     left = band.of(rest)
-    weighed = [
-        (one, linear.removed(band.signal(one * left)[kept])) for one in (equal, white, nearly)
-    ]
+    weighed = [(one, linear.removed(band.signal(one * left)[kept])) for one in (nearly, white)]
     found = {}
     for name, bend in _BENT.items():
         of_gain = name in _DOUBTED
@@ -377,15 +392,15 @@ def deviations(
         # alone causes, and tells more where the person moves or loads the joint.
         whole = bend(signals)
         turns = 0.5 * (whole - bend(signals - 2.0 * known))
-        turns = bend(known) + turns if of_gain else turns
+        turns = bend(loaded) + turns if of_gain else turns
         bent = np.stack([band.of(one) for one in (turns, whole)])
-        weights, remains = weighed[1 if of_gain else 2 if name in HIDDEN else 0]
+        weights, remains = weighed[of_gain]
         cause, term = (band.signal(weights * one)[kept] for one in bent)
         instrument = linear.unlike(cause)
         slope, error, freedom = _slope(instrument, linear.removed(term), remains)
         if np.linalg.norm(instrument) < _TOLD * np.linalg.norm(cause):
             error = np.inf
-        shift, gain = np.zeros(3), 0.0
+        shift, gain, held = np.zeros(3), 0.0, 0.0
         if of_gain:
             share = _SLOPES[name] * slope / float(sizes[3, 0])
             gain = _DOUBTED[name] * share
@@ -397,15 +412,37 @@ def deviations(
             )
             if name in {"hysteresis", "friction"}:
                 share = float(np.max(np.abs(shift / own)))
+                held = slope / (PLAY * float(sizes[1, 0])) if name == "hysteresis" else 0.0
             else:
                 # Where it falls that far, the stiffness of this motion is no measure of it.
                 stiffness = float(max(abs(own[2]), abs(own[2] - shift[2])))
                 share = _SLOPES[name] * slope / (stiffness * float(sizes[0, 0]))
         relative = abs(share * error / slope) if slope else 0.0
         found[name] = Deviation(
-            name=name, share=share, error=relative, freedom=freedom, shift=shift, gain=gain
+            name=name,
+            share=share,
+            error=relative,
+            freedom=freedom,
+            shift=shift,
+            gain=gain,
+            held=held,
         )
     return found
+
+
+def locked_spring(record: TrialRecord, joint: int) -> FloatArray:
+    """What a spring of 1 N·m/rad at a locked joint adds to M, B and K from the perturbed one, (3,).
+
+    It is stretched as far as the perturbation moves that joint nonetheless.
+    """
+    record = record.whole_periods
+    band, k = _Band(record), record.perturbed_joint
+    caused = _onto(band.filters(record.perturbation[k])[:, band.kept])
+    angles = band.of(record.position[[k, joint]])
+    motion = band.signal(angles[0] * (2j * np.pi * band.f) ** np.arange(2, -1, -1)[:, None])
+    signals = np.concatenate((motion, band.signal(angles[1:])))
+    *terms, stretch = caused(signals[:, band.kept])
+    return np.asarray(np.linalg.lstsq(np.transpose(terms), stretch, rcond=None)[0])
 
 
 class _Linear:
@@ -482,13 +519,19 @@ def judge_linearity(
     problems: list[Problem] = []
     doubts, gain = [np.zeros((3, n, n)) for _ in records], np.zeros(n)
     found = [deviations(record, arm, jump, reading) for record in records]
-    # Joints of one arm are alike in whether their stiffness depends on the amplitude.
-    bent = [one["curvature"].evidence if one else 0.0 for one in found]
     for k, record in enumerate(records):
         said: set[tuple[ProblemCode, Severity]] = set()
+        elsewhere = [one for joint, one in enumerate(found) if joint != k and one]
         for name, one in found[k].items():
-            doubt = one.doubt(sum(bent) - bent[k] if name == "curvature" else 0.0)
+            told = sum(other[name].evidence for other in elsewhere)
+            # Joints of one arm are alike in whether their stiffness depends on the amplitude.
+            # A transducer that isn't linear doesn't clear the others of it.
+            doubt = one.doubt(told if name == "curvature" else max(told, 0.0))
             gain[k] = np.hypot(gain[k], doubt * one.gain)
+            for m in range(n) if doubt * one.held else ():
+                if m != k:
+                    spring = locked_spring(records[m], k)
+                    doubts[k][:, k, m] = np.hypot(doubts[k][:, k, m], doubt * one.held * spring)
             if one.significant and abs(one.share) < _NEGLIGIBLE:
                 continue
             doubts[k][:, k, k] = np.hypot(doubts[k][:, k, k], doubt * one.shift)

@@ -102,6 +102,7 @@ class ProblemCode(str, Enum):
     TORQUE_IS_COMMAND = "torque_is_command"
     UNRESOLVED = "unresolved"
     DEPENDS_ON_AMPLITUDE = "depends_on_amplitude"
+    DEPENDS_ON_DIRECTION = "depends_on_direction"
     HYSTERESIS = "hysteresis"
     TORQUE_NOT_LINEAR = "torque_not_linear"
     GAIN_DRIFTS = "gain_drifts"

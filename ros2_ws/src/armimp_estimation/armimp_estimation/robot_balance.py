@@ -79,6 +79,8 @@ joint would explain what is left.
 """
 _UNCONFIRMED = 0.1
 """Assumption: relative error of a gain that nobody has declared and no command confirms."""
+_SPRING = 2.0
+"""Standard errors from which on a joint of the robot seems to have a spring."""
 _REFUTED = 3.0
 """Standard errors by which a gain has to differ from 1 to refute a declared calibration."""
 
@@ -335,25 +337,41 @@ def imbalance(robot: RobotBalance, arm: MBKFit) -> tuple[FloatArray, FloatArray]
     return shares, errors
 
 
-def gains_in_doubt(shares: FloatArray, errors: FloatArray, calibration: Calibration) -> FloatArray:
+def gains_in_doubt(
+    shares: FloatArray, errors: FloatArray, springs: FloatArray, calibration: Calibration
+) -> FloatArray:
     """Relative standard errors of gains, (n,), that the balance leaves possible.
 
     A share ρ that the commands tell is possible, whatever else may explain it, so it comes beside
-    what is assumed; so does what they could not have told, up to `_UNCONFIRMED`. A calibration that
+    what is assumed; so does what they could not have told, up to `_UNCONFIRMED`, or up to what
+    a spring of the joint itself would be of the arm's, if there seems to be one. A calibration that
     was declared holds until ρ refutes it.
 
     Parameters
     ----------
     shares, errors : ndarray, shape (n,)
         Of :func:`imbalance`.
+    springs : ndarray, shape (n,)
+        Of :func:`apparent_springs`.
     calibration : Calibration
         What is known of the transducers.
     """
     told = np.where(np.abs(shares) > _REFUTED * errors, np.abs(shares), 0.0)
     if not calibration.assumed:
         return np.asarray(told)
-    untold = np.minimum(np.hypot(shares, errors), _UNCONFIRMED)
+    untold = np.minimum(np.hypot(shares, errors), np.maximum(springs, _UNCONFIRMED))
     return np.asarray(np.maximum(told, untold))
+
+
+def apparent_springs(robot: RobotBalance, arm: MBKFit) -> FloatArray:
+    """Stiffness of each joint of the robot beyond chance, relative to the arm's, (n,).
+
+    There is none but that of friction which holds a joint, unless the transducer shows another
+    torque than the drive feels.
+    """
+    own, error, K = np.diag(robot.K), np.diag(robot.K_se), np.abs(np.diag(arm.mbk.K))
+    ratio = np.abs(own) / np.maximum(K, np.finfo(np.float64).tiny)
+    return np.asarray(np.where(np.abs(own) > _SPRING * error, np.minimum(ratio, 1.0), 0.0))
 
 
 def _unconfirmed(name: str, doubt: float) -> Problem:
@@ -427,7 +445,7 @@ def judge_balance(
         )
     if wrong:
         return problems, np.zeros(len(names))
-    doubts = gains_in_doubt(shares, errors, calibration)
+    doubts = gains_in_doubt(shares, errors, apparent_springs(balance, arm), calibration)
     for name, share, error, doubt in zip(names, shares, errors, doubts, strict=True):
         if doubt > 0.0 and abs(share) > _REFUTED * error:
             about = _gain_of(name, share, error) | {"doubt": 100.0 * float(doubt)}

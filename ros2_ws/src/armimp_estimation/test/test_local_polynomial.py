@@ -13,6 +13,7 @@ from armimp_estimation.estimators.local_polynomial import (
     local_response,
 )
 from armimp_estimation.fit import covariance_of_sums
+from armimp_estimation.periods import Periods
 from armimp_estimation.spectra import SpectralAccumulator, WelchConfig
 
 FloatArray = NDArray[np.float64]
@@ -187,3 +188,32 @@ def test_when_the_input_has_a_few_lines_only_expect_data_error() -> None:
 def test_when_the_record_is_too_short_expect_the_number_of_samples(samples: int) -> None:
     with pytest.raises(DataError, match=rf"{samples} samples are too few .* over 25 bins"):
         local_response(white(1, samples), white(2, samples)[None], RATE, (0.1, 60.0), CONFIG)
+
+
+@pytest.mark.parametrize("repeated", [0.0, 0.3])
+def test_noise_at_lines_has_what_comes_back_in_each_period(repeated: float) -> None:
+    rng = np.random.default_rng(8)
+    bins, count = 1024, 6
+    spectrum = np.zeros(bins // 2 + 1, dtype=np.complex128)
+    lines = np.arange(2, 130)
+    spectrum[lines] = np.exp(2j * np.pi * rng.uniform(size=lines.size))
+    disturbed = spectrum * (1.0 + 0.2j * np.linspace(0.0, 1.0, spectrum.size))
+    added = rng.standard_normal((2, spectrum.size)) * (spectrum != 0.0)
+    disturbed = disturbed + repeated * (added[0] + 1j * added[1]) / np.sqrt(2.0)
+    source, once = np.fft.irfft(spectrum, bins), np.fft.irfft(disturbed, bins)
+    noise = 0.1 * np.std(once) * rng.standard_normal(bins * count)
+    whole = np.tile(source, count)
+    periods = Periods.of(whole)
+    assert periods is not None
+    outputs = np.stack([np.tile(once, count) + noise, noise])
+    plain = local_response(whole, outputs, RATE, (0.3, 15.0), CONFIG, periods=periods)
+    found = plain.with_scatter_of_lines(slice(0, 1), order=2)
+    known = 1.0 + 0.2j * found.f / (0.5 * RATE)
+    error = np.abs(found.response[0] - known) ** 2
+
+    def mean_ratio(one: LocalResponse) -> float:
+        return float(np.mean(error) / np.mean(one.gain * one.noise[0, 0].real))
+
+    assert 0.8 < mean_ratio(found) < 1.25
+    assert (mean_ratio(plain) > 10.0) == (repeated > 0.0)
+    np.testing.assert_array_equal(found.noise[1, 1], plain.noise[1, 1])

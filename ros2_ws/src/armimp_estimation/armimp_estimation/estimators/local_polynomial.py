@@ -24,6 +24,8 @@ Mix = Callable[[FloatArray], ComplexArray]
 
 # Smallest ratio of the parts of the regressors that are independent of each other.
 _DEGENERATE = 1e-9
+# Lines on either side over which a response is a polynomial, and over which its scatter is alike.
+_LINES, _ALIKE = 6, 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +118,42 @@ class LocalResponse:
         terms = np.einsum("cf,ccf->f", np.abs(coefficients) ** 2, self.noise).real
         variance: FloatArray = self.gain * np.maximum(noise, np.finfo(np.float64).eps * terms)
         return variance
+
+    def with_scatter_of_lines(self, outputs: slice, order: int) -> LocalResponse:
+        """Return the same with the noise of some outputs at least what their lines scatter by.
+
+        What comes back in each period, as what friction and rounding make of the motion, is not in
+        the scatter of periods. But where the response is smooth over frequency, it makes that of a
+        line another than its neighbours tell (Pintelon & Schoukens, ch. 7: the robust method).
+
+        Parameters
+        ----------
+        outputs : slice
+            Those whose responses are smooth.
+        order : int
+            Degree of polynomials in frequency that follow them.
+        """
+        size, window = self.f.size, 2 * _LINES + 1
+        if self.line_power is None or size < window:
+            return self
+        variance = self.gain * np.einsum("ccf->cf", self.noise[outputs, outputs]).real
+        first = np.clip(np.arange(size) - _LINES, 0, size - window)
+        places = first[:, None] + np.arange(window)
+        distance = (self.f[places] - self.f[:, None]) / (self.f[-1] - self.f[0])
+        powers = distance[:, :, None] ** np.arange(order + 1) * window ** np.arange(order + 1)
+        root = np.sqrt(self.line_power[places])[:, :, None]
+        told = np.linalg.pinv(root * powers)[:, :1] @ (root * np.eye(window))
+        apart = (places == np.arange(size)[:, None]) - told[:, 0]
+        left = np.abs(np.sum(apart * self.response[outputs][:, places], axis=2)) ** 2
+        chance = np.sum(apart**2 * variance[:, places], axis=2)
+        spare = (self.freedom - 1.0) / self.freedom
+        ratio = spare * left / np.maximum(chance, np.finfo(np.float64).tiny)
+        sums = np.pad(np.cumsum(ratio, axis=1), ((0, 0), (1, 0)))
+        low = np.clip(np.arange(size) - _ALIKE, 0, None)
+        high = np.clip(np.arange(size) + _ALIKE + 1, None, size)
+        factors = np.ones((len(self.noise), size))
+        factors[outputs] = np.sqrt(np.maximum((sums[:, high] - sums[:, low]) / (high - low), 1.0))
+        return replace(self, noise=factors[:, None] * factors[None] * self.noise)
 
     def bin_correlation(self) -> FloatArray:
         """Correlation of the errors of each bin and the one 0, 1, 2... places above it.

@@ -41,12 +41,6 @@ _NEARER = 3
 _TINY = float(np.finfo(np.float64).tiny)
 LINE_FLOOR = 0.001
 """Relative error that responses at the lines of a multisine are allowed beside their variance."""
-_HARMONICS = 0.0015
-"""Relative standard error of Z beyond twice the mean frequency of a multisine of few strong lines.
-
-There harmonics of the robot's friction are, which answers within control periods. In simulation
-with friction of level 3 it makes 0.35 % at most.
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +149,10 @@ class LpmFull:
         rate, n = records[0].rate, len(records)
         near = self._arm_near(records, jump)
         mixed = self._beside(near, jump, rate)
-        columns = self._columns(records, with_steps=jump is not None, mix=mixed)
+        columns = [
+            column.with_scatter_of_lines(slice(n, 2 * n), self.config.local.order)
+            for column in self._columns(records, with_steps=jump is not None, mix=mixed)
+        ]
         f = columns[0].f
         stacked = np.stack([column.response for column in columns], axis=1)
         R = stacked[:n]
@@ -174,8 +171,6 @@ class LpmFull:
         half_period = 0.5 / rate
         delay_uncertainty = self._delay_uncertainty(jump, rate)
         powers = _line_power(columns)
-        if powers is not None:
-            systematics += beside_few_lines(powers, impedance, f)
         if jump is None and delay_uncertainty == half_period:
             systematics += untold_friction(records, impedance, f, bending)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
@@ -257,10 +252,6 @@ class LpmFull:
         reversing, bending = _reversals([record], impedance[:, None], f)
         systematics: tuple[ComplexArray, ...]
         systematics = self._doubts((torque - uncorrected) / stacked[k], f, reversing, bending)
-        if response.line_power is not None:
-            power = response.line_power[None]
-            (beside,) = beside_few_lines(power, impedance[:, None], f)
-            systematics += (beside[:, 0],)
         variance = np.asarray(sum(np.abs(one) ** 2 for one in systematics))
         for i in range(n):
             coefficients = np.zeros((len(stacked), f.size), dtype=np.complex128)
@@ -474,32 +465,6 @@ def unresolved(
         if lead[joint, k] > 0.0:
             leads.append(2j * np.pi * f * lead[joint, k] * R[joint, k] * effect)
     return leads, lost
-
-
-def beside_few_lines(
-    powers: FloatArray, impedance: ComplexArray, f: FloatArray
-) -> tuple[ComplexArray, ...]:
-    """What harmonics of friction may do to the impedance where few lines have most of the power.
-
-    Parameters
-    ----------
-    powers : ndarray, shape (trials, n_freq)
-        Of the lines.
-    impedance : ndarray, shape (n, trials, n_freq)
-        N·m/rad.
-    f : ndarray, shape (n_freq,)
-        Hz.
-    """
-    effects = []
-    for k, power in enumerate(powers):
-        total = np.sum(power)
-        # 0 if all lines are alike, nearly 1 if one has all the power.
-        unequal = 1.0 - total**2 / (power.size * np.sum(power**2))
-        beyond = f > 2.0 * np.sum(power * f) / total
-        effect = np.zeros_like(impedance)
-        effect[:, k] = _HARMONICS * unequal * impedance[:, k] * beyond
-        effects.append(effect)
-    return tuple(effects)
 
 
 _FRICTION = 2.0
