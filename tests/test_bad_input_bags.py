@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -27,17 +27,6 @@ def write(path: Path, messages: Sequence[Message] = MESSAGES, **metadata: str) -
 def foreign(path: Path, messages: Sequence[Message], types: dict[str, str] = TYPES) -> Path:
     """As ``ros2 bag record`` would have it, with whatever types."""
     return write_foreign(path, (("/" + m[0], types[m[0]], *m[1:]) for m in messages))
-
-
-def restamped(stamp: Callable[[int], int]) -> list[Message]:
-    """All samples with other stamps."""
-    found = []
-    for topic, log_time_ns, raw in MESSAGES:
-        if field := topics.VALUE_FIELD.get(topic):
-            stamp_ns, values = JointStateDecoder(NAMES, field).decode(raw)
-            raw = JointStateEncoder(NAMES, field).encode(stamp(stamp_ns), values)  # noqa: PLW2901
-        found.append((topic, log_time_ns, raw))
-    return found
 
 
 @pytest.fixture(scope="module")
@@ -88,21 +77,6 @@ class TestContent:
         line = both_refuse(bag)
         assert kind in line
         assert topics.JOINT_STATES in line
-
-
-class TestStamps:
-    @pytest.mark.parametrize(
-        "stamp",
-        [
-            lambda stamp: stamp // 2,
-            lambda stamp: 5 * 10**9,
-            lambda stamp: 10**12 - stamp,
-            lambda stamp: stamp + (stamp // PERIOD_NS % 7) * 300_000,
-        ],
-        ids=["twice the rate", "all the same", "backwards", "jitter"],
-    )
-    def test_wrong_stamps_are_refused(self, stamp: Callable[[int], int], tmp_path: Path) -> None:
-        both_refuse(write(tmp_path / "bag", restamped(stamp)))
 
 
 def test_trust_lifts_the_limits_and_changes_no_number(

@@ -94,16 +94,6 @@ def test_bags_estimate_and_replay_to_the_same_result(early: FinishedRun, tmp_pat
         ]
 
 
-def test_table_of_the_trials_tells_what_was_saved(early: FinishedRun) -> None:
-    output = io.StringIO()
-    print_result(early.summary, Console(file=output, width=200))
-    text = output.getvalue()
-    assert "saved s" in text
-    for trial in early.summary.trials:
-        assert f"{trial.saved:.1f}" in text
-    assert "planned length" not in text
-
-
 def test_separate_processes_end_at_the_same_sample_with_the_same_bits(
     early: FinishedRun, run: Run
 ) -> None:

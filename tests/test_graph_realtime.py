@@ -180,35 +180,6 @@ def test_bags_tell_the_timing_and_give_the_same_estimate(in_time: FinishedRun) -
         assert summary.timing.max_latency == live.timing.max_latency
 
 
-@pytest.mark.slow
-def test_when_commands_come_after_the_next_sample_expect_each_counted_and_no_valid_result(
-    tmp_path: Path,
-) -> None:
-    summary = run_on_own_clock(tmp_path / "out", lambda _: 0.0015).summary
-
-    timing = summary.timing
-    assert timing is not None
-    assert timing.ticks - 2 <= timing.missed <= timing.ticks
-    assert timing.latency_p50 == pytest.approx(0.0015, rel=0.05)
-    assert len(timing.problems) == 2
-    assert_verdict_fits(summary)
-
-
-@pytest.mark.slow
-def test_when_commands_fall_six_periods_behind_expect_the_rig_to_end_the_run(
-    tmp_path: Path,
-) -> None:
-    def latency(tick: int) -> float:
-        return 0.0003 if tick < 1500 else 0.0062
-
-    summary = run_on_own_clock(tmp_path / "out", latency).summary
-
-    assert not summary.valid
-    assert any("no command for 5 ticks" in problem.sentence for problem in summary.problems)
-    assert_verdict_fits(summary)
-    assert all(trial.ticks < SECONDS * 1000 for trial in summary.trials)
-
-
 # On the clock of the machine.
 
 

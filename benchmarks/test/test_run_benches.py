@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,20 +13,8 @@ from armimp_common.errors import GraphError
 from benchmarks import growth
 from benchmarks.__main__ import main
 from benchmarks.command_run import run_command
-from benchmarks.peak_memory import PeakMemory, descendants, peak_of
 
 pytestmark = pytest.mark.slow
-
-HUNGRY = """
-import subprocess, sys, time
-if len(sys.argv) == 1:
-    subprocess.run([sys.executable, "-m", "hungry", "child"])
-else:
-    filled = bytes(range(256)) * (80 * 4096)
-    print("full", flush=True)
-    sys.stdin.readline()
-"""
-
 
 Measure = Callable[[str], tuple[int, dict[str, Any]]]
 
@@ -59,27 +45,3 @@ def test_a_real_run_is_measured(measure: Measure, monkeypatch: pytest.MonkeyPatc
 def test_when_a_run_has_no_result_expect_its_last_words(tmp_path: Path) -> None:
     with pytest.raises(GraphError, match=r"ended without result: armimp: .*'friction' = 9"):
         run_command(tmp_path / "out", "--friction", "9")
-
-
-def test_peaks_are_those_of_all_descendants_by_module(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "hungry.py").write_text(HUNGRY)
-    monkeypatch.chdir(tmp_path)
-    with subprocess.Popen(
-        [sys.executable, "-m", "hungry"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        assert process.stdout.readline() == "full\n"
-        family = list(descendants(process.pid))
-        assert len(family) == 2
-        assert family[0] == process.pid
-        assert peak_of(family[1]) > 80e6 > peak_of(family[0])
-        with PeakMemory(process.pid) as peaks:
-            while not peaks.peaks:
-                pass
-        process.stdin.write("\n")
-        process.stdin.flush()
-    assert set(peaks.peaks) == {"hungry"}
-    assert peaks.peaks["hungry"] > 80e6

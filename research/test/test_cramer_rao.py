@@ -98,23 +98,6 @@ def test_elements_lie_where_their_matrices_have_them() -> None:
     np.testing.assert_allclose(larger / plain, [[[1.0, 0.25], [1.0, 0.25]]] * 3)
 
 
-def test_four_times_the_trials_halve_the_bound() -> None:
-    f, theta = motion(2, 2)
-    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, NOISE)
-    once = cramer_rao_bound(f, theta, covariance)
-    often = cramer_rao_bound(f, np.concatenate([theta] * 4), covariance)
-    np.testing.assert_allclose(often, 0.5 * once)
-
-
-def test_voluntary_torque_adds_to_the_noise_of_the_torques() -> None:
-    f, theta = motion(2, 2)
-    extra = np.full(f.size, 3.0 * 5e-3**2)
-    quiet = SensorNoise(angle=0.0, torque=5e-3)
-    without = cramer_rao_bound(f, theta, error_covariance(TWO_JOINT_ARM, f, SAMPLES, quiet))
-    covariance = error_covariance(TWO_JOINT_ARM, f, SAMPLES, quiet, extra)
-    np.testing.assert_allclose(cramer_rao_bound(f, theta, covariance), 2.0 * without)
-
-
 def test_without_noise_there_is_no_limit() -> None:
     f, theta = motion(2, 2)
     none = SensorNoise.of_rounding(angle=0.0, torque=0.0)

@@ -20,7 +20,6 @@ from research.controller import (
     ControllerPlan,
     changed,
     investigate,
-    run_controller,
     settings,
     worst,
 )
@@ -90,8 +89,3 @@ def test_what_is_found_is_written_drawn_and_told(
     with (tmp_path / "controller.csv").open(encoding="utf-8", newline="") as file:
         assert len(list(csv.DictReader(file))) == len(rows) - 1
     assert (tmp_path / "controller.png").stat().st_size > 10_000
-
-
-def test_numbers_of_threads_do_not_matter() -> None:
-    plan = ControllerPlan(base=BASE, seeds="0:1", levels=((1, 3, 1),), values={GAMMA: (100.0,)})
-    assert run_controller(plan, 1) == run_controller(plan, 2)

@@ -65,17 +65,6 @@ def test_voluntary_torque_does_not_bias_estimates_from_the_perturbation(
     assert not cells[name, 0.3, None].biased
 
 
-def test_shift_and_weights_add_up_to_the_change_of_the_errors(cells: Cells) -> None:
-    with_torque, without = cells["welch_full", 0.3, None], cells["welch_full", 0.0, None]
-    assert with_torque.shift is not None
-    assert with_torque.reweighted is not None
-    np.testing.assert_allclose(
-        with_torque.shift.bias + with_torque.reweighted.bias,
-        with_torque.total.bias - without.total.bias,
-        atol=1e-12,
-    )
-
-
 def test_independent_inputs_make_mimo_less_uncertain_and_coupled_ones_more(cells: Cells) -> None:
     def low_frequency_spread(cell: Cell) -> float:
         return float(np.sqrt(np.mean(cell.octaves.spread[..., :3] ** 2)))
@@ -86,21 +75,6 @@ def test_independent_inputs_make_mimo_less_uncertain_and_coupled_ones_more(cells
     # With all joints at once each is perturbed twice as long.
     assert independent < 0.95 * alone
     assert coupled > 1.3 * independent
-
-
-def test_coupling_of_the_inputs_is_that_of_the_correlation(cells: Cells) -> None:
-    independent, coupled = cells["mimo", 0.3, 0.0], cells["mimo", 0.3, 0.9]
-    assert independent.coherence < 0.15
-    assert coupled.coherence == pytest.approx(0.81, abs=0.04)
-    assert independent.inflation < 1.2
-    assert coupled.inflation == pytest.approx(1.0 / (1.0 - 0.81), rel=0.2)
-    assert np.isnan(cells["direct", 0.3, None].coherence)
-
-
-def test_stated_standard_errors_are_of_the_size_of_the_spread(cells: Cells) -> None:
-    cell = cells["lpm_full", 0.3, None]
-    ratio = np.sqrt(np.mean(cell.stated**2) / np.mean(cell.total.spread**2))
-    assert 0.5 < ratio < 2.0
 
 
 def test_investigation_leaves_tables_and_figures_and_prints_json(
@@ -121,13 +95,6 @@ def test_investigation_leaves_tables_and_figures_and_prints_json(
     for name in ("decomposition", "decomposition_coupling"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
         assert (tmp_path / f"{name}.pdf").stat().st_size > 5_000
-
-
-def test_one_seed_is_too_few(tmp_path: Path) -> None:
-    plan = DecompositionPlan(base=BASE.model_copy(update={"duration": 10.0}), voluntary=(0.0,),
-                             correlations=())  # fmt: skip
-    with pytest.raises(ConfigurationError, match="1 seed is too few"):
-        investigate(InvestigationOptions(out=tmp_path, seeds="0"), plan)
 
 
 @pytest.mark.parametrize("correlation", [-0.1, 1.0, float("nan")])

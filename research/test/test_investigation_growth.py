@@ -27,26 +27,11 @@ def cells() -> Cells:
     return {(cell.joints, cell.voluntary, cell.estimator): cell for cell in found}
 
 
-def test_every_method_has_every_number_of_joints_and_torque(cells: Cells) -> None:
-    assert list(cells) == [
-        (joints, voluntary, name)
-        for voluntary in (0.0, 0.05)
-        for joints in (2, 3)
-        for name in ("welch_siso", "lpm_full", "mimo")
-    ]
-
-
 def test_responses_at_once_are_linear_joint_by_joint_and_quadratic_all_at_once(
     cells: Cells,
 ) -> None:
     assert [cells[n, 0.0, "lpm_full"].responses for n in (2, 3)] == [4, 6]
     assert [cells[n, 0.0, "mimo"].responses for n in (2, 3)] == [8, 18]
-
-
-def test_all_methods_record_equally_long(cells: Cells) -> None:
-    assert {cell.duration for cell in cells.values()} == {16.4}
-    assert cells[3, 0.0, "mimo"].described()["recording_s"] == pytest.approx(3 * 16.4)
-    assert cells[3, 0.0, "lpm_full"].described()["recording_s"] == pytest.approx(3 * 16.4)
 
 
 @pytest.mark.parametrize("joints", [2, 3])
@@ -55,12 +40,6 @@ def test_local_polynomials_have_the_least_bias(cells: Cells, joints: int) -> Non
     assert best.worst_vaf > 99.9
     for name in ("welch_siso", "mimo"):
         assert (best.bias < cells[joints, 0.0, name].bias).all()
-
-
-@pytest.mark.parametrize("name", ["welch_siso", "lpm_full", "mimo"])
-def test_voluntary_torque_asks_for_a_longer_record(cells: Cells, name: str) -> None:
-    for joints in (2, 3):
-        assert cells[joints, 0.05, name].needed > 1.5 * cells[joints, 0.0, name].needed
 
 
 def _outcomes(errors: Sequence[float], samples: int) -> list[Outcome]:

@@ -10,14 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from armimp_bringup.config import ExperimentConfig
-from armimp_bringup.offline import simulate
-from research.decomposition_trials import (
-    with_voluntary,
-)
-from research.limits import LimitsPlan, bound_of, investigate, run_limits
+from research.limits import LimitsPlan, investigate, run_limits
 from research.limits_statistics import Cell
 from research.limits_tables import in_words
 from research.options import InvestigationOptions
@@ -36,13 +31,6 @@ Cells = dict[tuple[str, float], Cell]
 @pytest.fixture(scope="module")
 def cells() -> Cells:
     return {(cell.estimator, cell.voluntary): cell for cell in run_limits(PLAN, workers=2)}
-
-
-def bound(voluntary: float, **levels: int) -> NDArray[np.float64]:
-    """Bound of a short experiment with seed 3."""
-    base = SHORT.model_copy(update=levels)
-    one, quiet = (simulate(with_voluntary(base, torque, [3]))[0] for torque in (voluntary, 0.0))
-    return bound_of(one, quiet, BAND)
 
 
 def made(errors: Sequence[float], limit: float) -> Cell:
@@ -66,33 +54,6 @@ def test_no_estimator_has_a_spread_below_the_bound_by_more_than_chance(cells: Ce
 def test_local_polynomials_come_close_to_the_bound_with_voluntary_torque(cells: Cells) -> None:
     assert float(np.sqrt(np.mean(cells["lpm_full", 0.3].ratio ** 2))) < 1.5
     assert cells["lpm_full", 0.3].worst[1] < 2.0
-
-
-def test_estimators_of_a_condition_have_one_bound(cells: Cells) -> None:
-    for voluntary in (0.3, 0.0):
-        one, other = (cells[name, voluntary].bounds for name in ("lpm_full", "welch_siso"))
-        np.testing.assert_array_equal(one, other)
-
-
-def test_four_times_the_count_is_four_times_the_bound_of_a_relaxed_arm() -> None:
-    """Angle and torque counts of level 3 are both four times those of level 1."""
-    ratio = bound(0.0, friction=0, resolution=3) / bound(0.0, friction=0, resolution=1)
-    np.testing.assert_allclose(ratio, 4.0, rtol=0.02)
-
-
-def test_friction_hardly_changes_the_bound() -> None:
-    """It takes a little of the motion, which the controller keeps up, and is no noise."""
-    ratio = bound(0.3, friction=3) / bound(0.3, friction=0)
-    np.testing.assert_allclose(ratio, 1.0, rtol=0.1)
-
-
-def test_with_exact_readings_the_bound_is_proportional_to_the_voluntary_torque() -> None:
-    """So the motion that the voluntary torque itself makes is left out."""
-    np.testing.assert_allclose(bound(0.3, resolution=0), 3.0 * bound(0.1, resolution=0))
-
-
-def test_exact_readings_of_a_relaxed_arm_have_no_limit() -> None:
-    assert not bound(0.0, resolution=0).any()
 
 
 def test_cell_tells_bound_rms_spread_and_their_ratios() -> None:

@@ -153,21 +153,6 @@ def test_when_big_endian_expect_the_same_values() -> None:
         assert stamp_of(data) == STAMP
 
 
-def test_when_padding_and_surplus_hold_garbage_expect_it_ignored() -> None:
-    # Lengths that leave padding before every count and before the numbers.
-    names = ["a", "bcdef"]
-    writer = written(joint_state(names, "xy", position=[1.0, 2.0]))
-    garbage = bytes(
-        byte if bits else 0xA5 for byte, bits in zip(writer.data, writer.mask, strict=True)
-    )
-    assert garbage != bytes(writer.data)
-    decoder = JointStateDecoder(names, "position")
-
-    for data in (bytes(writer.data), garbage, garbage + b"\xa5" * 8, garbage):
-        assert decoder.decode(data) == (STAMP, (1.0, 2.0))
-        assert decoder.decode_many([data])[1].tolist() == [[1.0], [2.0]]
-
-
 @pytest.mark.parametrize("order", ["<", ">"])
 def test_when_truncated_at_any_byte_expect_malformed_message(order: Literal["<", ">"]) -> None:
     message = joint_state(

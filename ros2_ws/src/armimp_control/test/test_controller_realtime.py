@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from rclpy.node import Node
 
@@ -12,7 +11,7 @@ from armimp_common.status import Phase
 from armimp_control.node import ImbicControllerNode
 from armimp_control.parameters import ControllerParameters
 from support.controller import NAMES, POSTURE, SUCCESS, SequencerBench, controller_parameters
-from support.graph import HandedClock, Launch, ScriptedDriver, a_moment, eventually
+from support.graph import HandedClock, Launch, ScriptedDriver, eventually
 
 OFF = (POSTURE[0] + 1e-4, POSTURE[1])
 LOCKSTEP = controller_parameters(300, 200, 300)
@@ -54,28 +53,6 @@ def under_torque(controller: ImbicControllerNode, driver: ScriptedDriver, spinne
         driver.feed(OFF, (0.0, 0.0))
     eventually(spinner, lambda: driver.answered, "an answer to every sample")
     assert any(command != (0.0, 0.0) for command in driver.commands)
-
-
-def test_when_samples_stay_away_expect_the_torque_ramped_to_zero_and_an_abort(
-    controller: ImbicControllerNode, driver: ScriptedDriver, spinner: Spinner, clock: HandedClock
-) -> None:
-    under_torque(controller, driver, spinner)
-    a_moment(spinner)
-    assert len(driver.commands) == 20
-
-    clock.pace = 0.001
-    eventually(
-        spinner,
-        lambda: driver.has_said(Phase.ABORTED) and driver.commands[-1] == (0.0, 0.0),
-        "zero torque",
-    )
-    a_moment(spinner)
-
-    ramp = np.array(driver.commands[19:])
-    assert (np.diff(np.abs(ramp), axis=0) <= 0.0).all()
-    assert len(np.unique(np.abs(ramp))) > 5
-    assert driver.statuses[-1].reason == SILENCE
-    assert driver.commands[-1] == (0.0, 0.0)
 
 
 def test_when_a_sample_comes_after_a_stall_before_anyone_looked_expect_an_abort_all_the_same(

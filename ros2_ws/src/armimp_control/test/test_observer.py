@@ -13,7 +13,7 @@ from armimp_control import presets
 from armimp_control.laws import ANGLE_GAIN, DISTURBANCE_GAIN, INVERSE, VELOCITY_GAIN
 from armimp_control.laws.imbic import ImbicConfig, Observer
 from armimp_control.laws.law import Controller
-from armimp_control.stability import RigDynamics, StabilityMargins, check_stability, spectral_radius
+from armimp_control.stability import RigDynamics, StabilityMargins, check_stability
 from support.safety import torque_only, within_torque
 
 Array = NDArray[np.float64]
@@ -177,41 +177,6 @@ def test_no_gains_are_worked_out_between_two_samples(monkeypatch: pytest.MonkeyP
         controller.perturb_joint(joint)
         assert np.array_equal(controller.model, controller.config.model(joint))
     controller.lock()
-
-
-def _growth(config: ImbicConfig, perturbed: int, delay: int) -> float:
-    """Factor per tick by which a deviation grows on a rig of pure inertia, measured."""
-    controller = Controller(config, safety=torque_only(1e300))
-    controller.perturb_joint(perturbed)
-    inverse = np.linalg.inv(ROBOT + ARM)
-    theta, velocity, acceleration = POSTURE + 1e-3, np.zeros(2), np.zeros(2)
-    under_way = [np.zeros(2)] * delay
-    sizes = np.zeros(1200)
-    for tick in range(sizes.size):
-        controller.tick(theta, ARM @ acceleration, np.zeros(2))
-        under_way.append(controller.command.copy())
-        acceleration = inverse @ under_way.pop(0)
-        theta = theta + PERIOD * velocity + 0.5 * PERIOD**2 * acceleration
-        velocity = velocity + PERIOD * acceleration
-        sizes[tick] = np.max(np.abs(acceleration))
-    return float((np.max(sizes[1000:]) / np.max(sizes[600:800])) ** (1.0 / 400.0))
-
-
-@pytest.mark.parametrize("perturbed", [0, 1])
-@pytest.mark.parametrize("delay", [2, 3])
-def test_spectral_radius_of_the_loop_with_observer_is_its_growth(
-    delay: int, perturbed: int
-) -> None:
-    config = replace(_config(), gamma=200.0, lock_frequency=200.0)
-    radius = spectral_radius(
-        config,
-        perturbed=perturbed,
-        robot_inertia=ROBOT,
-        arm_inertia=ARM,
-        dynamics=RigDynamics(command_delay=delay),
-    )
-    assert radius > 1.005
-    assert _growth(config, perturbed, delay) == pytest.approx(radius, rel=2e-3)
 
 
 def test_defaults_bear_one_late_period_and_any_arm_within_a_factor_of_three() -> None:

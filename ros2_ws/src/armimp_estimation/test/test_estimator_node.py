@@ -24,7 +24,7 @@ from armimp_common.cdr import decode_trial_status, encode_trial_status
 from armimp_common.executor import Spinner
 from armimp_common.pubsub import subscribe_counts, subscribe_raw, wait_until_matched
 from armimp_common.schema import Value
-from armimp_common.status import Level, Phase, values_of
+from armimp_common.status import Level, Phase
 from armimp_common.topics import COMMANDS, DATA_STREAMS, RESULT, TRIAL
 from armimp_estimation.bags import read_bag
 from armimp_estimation.messages import RESULT_NAME
@@ -199,26 +199,6 @@ class TestResults:
 
 
 class TestFaults:
-    def test_when_samples_are_lost_expect_the_account_and_an_invalid_result(
-        self, desk: Desk
-    ) -> None:
-        desk.bring_up()
-        messages = list(MADE_UP)
-        del messages[1 + 4 * (SETTLE + 40) + 1]
-
-        desk.play(messages)
-        desk.conclude()
-
-        (problem,) = desk.summary.problems
-        assert (problem.code, problem.trial) == (ProblemCode.SAMPLES_MISSING, 1)
-        where = {"first": 0.04, "last": 0.041}
-        assert problem.values == {"stream": "joint_states", "count": 1, **where}
-        assert desk.summary.trials[0].lost == 1
-        assert desk.script.conclusions[0].level == bytes([Level.ERROR])
-        assert desk.script.conclusions[0].message == f"not valid: {problem}"
-        assert desk.script.columns[0].message.startswith(problem.sentence)
-        assert values_of(desk.script.columns[0])["lost"] == "1"
-
     def test_when_a_message_is_malformed_expect_it_named_and_the_node_alive(
         self, desk: Desk
     ) -> None:
