@@ -71,12 +71,6 @@ def test_without_noise_any_matrices_come_back_whatever_the_variances(
     assert fit.Z.tobytes() == fit.mbk.impedance(F).tobytes()
 
 
-def test_matrices_are_not_made_symmetric() -> None:
-    fit = fit_mbk(estimate_of(TWO_JOINT_ARM.impedance(F)))
-    np.testing.assert_allclose(fit.mbk.K, TWO_JOINT_ARM.K, rtol=1e-9)
-    assert fit.mbk.K[0, 1] > 1.9 * fit.mbk.K[1, 0]
-
-
 def test_equal_variances_give_ordinary_least_squares_with_its_standard_errors() -> None:
     rng = np.random.default_rng(4)
     noise = rng.standard_normal((1, 1, F.size)) + 1j * rng.standard_normal((1, 1, F.size))

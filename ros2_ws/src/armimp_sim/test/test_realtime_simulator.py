@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 
@@ -112,35 +111,6 @@ class TestCommands:
         assert bench.sent == in_lockstep([a, a, c])
         assert bench.missed == 1
 
-    def test_a_second_command_for_a_sample_takes_the_torque_away(self, bench: Bench) -> None:
-        a, b = some_commands(2)
-        bench.command(*a)
-        bench.command(*b)
-        assert bench.rig.fault == "more commands than samples"
-        bench.next(2)
-        assert bench.sent == in_lockstep([a, (0.0, 0.0)])
-
-    def test_when_a_command_is_not_finite_expect_no_torque_and_a_fault(self, bench: Bench) -> None:
-        bench.command(5.0, -5.0)
-        bench.next()
-        bench.command(math.nan, 1.0)
-        bench.next(3)
-        assert bench.rig.fault == "command of joint 1 is not finite: nan"
-        assert bench.rig.applied == (0.0, 0.0)
-        assert bench.sent == in_lockstep([(5.0, -5.0), *[(0.0, 0.0)] * 3])
-
-    def test_when_a_message_is_no_command_expect_no_torque_and_its_reason(
-        self, bench: Bench
-    ) -> None:
-        bench.command(5.0, -5.0)
-        bench.next()
-        bench.paced.refuse("malformed command: rubbish")
-        bench.next()
-        bench.command(5.0, -5.0)
-        bench.next()
-        assert bench.rig.fault == "malformed command: rubbish"
-        assert bench.sent == in_lockstep([(5.0, -5.0), (0.0, 0.0), (0.0, 0.0)])
-
 
 class TestWatchdog:
     def test_when_commands_stay_away_expect_a_straight_ramp_to_zero_within_fifty_milliseconds(
@@ -176,24 +146,6 @@ class TestWatchdog:
         assert not bench.rig.fault
         assert bench.missed - missed <= 1
         assert bench.rig.applied == (7.0, 7.0)
-
-    def test_when_commands_come_but_answer_old_samples_expect_the_same(self, bench: Bench) -> None:
-        for _ in range(3):
-            bench.command(1.0, 1.0)
-            bench.next()
-        bench.next(4)  # four answers are owed, and one more with each of the next samples
-        for _ in range(20):
-            bench.command(1.0, 1.0)
-            bench.next()
-        assert not bench.rig.fault
-
-        bench.next(4)
-        bench.command(1.0, 1.0)
-        bench.next()
-
-        assert bench.rig.fault == f"commands are more than {WATCHDOG_TICKS} ticks behind"
-        bench.next(RAMP_PERIODS)
-        assert bench.rig.applied == (0.0, 0.0)
 
     @pytest.mark.parametrize(
         ("again", "unheard"),
@@ -261,17 +213,3 @@ class TestThread:
         assert stamps == [k * PERIOD_NS for k in range(count)]
         assert took >= 0.049
         assert paced.error is None
-
-    def test_what_goes_wrong_in_the_thread_is_kept(self) -> None:
-        rig = SimulatedRig(PARAMETERS)
-        problem = RuntimeError("no more")
-
-        def send() -> None:
-            if rig.tick == 3:
-                raise problem
-
-        paced = RealtimeSimulator(rig, send, Pacer(PERIOD_NS))
-        paced.start()
-        paced._thread.join(30.0)
-        assert paced.error is problem
-        paced.stop()
