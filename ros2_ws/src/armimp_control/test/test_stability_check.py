@@ -177,6 +177,7 @@ def test_too_large_a_model_is_refused_with_the_growth() -> None:
 
 
 def test_a_gain_of_the_check_is_one_of_the_model() -> None:
-    rig = {"robot_inertia": ROBOT, "arm_inertia": ARM}
-    larger = spectral_radius(_config(model=4.0), perturbed=0, **rig)
-    assert spectral_radius(_config(), perturbed=0, gain=4.0, **rig) == pytest.approx(larger)
+    def radius(config: ImbicConfig, gain: float = 1.0) -> float:
+        return spectral_radius(config, perturbed=0, robot_inertia=ROBOT, arm_inertia=ARM, gain=gain)
+
+    assert radius(_config(), gain=4.0) == pytest.approx(radius(_config(model=4.0)))
